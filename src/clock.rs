@@ -1,0 +1,180 @@
+//! Clocks: the one place that reads the time.
+//!
+//! Everything that needs the time takes a [`Clock`]. Three exist: the system's, a scaled one that an emulator and the
+//! daemon share when a night is run through in a minute, and a manual one for tests.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// A source of monotonic and civil time, both in nanoseconds.
+pub trait Clock: Send + Sync + std::fmt::Debug {
+    /// Nanoseconds of a clock that never steps; comparable within one boot of the machine.
+    fn mono_ns(&self) -> u64;
+    /// Nanoseconds since 1970-01-01T00:00:00Z; may step.
+    fn utc_ns(&self) -> i64;
+    /// How much faster than real time this clock runs (1 for a real sensor).
+    fn speed(&self) -> f64 {
+        1.0
+    }
+    /// How long to sleep in real time so that `scaled` passes on this clock.
+    fn real(&self, scaled: Duration) -> Duration {
+        scaled.div_f64(self.speed())
+    }
+}
+
+fn real_mono_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+fn real_utc_ns() -> i64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Realtime);
+    now.tv_sec * 1_000_000_000 + now.tv_nsec
+}
+
+/// The machine's own clocks: `CLOCK_MONOTONIC` and `CLOCK_REALTIME`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SystemClock;
+
+impl Clock for SystemClock {
+    fn mono_ns(&self) -> u64 {
+        real_mono_ns()
+    }
+    fn utc_ns(&self) -> i64 {
+        real_utc_ns()
+    }
+}
+
+/// A clock that runs `speed` times faster than the machine's, from the moment it is made.
+///
+/// An emulator that shares it may hold it back ([`ScaledClock::hold_at`]): time then never runs ahead of what the
+/// emulator has sent, so that a machine too slow for the speed shows no false silence, latency or skew.
+#[derive(Debug)]
+pub struct ScaledClock {
+    speed: f64,
+    origin_mono_ns: u64,
+    origin_utc_ns: i64,
+    /// Time does not pass this value; `u64::MAX` holds nothing.
+    limit_mono_ns: AtomicU64,
+    /// The latest time that was given out: the clock never runs back when a limit is lowered.
+    latest_mono_ns: AtomicU64,
+}
+
+impl ScaledClock {
+    /// A clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's time of now.
+    #[must_use]
+    pub fn new(speed: f64) -> Self {
+        let origin_mono_ns = real_mono_ns();
+        Self {
+            speed,
+            origin_mono_ns,
+            origin_utc_ns: real_utc_ns(),
+            limit_mono_ns: AtomicU64::new(u64::MAX),
+            latest_mono_ns: AtomicU64::new(origin_mono_ns),
+        }
+    }
+
+    /// The scaled time without regard to any hold: the emulator's schedule.
+    #[must_use]
+    pub fn schedule_mono_ns(&self) -> u64 {
+        let real = real_mono_ns().saturating_sub(self.origin_mono_ns);
+        self.origin_mono_ns + (real as f64 * self.speed) as u64
+    }
+
+    /// Keeps time from passing `mono_ns` until the next call.
+    pub fn hold_at(&self, mono_ns: u64) {
+        self.limit_mono_ns.store(mono_ns, Ordering::Release);
+    }
+
+    /// Lets time run freely again.
+    pub fn release(&self) {
+        self.limit_mono_ns.store(u64::MAX, Ordering::Release);
+    }
+}
+
+impl Clock for ScaledClock {
+    fn mono_ns(&self) -> u64 {
+        let now = self
+            .schedule_mono_ns()
+            .min(self.limit_mono_ns.load(Ordering::Acquire));
+        self.latest_mono_ns
+            .fetch_max(now, Ordering::AcqRel)
+            .max(now)
+    }
+    fn utc_ns(&self) -> i64 {
+        self.origin_utc_ns + (self.mono_ns() - self.origin_mono_ns) as i64
+    }
+    fn speed(&self) -> f64 {
+        self.speed
+    }
+}
+
+/// A clock that moves only when told to; for tests.
+#[derive(Debug, Default)]
+pub struct ManualClock {
+    mono_ns: AtomicU64,
+    utc_offset_ns: std::sync::atomic::AtomicI64,
+}
+
+impl ManualClock {
+    /// A clock whose monotonic time is 0 and whose civil time is `utc_ns`.
+    #[must_use]
+    pub fn new(utc_ns: i64) -> Self {
+        Self {
+            mono_ns: AtomicU64::new(0),
+            utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns),
+        }
+    }
+    /// Lets `by` pass.
+    pub fn advance(&self, by: Duration) {
+        self.mono_ns
+            .fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
+    }
+    /// Steps the civil time without touching the monotonic one.
+    pub fn step_utc(&self, by_ns: i64) {
+        self.utc_offset_ns.fetch_add(by_ns, Ordering::AcqRel);
+    }
+}
+
+impl Clock for ManualClock {
+    fn mono_ns(&self) -> u64 {
+        self.mono_ns.load(Ordering::Acquire)
+    }
+    fn utc_ns(&self) -> i64 {
+        self.utc_offset_ns.load(Ordering::Acquire) + self.mono_ns() as i64
+    }
+}
+
+/// RFC 3339 text in UTC with nanoseconds, as every interface writes a time.
+#[must_use]
+pub fn rfc3339(utc_ns: i64) -> String {
+    chrono::DateTime::from_timestamp_nanos(utc_ns)
+        .to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_held_clock_waits_and_never_runs_back() {
+        let clock = ScaledClock::new(1000.0);
+        let start = clock.mono_ns();
+        clock.hold_at(start + 5);
+        std::thread::sleep(Duration::from_millis(2));
+        assert_eq!(clock.mono_ns(), start + 5);
+        clock.hold_at(start + 2);
+        assert_eq!(clock.mono_ns(), start + 5);
+        clock.release();
+        assert!(clock.mono_ns() > start + 1_000_000_000);
+    }
+
+    #[test]
+    fn civil_time_is_written_in_utc_with_nanoseconds() {
+        assert_eq!(rfc3339(0), "1970-01-01T00:00:00.000000000Z");
+        assert_eq!(
+            rfc3339(1_800_000_000_123_456_789),
+            "2027-01-15T08:00:00.123456789Z"
+        );
+    }
+}

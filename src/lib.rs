@@ -1,0 +1,34 @@
+//! `vn100d`: unattended capture of a VectorNav VN-100 into SQLite, noise parameters by `curl`.
+//!
+//! Data flows one way:
+//!
+//! ```text
+//! bytes ──► frames ──► samples ──► store ──► analysis ──► results ──► API
+//! protocol  sample                 store     noise, jobs             api
+//!    └── capture drives these ──┘
+//! ```
+//!
+//! Pure rooms ([`protocol`], [`sample`], [`noise`], [`effects`], [`simulator`]) take bytes, numbers, time and randomness
+//! as arguments. Shells ([`capture`], [`store`], [`jobs`], [`api`], [`cli`]) do the input and output and meet only in
+//! [`daemon`]. `docs/architecture.md` draws the map; `tests/it/tidy.rs` keeps it true.
+
+pub mod clock;
+pub mod control;
+pub mod observe;
+pub mod sample;
+pub mod units;
+
+pub mod effects;
+pub mod noise;
+pub mod protocol;
+pub mod simulator;
+
+pub mod api;
+pub mod capture;
+pub mod cli;
+pub mod config;
+pub mod daemon;
+pub mod emulator;
+pub mod jobs;
+pub mod recording;
+pub mod store;

@@ -1,0 +1,155 @@
+//! The status snapshot: published by the daemon through a watch channel, read by the HTTP interface without ever
+//! touching the disk (contract, section 3).
+
+use serde::{Deserialize, Serialize};
+
+/// What the connection to the sensor is doing (contract, section 2).
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorState {
+    /// No port to open.
+    #[default]
+    Absent,
+    /// A port is being opened.
+    Opening,
+    /// Baud rate, identity and registers are being found out, the output is being configured.
+    Probing,
+    /// Samples arrive.
+    Streaming,
+    /// The port is open, nothing arrives.
+    Stalled,
+    /// Bytes arrive, none of them forms a frame.
+    NoValidFrames,
+    /// Valid frames of another kind than configured arrive.
+    UnexpectedFormat,
+    /// Somebody else has the port.
+    PortBusy,
+    /// The port may not be opened by this user.
+    NoPermission,
+    /// The sensor has another serial number than the capture's.
+    WrongUnit,
+    /// Waiting before the next try.
+    Backoff,
+}
+
+/// The sensor as the daemon sees it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct SensorStatus {
+    /// What the connection is doing.
+    pub state: SensorState,
+    /// A sentence for a person: why, and what to do, where the state is not `streaming`.
+    pub hint: Option<String>,
+    /// The port in use or last used.
+    pub port: Option<String>,
+    /// Baud rate in use.
+    pub baud: Option<u32>,
+    /// Register 1.
+    pub model: Option<String>,
+    /// Register 3.
+    pub serial_number: Option<String>,
+    /// Register 4.
+    pub firmware: Option<String>,
+    /// Output rate in Hz.
+    pub rate_hz: Option<f64>,
+    /// What arrives: `binary 01,0609`, `VNYMR`…
+    pub output: Option<String>,
+}
+
+/// The capture that runs or waits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct CaptureStatus {
+    /// Its id.
+    pub id: i64,
+    /// Its name.
+    pub name: String,
+    /// `waiting` or `capturing`.
+    pub state: String,
+    /// Sample time it holds, received and missing, s.
+    pub elapsed_s: f64,
+    /// Sample time still to come, s.
+    pub remaining_s: f64,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Gaps.
+    pub gaps: u64,
+    /// Samples that a power cut now would not take (committed to disk).
+    pub committed: u64,
+    /// How long ago the last sample arrived, s; null before the first.
+    pub last_sample_age_s: Option<f64>,
+    /// When a gap is open: since when, RFC 3339.
+    pub gap_open_since: Option<String>,
+}
+
+/// What the store is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StorageState {
+    /// Commits succeed.
+    #[default]
+    Ok,
+    /// Commits take longer than the queue likes.
+    Slow,
+    /// The disk is full.
+    StorageFull,
+    /// The file system is read-only.
+    StorageReadonly,
+    /// Another process holds the database.
+    StorageLocked,
+    /// The disk reports errors.
+    StorageError,
+}
+
+/// The store as the daemon sees it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct StorageStatus {
+    /// How it is.
+    pub state: StorageState,
+    /// Path of the database.
+    pub database: String,
+    /// Size of the database file in bytes.
+    pub database_bytes: u64,
+    /// Size of the write-ahead log in bytes.
+    pub wal_bytes: u64,
+    /// Free space of its file system in bytes.
+    pub free_bytes: u64,
+    /// How long the free space lasts at the present rate, s; null where nothing is written.
+    pub time_to_full_s: Option<f64>,
+    /// Age of the last commit in real seconds; null before the first.
+    pub last_commit_age_s: Option<f64>,
+    /// Duration of the last commit in real seconds.
+    pub last_commit_s: Option<f64>,
+    /// Samples waiting in the queue.
+    pub queued: u64,
+    /// The last error's text, where the state is not `ok`.
+    pub error: Option<String>,
+}
+
+/// The background jobs in numbers.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct JobsStatus {
+    /// Waiting.
+    pub queued: u64,
+    /// Running.
+    pub running: u64,
+    /// Done since the daemon started.
+    pub done: u64,
+    /// Failed since the daemon started.
+    pub failed: u64,
+}
+
+/// Everything that `GET /v1/status` says, but for version and uptime.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Status {
+    /// The sensor.
+    pub sensor: SensorStatus,
+    /// The capture that runs or waits.
+    pub capture: Option<CaptureStatus>,
+    /// The store.
+    pub storage: StorageStatus,
+    /// The jobs.
+    pub jobs: JobsStatus,
+}

@@ -1,0 +1,8 @@
+//! accounting
+
+/// placeholder
+#[derive(Debug)]
+pub struct Accountant;
+/// placeholder
+#[derive(Debug)]
+pub struct Observation;

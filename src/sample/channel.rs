@@ -1,0 +1,294 @@
+//! Channels: the fourteen quantities of a VN-100, their names, units and resolutions.
+
+use serde::{Deserialize, Serialize};
+
+/// One measured quantity. The order is the order of the columns of table `sample`.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+#[repr(u8)]
+#[expect(missing_docs, reason = "name() and unit() say it all")]
+pub enum Channel {
+    Yaw,
+    Pitch,
+    Roll,
+    MagX,
+    MagY,
+    MagZ,
+    AccelX,
+    AccelY,
+    AccelZ,
+    GyroX,
+    GyroY,
+    GyroZ,
+    Temperature,
+    Pressure,
+}
+
+/// Three channels that belong together.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the names are the field's own")]
+pub enum Triad {
+    Attitude,
+    Mag,
+    Accel,
+    Gyro,
+}
+
+impl Triad {
+    /// The triad's three channels in the order x, y, z (yaw, pitch, roll).
+    #[must_use]
+    pub fn channels(self) -> [Channel; 3] {
+        use Channel::{
+            AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Roll, Yaw,
+        };
+        match self {
+            Self::Attitude => [Yaw, Pitch, Roll],
+            Self::Mag => [MagX, MagY, MagZ],
+            Self::Accel => [AccelX, AccelY, AccelZ],
+            Self::Gyro => [GyroX, GyroY, GyroZ],
+        }
+    }
+    /// `attitude`, `mag`, `accel` or `gyro`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Attitude => "attitude",
+            Self::Mag => "mag",
+            Self::Accel => "accel",
+            Self::Gyro => "gyro",
+        }
+    }
+}
+
+impl Channel {
+    /// How many channels there are.
+    pub const COUNT: usize = 14;
+    /// All channels in column order.
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Yaw,
+        Self::Pitch,
+        Self::Roll,
+        Self::MagX,
+        Self::MagY,
+        Self::MagZ,
+        Self::AccelX,
+        Self::AccelY,
+        Self::AccelZ,
+        Self::GyroX,
+        Self::GyroY,
+        Self::GyroZ,
+        Self::Temperature,
+        Self::Pressure,
+    ];
+    /// The nine channels whose noise is analysed: magnetometer, accelerometer, gyroscope. Angles wrap and are filtered;
+    /// temperature and pressure are conditions, not noise.
+    pub const ANALYSED: [Self; 9] = [
+        Self::MagX,
+        Self::MagY,
+        Self::MagZ,
+        Self::AccelX,
+        Self::AccelY,
+        Self::AccelZ,
+        Self::GyroX,
+        Self::GyroY,
+        Self::GyroZ,
+    ];
+
+    /// The name in tables, JSON and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Yaw => "yaw",
+            Self::Pitch => "pitch",
+            Self::Roll => "roll",
+            Self::MagX => "mag_x",
+            Self::MagY => "mag_y",
+            Self::MagZ => "mag_z",
+            Self::AccelX => "accel_x",
+            Self::AccelY => "accel_y",
+            Self::AccelZ => "accel_z",
+            Self::GyroX => "gyro_x",
+            Self::GyroY => "gyro_y",
+            Self::GyroZ => "gyro_z",
+            Self::Temperature => "temperature",
+            Self::Pressure => "pressure",
+        }
+    }
+    /// The channel of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|channel| channel.name() == name)
+    }
+    /// The triad the channel belongs to; temperature and pressure stand alone.
+    #[must_use]
+    pub fn triad(self) -> Option<Triad> {
+        match self {
+            Self::Yaw | Self::Pitch | Self::Roll => Some(Triad::Attitude),
+            Self::MagX | Self::MagY | Self::MagZ => Some(Triad::Mag),
+            Self::AccelX | Self::AccelY | Self::AccelZ => Some(Triad::Accel),
+            Self::GyroX | Self::GyroY | Self::GyroZ => Some(Triad::Gyro),
+            Self::Temperature | Self::Pressure => None,
+        }
+    }
+    /// The unit the sensor sends and the database holds.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self.triad() {
+            Some(Triad::Attitude) => "deg",
+            Some(Triad::Mag) => "gauss",
+            Some(Triad::Accel) => "m/s²",
+            Some(Triad::Gyro) => "rad/s",
+            None if self == Self::Temperature => "°C",
+            None => "kPa",
+        }
+    }
+    /// The suffix that names the unit in a CSV header (contract, section 4): `gyro_x` + `_rad_s`.
+    #[must_use]
+    pub fn csv_suffix(self) -> &'static str {
+        match self.triad() {
+            Some(Triad::Attitude) => "_deg",
+            Some(Triad::Mag) => "_gauss",
+            Some(Triad::Accel) => "_m_s2",
+            Some(Triad::Gyro) => "_rad_s",
+            None if self == Self::Temperature => "_c",
+            None => "_kpa",
+        }
+    }
+    /// Decimals of the VN-100's ASCII output in firmware 2 and 3 (recorded lines of 122 bytes; AN110's packet lengths).
+    #[must_use]
+    pub fn ascii_decimals(self) -> usize {
+        match self.triad() {
+            Some(Triad::Attitude | Triad::Accel) => 3,
+            Some(Triad::Mag) => 4,
+            Some(Triad::Gyro) => 6,
+            None if self == Self::Temperature => 1,
+            None => 3,
+        }
+    }
+    /// A power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit: fixes the
+    /// fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s² (VN-100 data sheet),
+    /// with room for other sensors.
+    #[must_use]
+    pub fn range_exponent(self) -> u32 {
+        match self.triad() {
+            Some(Triad::Attitude) => 9,
+            Some(Triad::Mag) => 5,
+            Some(Triad::Accel) => 9,
+            Some(Triad::Gyro) => 7,
+            None => 9,
+        }
+    }
+}
+
+impl std::fmt::Display for Channel {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// A set of channels, as bits in column order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct ChannelSet(u16);
+
+impl ChannelSet {
+    /// No channel.
+    pub const EMPTY: Self = Self(0);
+    /// Adds a channel.
+    pub fn insert(&mut self, channel: Channel) {
+        self.0 |= 1 << channel as u8;
+    }
+    /// Takes a channel out.
+    pub fn remove(&mut self, channel: Channel) {
+        self.0 &= !(1 << channel as u8);
+    }
+    /// Whether the channel is in the set.
+    #[must_use]
+    pub fn contains(self, channel: Channel) -> bool {
+        self.0 & (1 << channel as u8) != 0
+    }
+    /// The channels of either set.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+    /// Whether the set has no channel.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+    /// The channels in column order.
+    pub fn iter(self) -> impl Iterator<Item = Channel> {
+        Channel::ALL
+            .into_iter()
+            .filter(move |channel| self.contains(*channel))
+    }
+    /// The bits, for storing.
+    #[must_use]
+    pub fn bits(self) -> u16 {
+        self.0
+    }
+    /// The set of these bits; bits beyond the last channel are dropped.
+    #[must_use]
+    pub fn from_bits(bits: u16) -> Self {
+        Self(bits & ((1 << Channel::COUNT) - 1))
+    }
+}
+
+impl FromIterator<Channel> for ChannelSet {
+    fn from_iter<I: IntoIterator<Item = Channel>>(channels: I) -> Self {
+        let mut set = Self::EMPTY;
+        for channel in channels {
+            set.insert(channel);
+        }
+        set
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_channel_is_found_by_its_name() {
+        for channel in Channel::ALL {
+            assert_eq!(Channel::from_name(channel.name()), Some(channel));
+        }
+        assert_eq!(Channel::from_name("gyro"), None);
+    }
+
+    #[test]
+    fn a_set_holds_what_was_put_in() {
+        let set: ChannelSet = [Channel::GyroZ, Channel::Yaw].into_iter().collect();
+        assert_eq!(
+            set.iter().collect::<Vec<_>>(),
+            [Channel::Yaw, Channel::GyroZ]
+        );
+        assert_eq!(ChannelSet::from_bits(set.bits()), set);
+        assert!(!set.contains(Channel::GyroX));
+    }
+}

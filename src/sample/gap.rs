@@ -1,0 +1,90 @@
+//! Gaps: intervals with missing samples, each with its cause.
+
+use serde::{Deserialize, Serialize};
+
+/// Why samples are missing (contract, section 2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GapCause {
+    /// The port disappeared.
+    Unplugged,
+    /// The sensor's clock started again.
+    SensorReset,
+    /// The port stayed, the sensor sent nothing.
+    Silent,
+    /// A frame failed its checksum or was cut.
+    Checksum,
+    /// The sensor changed its output rate.
+    RateChange,
+    /// The sensor changed its output format.
+    FormatChange,
+    /// The host did not run for a while.
+    HostStall,
+    /// The host was suspended.
+    HostSuspend,
+    /// The daemon was not running.
+    DaemonStopped,
+    /// The disk was too slow and the queue full.
+    StorageBackpressure,
+    /// Missing in an imported recording.
+    Source,
+}
+
+impl GapCause {
+    /// All causes.
+    pub const ALL: [Self; 11] = [
+        Self::Unplugged,
+        Self::SensorReset,
+        Self::Silent,
+        Self::Checksum,
+        Self::RateChange,
+        Self::FormatChange,
+        Self::HostStall,
+        Self::HostSuspend,
+        Self::DaemonStopped,
+        Self::StorageBackpressure,
+        Self::Source,
+    ];
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Unplugged => "unplugged",
+            Self::SensorReset => "sensor_reset",
+            Self::Silent => "silent",
+            Self::Checksum => "checksum",
+            Self::RateChange => "rate_change",
+            Self::FormatChange => "format_change",
+            Self::HostStall => "host_stall",
+            Self::HostSuspend => "host_suspend",
+            Self::DaemonStopped => "daemon_stopped",
+            Self::StorageBackpressure => "storage_backpressure",
+            Self::Source => "source",
+        }
+    }
+    /// The cause of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|cause| cause.name() == name)
+    }
+}
+
+/// An interval with missing samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gap {
+    /// `seq` of the first sample after the gap: the gap lies between `before_seq − 1` and `before_seq`.
+    /// Equal to the number of samples received so far; a gap at a capture's end has no sample after it.
+    pub before_seq: u64,
+    /// When the last sample before the gap stood, UTC ns.
+    pub from_utc_ns: i64,
+    /// When the first sample after the gap stood (or the capture ended), UTC ns.
+    pub to_utc_ns: i64,
+    /// The sensor's clock at both ends, where one epoch spans the gap.
+    pub device_ns: Option<(u64, u64)>,
+    /// How many samples are missing.
+    pub missing: u64,
+    /// Whether `missing` follows from the sensor's own clock; otherwise from the host's.
+    pub missing_exact: bool,
+    /// Why.
+    pub cause: GapCause,
+}

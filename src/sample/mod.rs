@@ -1,0 +1,62 @@
+//! Samples: one instant of physical values, and the accounting of those that are missing. Pure.
+
+pub mod accounting;
+pub mod channel;
+pub mod gap;
+pub mod record;
+
+pub use accounting::{Accountant, Observation};
+pub use channel::{Channel, ChannelSet, Triad};
+pub use gap::{Gap, GapCause};
+pub use record::{DiscardCause, EventKind, EventRecord, Record, Segment, Timebase};
+
+/// One instant of physical values, in the units the sensor sends ([`Channel::unit`]).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// The sensor's own clock (TimeStartup) in ns since its reset; absent in ASCII messages.
+    pub device_time_ns: Option<u64>,
+    /// The serial count that ASCII messages may carry (register 30), 32 bits, wrapping.
+    pub sync_count: Option<u32>,
+    /// When the sample's last byte was read, host monotonic clock, ns; 0 for a recording without host time.
+    pub host_mono_ns: u64,
+    /// The same instant in UTC, ns since 1970; 0 for a recording without host time.
+    pub host_utc_ns: i64,
+    channels: ChannelSet,
+    values: [f64; Channel::COUNT],
+}
+
+impl Sample {
+    /// A sample at this host time, without values.
+    #[must_use]
+    pub fn at(host_mono_ns: u64, host_utc_ns: i64) -> Self {
+        Self {
+            device_time_ns: None,
+            sync_count: None,
+            host_mono_ns,
+            host_utc_ns,
+            channels: ChannelSet::EMPTY,
+            values: [0.0; Channel::COUNT],
+        }
+    }
+    /// Sets one channel's value. A value that is not finite leaves the channel absent: nothing downstream meets NaN.
+    pub fn set(&mut self, channel: Channel, value: f64) {
+        if value.is_finite() {
+            self.channels.insert(channel);
+            self.values[channel as usize] = value;
+        } else {
+            self.channels.remove(channel);
+        }
+    }
+    /// The channel's value, where the sample has one.
+    #[must_use]
+    pub fn get(&self, channel: Channel) -> Option<f64> {
+        self.channels
+            .contains(channel)
+            .then(|| self.values[channel as usize])
+    }
+    /// The channels that have a value.
+    #[must_use]
+    pub fn channels(&self) -> ChannelSet {
+        self.channels
+    }
+}

@@ -1,0 +1,205 @@
+//! Records: what a capture writes, in the order it happened. They carry samples from the reader to the store.
+
+use super::{ChannelSet, Gap, Sample};
+use serde::{Deserialize, Serialize};
+
+/// What the times of a segment rest on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Timebase {
+    /// The sensor's TimeStartup.
+    Device,
+    /// The sensor's sync counter in ASCII messages.
+    SyncCounter,
+    /// The host's arrival times at the told rate: ASCII messages carry no time.
+    Arrival,
+    /// The stamps of an imported recording.
+    Stamps,
+    /// The row number at a told rate: an imported recording without stamps.
+    Rate,
+}
+
+/// The longest stretch without a gap, at one rate and one configuration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segment {
+    /// Number within the capture, from 1; column `segment_id`.
+    pub number: u32,
+    /// Counts the stretches of one run of the sensor's clock, from 1: a reset begins a new epoch.
+    pub epoch: u32,
+    /// `seq` of its first sample.
+    pub first_seq: u64,
+    /// Output rate in Hz.
+    pub rate_hz: f64,
+    /// What its times rest on.
+    pub timebase: Timebase,
+    /// Channels its samples carry.
+    pub channels: ChannelSet,
+    /// Device time of its first sample.
+    pub first_device_time_ns: Option<u64>,
+    /// Host UTC of its first sample.
+    pub first_utc_ns: i64,
+}
+
+/// Why something that arrived did not become a sample.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum DiscardCause {
+    /// A frame whose checksum or CRC was wrong.
+    Checksum,
+    /// Bytes that belong to no frame (the count is in bytes).
+    GarbageBytes,
+    /// A frame whose checksum was right and whose fields were not numbers.
+    Malformed,
+    /// A frame with a device time that was already there.
+    Duplicate,
+    /// A valid measurement of another type than the one configured.
+    UnexpectedFormat,
+    /// The queue to the disk was full.
+    StorageBackpressure,
+    /// A sample that came after the capture had all it asked for.
+    AfterEnd,
+}
+
+impl DiscardCause {
+    /// All causes.
+    pub const ALL: [Self; 7] = [
+        Self::Checksum,
+        Self::GarbageBytes,
+        Self::Malformed,
+        Self::Duplicate,
+        Self::UnexpectedFormat,
+        Self::StorageBackpressure,
+        Self::AfterEnd,
+    ];
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Checksum => "checksum",
+            Self::GarbageBytes => "garbage_bytes",
+            Self::Malformed => "malformed",
+            Self::Duplicate => "duplicate",
+            Self::UnexpectedFormat => "unexpected_format",
+            Self::StorageBackpressure => "storage_backpressure",
+            Self::AfterEnd => "after_end",
+        }
+    }
+    /// The cause of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|cause| cause.name() == name)
+    }
+}
+
+/// Kinds of events that a capture keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the names are the description")]
+pub enum EventKind {
+    CaptureStarted,
+    CaptureEnded,
+    SensorFound,
+    SensorLost,
+    SensorReset,
+    SensorError,
+    Configured,
+    Reconfigured,
+    ClockStep,
+    Rejected,
+    Warning,
+    DaemonStarted,
+    DaemonStopped,
+}
+
+impl EventKind {
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CaptureStarted => "capture_started",
+            Self::CaptureEnded => "capture_ended",
+            Self::SensorFound => "sensor_found",
+            Self::SensorLost => "sensor_lost",
+            Self::SensorReset => "sensor_reset",
+            Self::SensorError => "sensor_error",
+            Self::Configured => "configured",
+            Self::Reconfigured => "reconfigured",
+            Self::ClockStep => "clock_step",
+            Self::Rejected => "rejected",
+            Self::Warning => "warning",
+            Self::DaemonStarted => "daemon_started",
+            Self::DaemonStopped => "daemon_stopped",
+        }
+    }
+}
+
+/// Something worth remembering that is neither sample nor gap.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EventRecord {
+    /// When, UTC ns.
+    pub utc_ns: i64,
+    /// What kind.
+    pub kind: EventKind,
+    /// One sentence for a person.
+    pub message: String,
+    /// Details for a program (a JSON object), where there are any.
+    pub detail: Option<serde_json::Value>,
+}
+
+/// How a capture came to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptureEnd {
+    /// It has all that its duration asked for.
+    Complete,
+    /// Somebody stopped it.
+    Stopped,
+}
+
+/// One entry of a capture's record.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Record {
+    /// A new segment; its samples follow.
+    Segment(Segment),
+    /// A sample of the segment opened last; `seq` counts the capture's samples from 0 without holes.
+    Sample {
+        /// Position among the capture's samples.
+        seq: u64,
+        /// Its segment's number.
+        segment: u32,
+        /// The values.
+        sample: Sample,
+    },
+    /// Missing samples.
+    Gap(Gap),
+    /// An event.
+    Event(EventRecord),
+    /// Something arrived that did not become a sample.
+    Discarded {
+        /// Why.
+        cause: DiscardCause,
+        /// How many frames (bytes for [`DiscardCause::GarbageBytes`]).
+        count: u64,
+    },
+    /// The sensor's description and registers as read when (re)connected; stored with the capture.
+    Configuration(serde_json::Value),
+    /// The end; nothing of this capture follows.
+    Ended {
+        /// How.
+        how: CaptureEnd,
+        /// When, UTC ns.
+        utc_ns: i64,
+    },
+}
