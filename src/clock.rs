@@ -94,12 +94,8 @@ impl ScaledClock {
 
 impl Clock for ScaledClock {
     fn mono_ns(&self) -> u64 {
-        let now = self
-            .schedule_mono_ns()
-            .min(self.limit_mono_ns.load(Ordering::Acquire));
-        self.latest_mono_ns
-            .fetch_max(now, Ordering::AcqRel)
-            .max(now)
+        let now = self.schedule_mono_ns().min(self.limit_mono_ns.load(Ordering::Acquire));
+        self.latest_mono_ns.fetch_max(now, Ordering::AcqRel).max(now)
     }
     fn utc_ns(&self) -> i64 {
         self.origin_utc_ns + (self.mono_ns() - self.origin_mono_ns) as i64
@@ -120,15 +116,11 @@ impl ManualClock {
     /// A clock whose monotonic time is 0 and whose civil time is `utc_ns`.
     #[must_use]
     pub fn new(utc_ns: i64) -> Self {
-        Self {
-            mono_ns: AtomicU64::new(0),
-            utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns),
-        }
+        Self { mono_ns: AtomicU64::new(0), utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns) }
     }
     /// Lets `by` pass.
     pub fn advance(&self, by: Duration) {
-        self.mono_ns
-            .fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
+        self.mono_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
     }
     /// Steps the civil time without touching the monotonic one.
     pub fn step_utc(&self, by_ns: i64) {
@@ -148,8 +140,7 @@ impl Clock for ManualClock {
 /// RFC 3339 text in UTC with nanoseconds, as every interface writes a time.
 #[must_use]
 pub fn rfc3339(utc_ns: i64) -> String {
-    chrono::DateTime::from_timestamp_nanos(utc_ns)
-        .to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
+    chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }
 
 #[cfg(test)]
@@ -172,9 +163,6 @@ mod tests {
     #[test]
     fn civil_time_is_written_in_utc_with_nanoseconds() {
         assert_eq!(rfc3339(0), "1970-01-01T00:00:00.000000000Z");
-        assert_eq!(
-            rfc3339(1_800_000_000_123_456_789),
-            "2027-01-15T08:00:00.123456789Z"
-        );
+        assert_eq!(rfc3339(1_800_000_000_123_456_789), "2027-01-15T08:00:00.123456789Z");
     }
 }

@@ -74,10 +74,7 @@ impl CaptureControl {
     /// [`ControlError`] where it cannot.
     pub async fn start(&self, request: CaptureRequest) -> Result<i64, ControlError> {
         let (reply, answer) = oneshot::channel();
-        self.0
-            .send(Command::Start(request, reply))
-            .await
-            .map_err(|_| ControlError::Stopping)?;
+        self.0.send(Command::Start(request, reply)).await.map_err(|_| ControlError::Stopping)?;
         answer.await.map_err(|_| ControlError::Stopping)?
     }
 
@@ -87,10 +84,7 @@ impl CaptureControl {
     /// [`ControlError`] where it is not running.
     pub async fn stop(&self, id: i64) -> Result<(), ControlError> {
         let (reply, answer) = oneshot::channel();
-        self.0
-            .send(Command::Stop(id, reply))
-            .await
-            .map_err(|_| ControlError::Stopping)?;
+        self.0.send(Command::Stop(id, reply)).await.map_err(|_| ControlError::Stopping)?;
         answer.await.map_err(|_| ControlError::Stopping)?
     }
 }

@@ -24,9 +24,7 @@ pub fn period_ns(rate_hz: f64) -> f64 {
 
 /// Why a duration was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "`{found}` is not a duration: expected a number with a unit, such as 5h, 90m, 30s or 500ms"
-)]
+#[error("`{found}` is not a duration: expected a number with a unit, such as 5h, 90m, 30s or 500ms")]
 pub struct DurationError {
     /// The text as it was given.
     pub found: String,
@@ -37,22 +35,16 @@ pub struct DurationError {
 /// # Errors
 /// [`DurationError`] where a number or its unit is missing or unknown, or the total does not fit.
 pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
-    let refuse = || DurationError {
-        found: text.to_owned(),
-    };
+    let refuse = || DurationError { found: text.to_owned() };
     let mut rest = text.trim();
     if rest.is_empty() {
         return Err(refuse());
     }
     let mut total_s = 0.0_f64;
     while !rest.is_empty() {
-        let digits = rest
-            .find(|c: char| !(c.is_ascii_digit() || c == '.'))
-            .ok_or_else(refuse)?;
+        let digits = rest.find(|c: char| !(c.is_ascii_digit() || c == '.')).ok_or_else(refuse)?;
         let (number, tail) = rest.split_at(digits);
-        let letters = tail
-            .find(|c: char| !c.is_ascii_alphabetic())
-            .unwrap_or(tail.len());
+        let letters = tail.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(tail.len());
         let (unit, tail) = tail.split_at(letters);
         let number: f64 = number.parse().map_err(|_| refuse())?;
         total_s += number
@@ -126,29 +118,13 @@ mod tests {
         assert_eq!(parse_duration("30s").unwrap(), Duration::from_secs(30));
         assert_eq!(parse_duration("500ms").unwrap(), Duration::from_millis(500));
         assert_eq!(parse_duration("1.5h").unwrap(), Duration::from_secs(5_400));
-        assert_eq!(
-            parse_duration("5h30m").unwrap(),
-            Duration::from_secs(19_800)
-        );
-        assert_eq!(
-            parse_duration("754.45s").unwrap(),
-            Duration::from_millis(754_450)
-        );
+        assert_eq!(parse_duration("5h30m").unwrap(), Duration::from_secs(19_800));
+        assert_eq!(parse_duration("754.45s").unwrap(), Duration::from_millis(754_450));
     }
 
     #[test]
     fn a_duration_without_unit_or_with_an_unknown_one_is_refused() {
-        for text in [
-            "",
-            "5",
-            "h",
-            "5 h",
-            "-5h",
-            "5x",
-            "1e9h",
-            "NaNs",
-            "99999999999999999999h",
-        ] {
+        for text in ["", "5", "h", "5 h", "-5h", "5x", "1e9h", "NaNs", "99999999999999999999h"] {
             assert!(parse_duration(text).is_err(), "{text}");
         }
     }
@@ -157,11 +133,7 @@ mod tests {
     fn a_duration_written_is_read_back() {
         for text in ["5h", "1h30m", "30s", "500ms", "12m34.5s", "0ms"] {
             let duration = parse_duration(text).unwrap();
-            assert_eq!(
-                parse_duration(&format_duration(duration)).unwrap(),
-                duration,
-                "{text}"
-            );
+            assert_eq!(parse_duration(&format_duration(duration)).unwrap(), duration, "{text}");
         }
     }
 }

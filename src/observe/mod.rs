@@ -2,6 +2,4 @@
 
 pub mod status;
 
-pub use status::{
-    CaptureStatus, JobsStatus, SensorState, SensorStatus, Status, StorageState, StorageStatus,
-};
+pub use status::{CaptureStatus, JobsStatus, SensorState, SensorStatus, Status, StorageState, StorageStatus};

@@ -4,9 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 /// What the connection to the sensor is doing (contract, section 2).
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorState {
     /// No port to open.

@@ -3,19 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// One measured quantity. The order is the order of the columns of table `sample`.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Hash,
-    PartialOrd,
-    Ord,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 #[expect(missing_docs, reason = "name() and unit() say it all")]
@@ -37,19 +25,7 @@ pub enum Channel {
 }
 
 /// Three channels that belong together.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Hash,
-    PartialOrd,
-    Ord,
-    Serialize,
-    Deserialize,
-    utoipa::ToSchema,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[expect(missing_docs, reason = "the names are the field's own")]
 pub enum Triad {
@@ -63,9 +39,7 @@ impl Triad {
     /// The triad's three channels in the order x, y, z (yaw, pitch, roll).
     #[must_use]
     pub fn channels(self) -> [Channel; 3] {
-        use Channel::{
-            AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Roll, Yaw,
-        };
+        use Channel::{AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Roll, Yaw};
         match self {
             Self::Attitude => [Yaw, Pitch, Roll],
             Self::Mag => [MagX, MagY, MagZ],
@@ -243,9 +217,7 @@ impl ChannelSet {
     }
     /// The channels in column order.
     pub fn iter(self) -> impl Iterator<Item = Channel> {
-        Channel::ALL
-            .into_iter()
-            .filter(move |channel| self.contains(*channel))
+        Channel::ALL.into_iter().filter(move |channel| self.contains(*channel))
     }
     /// The bits, for storing.
     #[must_use]
@@ -284,10 +256,7 @@ mod tests {
     #[test]
     fn a_set_holds_what_was_put_in() {
         let set: ChannelSet = [Channel::GyroZ, Channel::Yaw].into_iter().collect();
-        assert_eq!(
-            set.iter().collect::<Vec<_>>(),
-            [Channel::Yaw, Channel::GyroZ]
-        );
+        assert_eq!(set.iter().collect::<Vec<_>>(), [Channel::Yaw, Channel::GyroZ]);
         assert_eq!(ChannelSet::from_bits(set.bits()), set);
         assert!(!set.contains(Channel::GyroX));
     }

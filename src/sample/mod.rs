@@ -50,9 +50,7 @@ impl Sample {
     /// The channel's value, where the sample has one.
     #[must_use]
     pub fn get(&self, channel: Channel) -> Option<f64> {
-        self.channels
-            .contains(channel)
-            .then(|| self.values[channel as usize])
+        self.channels.contains(channel).then(|| self.values[channel as usize])
     }
     /// The channels that have a value.
     #[must_use]
