@@ -5,7 +5,7 @@
 //! to pole ([`RATIO`]), so that its power falls as 1/f with a ripple of ±0.35 % (a ladder of ratio r ripples by
 //! ±2/sinh(π²/ln r)). Close to Nyquist the samples' spectrum must be 1/f itself, kinked at Nyquist, and not its aliased
 //! form: there the top of the ladder, one lone pole and a pole-zero pair on the negative axis were fitted to the target
-//! (log spectrum, 32-norm, 1e-5 … 0.5 of the rate; largest deviation ±0.9 %). One normal number per sample is enough,
+//! (log spectrum, 32-norm, 1e-5 … 0.5 of the rate; largest deviation ±0.98 %). One normal number per sample is enough,
 //! where a sum of independent processes would take one per pole.
 //!
 //! The filter runs as a sum of first-order sections and starts in its stationary state. The lowest pole lies at
@@ -19,7 +19,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, LN_2, PI};
 
 /// Flicker noise with two-sided PSD B²/(2πf) up to Nyquist; its Allan deviation is flat at 0.664 B.
 ///
-/// Source: IEEE Std 952-1997, annex C.1.3 (bias instability), without its cut-off frequency.
+/// Source: IEEE Std 952-1997, annex C (bias instability), without its cut-off frequency.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flicker {
     /// B in U.

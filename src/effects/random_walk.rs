@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 /// Sampled, it is a sum of steps of standard deviation K√dt that starts at 0; its spectrum is then
 /// (K·dt)²/(4 sin²(πf·dt)), which is (K/2πf)² far below Nyquist.
 ///
-/// Source: IEEE Std 952-1997, annex C.1.4 (rate random walk).
+/// Source: IEEE Std 952-1997, annex C (rate random walk).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RandomWalk {
     /// K in U/√s.

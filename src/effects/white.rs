@@ -4,7 +4,7 @@ use super::{Effect, Sampler, Stream};
 
 /// White noise with two-sided PSD N².
 ///
-/// Source: IEEE Std 952-1997, annex C.1.1 (angle random walk).
+/// Source: IEEE Std 952-1997, annex C (angle random walk).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct White {
     /// N in U/√Hz.
