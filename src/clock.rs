@@ -23,7 +23,7 @@ pub trait Clock: Send + Sync + std::fmt::Debug {
 }
 
 fn real_mono_ns() -> u64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
@@ -32,7 +32,7 @@ fn real_utc_ns() -> i64 {
     now.tv_sec * 1_000_000_000 + now.tv_nsec
 }
 
-/// The machine's own clocks: `CLOCK_MONOTONIC` and `CLOCK_REALTIME`.
+/// The machine's own clocks: `CLOCK_BOOTTIME`, which runs on while the machine is suspended, and `CLOCK_REALTIME`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SystemClock;
 

@@ -18,17 +18,4 @@ pub mod observe;
 pub mod sample;
 pub mod units;
 
-pub mod effects;
-pub mod noise;
-pub mod protocol;
-pub mod simulator;
 
-pub mod api;
-pub mod capture;
-pub mod cli;
-pub mod config;
-pub mod daemon;
-pub mod emulator;
-pub mod jobs;
-pub mod recording;
-pub mod store;

@@ -1,2 +1,3 @@
-//! x
+//! The `vn100d` program.
+
 fn main() {}

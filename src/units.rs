@@ -65,7 +65,7 @@ pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
 #[must_use]
 pub fn format_duration(duration: Duration) -> String {
     let total_ms = duration.as_millis();
-    if total_ms < 1000 && duration.subsec_nanos() % 1_000_000 == 0 {
+    if total_ms < 1000 && duration.subsec_nanos().is_multiple_of(1_000_000) {
         return format!("{total_ms}ms");
     }
     let whole = duration.as_secs();

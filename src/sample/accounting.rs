@@ -20,6 +20,8 @@ pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
 pub const DECISION_S: f64 = 0.1;
 /// Without device time: the share of a period by which the stream must be late.
 const LATE_PERIODS: f64 = 0.75;
+/// Without device time: lateness below this says nothing by itself: an FTDI adapter's latency timer is 16 ms at worst.
+const HOST_JITTER_NS: f64 = 20e6;
 /// Without device time: how fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times what both may).
 const DRIFT: f64 = 500e-6;
 /// Without device time: how many samples may be held while a burst catches up.
@@ -69,6 +71,8 @@ pub struct Accountant {
     /// Why samples may be missing although the connection stands: a rejected frame, a stalled host.
     suspicion: Option<GapCause>,
     arrival: Arrival,
+    /// How late a host may read for reasons of its own, ns: lateness below it says nothing about the sensor.
+    host_jitter_ns: f64,
     backward: u32,
 }
 
@@ -104,8 +108,18 @@ impl Accountant {
             interrupted: None,
             suspicion: None,
             arrival: Arrival::default(),
+            host_jitter_ns: 0.0,
             backward: 0,
         }
+    }
+
+    /// The same, for a host that may read late by up to `host_jitter_ns` for reasons of its own.
+    ///
+    /// At real time the host's jitter is below a period. Where time runs faster it is magnified by the speed, and without
+    /// the sensor's clock a silence shorter than it cannot be told from it.
+    #[must_use]
+    pub fn with_host_jitter(self, host_jitter_ns: f64) -> Self {
+        Self { host_jitter_ns, ..self }
     }
 
     /// An accountant that goes on where an earlier one stopped: `segments`, `epoch`, `received`, `missing`, `gaps` and
@@ -254,7 +268,8 @@ impl Accountant {
             return self.new_epoch(&last, sample, host_ns, out);
         }
         let step_ns = (device_ns - last_device_ns) as f64;
-        if self.interrupted.is_some() && (step_ns - host_ns).abs() > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns.abs() {
+        // A clock that started again is behind; one that is ahead of the host's says that the host's stood or was stepped.
+        if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
             return self.new_epoch(&last, sample, host_ns, out);
         }
         self.backward = 0;
@@ -285,6 +300,12 @@ impl Accountant {
         self.backward = 0;
         self.open = None;
         self.epoch += 1;
+        // The consequences of a reset are not its cause.
+        if matches!(self.interrupted, Some(GapCause::FormatChange | GapCause::Silent | GapCause::Checksum)) {
+            self.interrupted = Some(GapCause::SensorReset);
+        }
+        // Whatever a host's stepped clock says, the sensor has run at least as long as its own clock shows.
+        let host_ns = host_ns.max(sample.device_time_ns.unwrap_or(0) as f64);
         self.gap_by_host(last, &sample, host_ns, GapCause::SensorReset, out);
         self.take(sample, out);
         Observation::AfterReset
@@ -326,7 +347,9 @@ impl Accountant {
         }
         let late = arrived - self.arrival.next_mono_ns;
         self.arrival.next_mono_ns += period;
-        if late < LATE_PERIODS * period {
+        // A rejected frame explains one missing sample; without it lateness must exceed what a host does by itself.
+        let jitter_ns = if self.suspicion.is_some() { 0.0 } else { self.host_jitter_ns.max(HOST_JITTER_NS) };
+        if late < (LATE_PERIODS * period).max(jitter_ns) {
             // In time: whatever was held has caught up and nothing is missing.
             self.arrival.next_mono_ns += if late < 0.0 { late } else { late.min(DRIFT * period) };
             let held = std::mem::take(&mut self.arrival.held);
@@ -523,6 +546,19 @@ mod tests {
         assert_eq!(accountant.missing(), 52);
         assert_eq!((gaps(&out)[0].before_seq, gaps(&out)[0].missing_exact), (100, false));
         assert_eq!(seqs(&out)[100], (100, 2));
+    }
+
+    #[test]
+    fn where_time_runs_faster_the_hosts_own_lateness_is_no_gap() {
+        let mut accountant = Accountant::new(40.0, Timebase::Arrival).with_host_jitter(5e9);
+        let mut out = Vec::new();
+        for tick in 0..1000 {
+            // For a while everything is read 2 s late, steadily.
+            let delay = if (300..600).contains(&tick) { 2_000_000_000 } else { 0 };
+            accountant.observe(sample(tick, false, delay), &mut out);
+        }
+        accountant.settle(&mut out);
+        assert_eq!((accountant.received(), accountant.missing()), (1000, 0));
     }
 
     #[test]

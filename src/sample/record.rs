@@ -56,20 +56,17 @@ pub enum DiscardCause {
     UnexpectedFormat,
     /// The queue to the disk was full.
     StorageBackpressure,
-    /// A sample that came after the capture had all it asked for.
-    AfterEnd,
 }
 
 impl DiscardCause {
     /// All causes.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 6] = [
         Self::Checksum,
         Self::GarbageBytes,
         Self::Malformed,
         Self::Duplicate,
         Self::UnexpectedFormat,
         Self::StorageBackpressure,
-        Self::AfterEnd,
     ];
     /// The name in the database and JSON.
     #[must_use]
@@ -81,7 +78,6 @@ impl DiscardCause {
             Self::Duplicate => "duplicate",
             Self::UnexpectedFormat => "unexpected_format",
             Self::StorageBackpressure => "storage_backpressure",
-            Self::AfterEnd => "after_end",
         }
     }
     /// The cause of that name.
