@@ -18,4 +18,5 @@ pub mod observe;
 pub mod sample;
 pub mod units;
 
+pub mod protocol;
 

@@ -1,0 +1,35 @@
+//! Protocol: the VN-100's serial language, bytes ↔ frames. Pure: no I/O, no clock, no allocation per frame.
+//!
+//! Enters: bytes in any split ([`Decoder`]), or measurements and commands to be sent ([`encode`], [`Command`]).
+//! Leaves: [`Event`]s (measurements, replies, errors of the device, what was rejected, to the byte).
+//! Promises: any split of the input gives the same events; a failed frame costs one byte, never what stands behind it;
+//! the encoder writes byte for byte what firmware 2 and 3 send.
+//! Refuses: binary groups and fields that a VN-100 does not have, lines above 320 bytes, fields that are not numbers.
+//!
+//! Sources: VN-100 user manual UM001 rev 2.45 (firmware 3.0.0.0), application note AN110, the official SDK 0.99.0 and
+//! recordings of real sensors; the vectors under `tests/golden/protocol/` name theirs.
+
+pub mod ascii;
+pub mod binary;
+pub mod checksum;
+pub mod command;
+pub mod decoder;
+pub mod encode;
+pub mod error;
+pub mod link;
+pub mod measurement;
+pub mod quantity;
+pub mod register;
+
+pub use ascii::AsciiType;
+pub use binary::BinaryHeader;
+pub use checksum::ChecksumKind;
+pub use command::{Command, Reply, Verb};
+pub use decoder::{BinaryAcceptance, Decoder, DecoderOptions, DecoderStats, Event};
+pub use error::DeviceError;
+pub use link::{FrameOptions, frame_bytes, max_rate_hz};
+pub use measurement::{Measurement, MeasurementKind};
+pub use quantity::Quantity;
+
+#[cfg(test)]
+mod tests;
