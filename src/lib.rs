@@ -18,5 +18,6 @@ pub mod observe;
 pub mod sample;
 pub mod units;
 
+pub mod noise;
 pub mod protocol;
 

@@ -1,0 +1,209 @@
+//! Curves: deviation against averaging time with its confidence, as the contract writes it.
+
+use super::edf::{CONFIDENCE_68, confidence_factors};
+use super::point::{AllanPoint, noise_by_slope};
+use super::{AllanSums, Estimator, Phases, SquareSum, TauGrid, equivalent_degrees_of_freedom};
+use crate::sample::Channel;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A deviation curve of one channel. All lists have one entry per averaging time; times without a term are left out.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AllanCurve {
+    /// Unit of the deviation: the channel's.
+    pub unit: String,
+    /// Averaging times τ in s, ascending.
+    pub tau_s: Vec<f64>,
+    /// Deviations.
+    pub deviation: Vec<f64>,
+    /// Lower ends of the 68.3 % intervals.
+    pub ci68_low: Vec<f64>,
+    /// Upper ends of the 68.3 % intervals.
+    pub ci68_high: Vec<f64>,
+    /// Equivalent degrees of freedom.
+    pub edf: Vec<f64>,
+    /// Numbers of differences averaged.
+    pub n: Vec<u64>,
+}
+
+impl AllanCurve {
+    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope.
+    #[must_use]
+    pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
+        Self::from_points(&sums.points(), rate_hz, unit)
+    }
+
+    /// The curve of overlapping points at `rate_hz`.
+    #[must_use]
+    pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
+        let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
+        for (point, noise) in points.iter().zip(noise_by_slope(points)) {
+            curve.push(point.m, rate_hz, point.variance.sqrt(), point.edf(noise), point.terms);
+        }
+        curve
+    }
+
+    /// The curve of any estimator over whole segments in memory.
+    #[must_use]
+    pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
+        let sums: Vec<(usize, SquareSum)> = grid
+            .factors()
+            .iter()
+            .map(|m| {
+                let add = |sum: SquareSum, phases: &Phases| sum.plus(phases.square_sum(estimator, *m));
+                (*m, segments.iter().fold(SquareSum::default(), add))
+            })
+            .filter(|(_, sum)| sum.terms > 0)
+            .collect();
+        let points: Vec<AllanPoint> = sums
+            .iter()
+            .map(|(m, sum)| AllanPoint { m: *m, variance: sum.sum / sum.terms as f64, terms: sum.terms, segments: 1 })
+            .collect();
+        let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
+        for (point, noise) in points.iter().zip(noise_by_slope(&points)) {
+            let edf = segments
+                .iter()
+                .map(|phases| equivalent_degrees_of_freedom(estimator, noise, point.m, phases.len() as u64))
+                .sum();
+            curve.push(point.m, rate_hz, point.variance.sqrt(), edf, point.terms);
+        }
+        curve
+    }
+
+    fn push(&mut self, m: usize, rate_hz: f64, deviation: f64, edf: f64, terms: u64) {
+        let Some(factors) = confidence_factors(edf, CONFIDENCE_68) else { return };
+        self.tau_s.push(m as f64 / rate_hz);
+        self.deviation.push(deviation);
+        self.ci68_low.push(deviation * factors.low);
+        self.ci68_high.push(deviation * factors.high);
+        self.edf.push(edf);
+        self.n.push(terms);
+    }
+
+    /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
+    #[must_use]
+    pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
+        self.tau_s
+            .iter()
+            .zip(&self.deviation)
+            .zip(&self.edf)
+            .filter(|(_, edf)| **edf >= least_edf)
+            .map(|((tau_s, deviation), _)| (*tau_s, *deviation))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+impl AllanSums {
+    /// The points of the curve: factors without a term are left out.
+    #[must_use]
+    pub fn points(&self) -> Vec<AllanPoint> {
+        (0..self.grid().factors().len())
+            .filter_map(|index| {
+                Some(AllanPoint {
+                    m: self.grid().factors()[index],
+                    variance: self.variance(index)?,
+                    terms: self.terms()[index],
+                    segments: self.segments()[index],
+                })
+            })
+            .collect()
+    }
+}
+
+/// Deviation curves of a capture, as `GET /v1/captures/{id}/allan` and `vn100d allan --format json` answer them
+/// (contract, section 7).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AllanReport {
+    /// [`AllanReport::FORMAT`].
+    pub format: String,
+    /// Which deviation.
+    pub estimator: Estimator,
+    /// Sampling rate in Hz.
+    pub rate_hz: f64,
+    /// Whether the capture has ended.
+    pub complete: bool,
+    /// One curve per channel.
+    pub channels: BTreeMap<Channel, AllanCurve>,
+}
+
+impl AllanReport {
+    /// The name of this format.
+    pub const FORMAT: &'static str = "vn100d-allan-1";
+
+    /// A report of these curves.
+    #[must_use]
+    pub fn new(
+        estimator: Estimator,
+        rate_hz: f64,
+        complete: bool,
+        channels: impl IntoIterator<Item = (Channel, AllanCurve)>,
+    ) -> Self {
+        Self { format: Self::FORMAT.to_owned(), estimator, rate_hz, complete, channels: channels.into_iter().collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::noise::allan::{FixedPoint, Overlapping};
+
+    fn samples() -> Vec<f64> {
+        let mut state = 1u64;
+        (0..5000)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1u64 << 53) as f64
+            })
+            .collect()
+    }
+
+    #[test]
+    fn sums_and_phases_draw_the_same_curve() {
+        let grid = TauGrid::log(5000).unwrap();
+        let mut estimator = Overlapping::new(FixedPoint::for_range(0, 1).unwrap(), grid.clone());
+        estimator.push(&samples());
+        let exact = AllanCurve::from_sums(estimator.sums(), 40.0, "rad/s");
+        let phases = Phases::integrate(&samples()).unwrap();
+        let plain = AllanCurve::from_phases(&[phases], Estimator::Oadev, &grid, 40.0, "rad/s");
+        assert_eq!((&exact.tau_s, &exact.n), (&plain.tau_s, &plain.n));
+        for index in 0..exact.tau_s.len() {
+            assert!((exact.deviation[index] / plain.deviation[index] - 1.0).abs() < 1e-10);
+            assert!((exact.edf[index] / plain.edf[index] - 1.0).abs() < 1e-9);
+            assert!(exact.ci68_low[index] < exact.deviation[index] && exact.deviation[index] < exact.ci68_high[index]);
+        }
+        assert_eq!(exact.tau_s[0], 0.025);
+        assert!(exact.minimum(5.0).is_some_and(|(tau_s, _)| tau_s > 1.0));
+    }
+
+    #[test]
+    fn a_report_is_written_as_the_contract_has_it() {
+        let curve = AllanCurve {
+            unit: "rad/s".into(),
+            tau_s: vec![0.025],
+            deviation: vec![1e-3],
+            ci68_low: vec![9e-4],
+            ci68_high: vec![1.1e-3],
+            edf: vec![50.0],
+            n: vec![99],
+        };
+        let report = AllanReport::new(Estimator::Oadev, 40.0, true, [(Channel::GyroX, curve)]);
+        assert_eq!(
+            serde_json::to_value(&report).unwrap(),
+            serde_json::json!({
+                "format": "vn100d-allan-1", "estimator": "oadev", "rate_hz": 40.0, "complete": true,
+                "channels": { "gyro_x": { "unit": "rad/s", "tau_s": [0.025], "deviation": [1e-3], "ci68_low": [9e-4],
+                                          "ci68_high": [1.1e-3], "edf": [50.0], "n": [99] } }
+            })
+        );
+    }
+
+    #[test]
+    fn constant_data_gives_a_curve_of_zeros_without_nan() {
+        let grid = TauGrid::octave(1000).unwrap();
+        let mut estimator = Overlapping::new(FixedPoint::for_channel(Channel::AccelZ), grid);
+        estimator.push(&[-9.80665; 1000]);
+        let curve = AllanCurve::from_sums(estimator.sums(), 40.0, "m/s²");
+        assert!(curve.deviation.iter().chain(&curve.ci68_high).all(|value| *value == 0.0));
+        assert!(curve.edf.iter().all(|edf| edf.is_finite()));
+    }
+}

@@ -1,0 +1,72 @@
+//! What the Allan estimators refuse.
+
+/// Why an Allan estimator refused its input.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AllanError {
+    /// A grid needs at least one averaging factor.
+    #[error("no averaging factor fits a longest segment of {samples} samples: record at least {needed} without a gap")]
+    TooShort {
+        /// Length of the longest segment.
+        samples: u64,
+        /// The length that gives one factor.
+        needed: u64,
+    },
+    /// An averaging factor is 0 or beyond what exact sums allow.
+    #[error("averaging factor {found} is outside 1 to {largest}")]
+    FactorOutOfRange {
+        /// The factor.
+        found: u64,
+        /// The largest that is allowed.
+        largest: u64,
+    },
+    /// Fixed-point range and resolution need more bits than exact sums have.
+    #[error(
+        "a range of 2^{range_exponent} at 10^-{decimals} · 2^-{binary} needs more than {bits} bits: \
+         choose a smaller range or a coarser step"
+    )]
+    ScaleTooFine {
+        /// Exponent of the range.
+        range_exponent: i32,
+        /// Decimals of the step.
+        decimals: u32,
+        /// Binary digits of the step.
+        binary: u32,
+        /// Bits available.
+        bits: u32,
+    },
+    /// Sums of different fixed-point scales cannot be added.
+    #[error("sums in steps of 1/{found} cannot be added to sums in steps of 1/{expected}: compute one of them again")]
+    ScaleMismatch {
+        /// Steps per unit of the receiver.
+        expected: f64,
+        /// Steps per unit of the other.
+        found: f64,
+    },
+    /// Sums over different averaging factors cannot be added.
+    #[error("sums over {found} averaging factors cannot be added to sums over {expected} others: use the same grid")]
+    GridMismatch {
+        /// Factors of the receiver.
+        expected: usize,
+        /// Factors of the other.
+        found: usize,
+    },
+    /// A checkpoint is of another version.
+    #[error("a checkpoint of version {found} is not of version {expected}: start the job again")]
+    CheckpointVersion {
+        /// The version this program writes.
+        expected: u8,
+        /// The version found.
+        found: u8,
+    },
+    /// A checkpoint is damaged.
+    #[error("the checkpoint is damaged at {field} (expected {expected}, found {found}): start the job again")]
+    CheckpointDamaged {
+        /// What was being read.
+        field: &'static str,
+        /// What belongs there.
+        expected: u64,
+        /// What is there.
+        found: u64,
+    },
+}

@@ -1,0 +1,250 @@
+//! Noise parameters of one channel as the contract writes them: with units, intervals, and what the data does not support.
+
+use super::term::Term;
+use crate::sample::{Channel, Triad};
+use crate::units::{RAD_PER_DEG, SECONDS_PER_HOUR, STANDARD_GRAVITY_M_S2};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One parameter. Either identified, with value and interval, or not, with an upper limit where there is one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Estimate {
+    /// The value in `unit`; null where the data does not support one.
+    pub value: Option<f64>,
+    /// 95 % interval of the value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+    /// The value is below this with 95 % confidence; only where it is not identified.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub upper_limit95: Option<f64>,
+    /// Whether the data supports a value (1 % level).
+    pub identified: bool,
+    /// Unit of value, interval and limit.
+    pub unit: String,
+    /// The value in the units people quote.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub also: BTreeMap<String, f64>,
+}
+
+impl Estimate {
+    /// A value with its 95 % interval.
+    #[must_use]
+    pub fn identified(channel: Channel, term: Term, value: f64, ci95: [f64; 2]) -> Self {
+        let also = quoted(channel, term).iter().map(|(unit, factor)| ((*unit).to_owned(), value * factor)).collect();
+        Self {
+            value: Some(value),
+            ci95: Some(ci95),
+            upper_limit95: None,
+            identified: true,
+            unit: unit(channel, term),
+            also,
+        }
+    }
+
+    /// No value, and an upper limit where the data sets one.
+    #[must_use]
+    pub fn unidentified(channel: Channel, term: Term, upper_limit95: Option<f64>) -> Self {
+        Self {
+            value: None,
+            ci95: None,
+            upper_limit95,
+            identified: false,
+            unit: unit(channel, term),
+            also: BTreeMap::new(),
+        }
+    }
+}
+
+/// A first-order Gauss–Markov process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct GaussMarkov {
+    /// Its standard deviation, channel's unit.
+    pub sigma: Estimate,
+    /// Its correlation time, s.
+    pub tc_s: Estimate,
+}
+
+/// How the parameters were found, and whether the model describes the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FitSummary {
+    /// `wls-avar`: weighted least squares on Allan variances with the model's own covariance.
+    pub method: String,
+    /// Squared residuals in units of their covariance; null where nothing could be fitted.
+    pub chi2: Option<f64>,
+    /// Averaging times less terms; correlated ones count through the covariance.
+    pub degrees_of_freedom: Option<usize>,
+    /// How often residuals as large come by chance.
+    pub p_value: Option<f64>,
+}
+
+/// Something to know about a channel's data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Flag {
+    /// `insufficient`, `constant`, `misfit`, `out_of_range`, …
+    pub kind: String,
+    /// Where it begins, s from the start of the capture; absent where it concerns the whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<f64>,
+    /// Where it ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to_s: Option<f64>,
+    /// One sentence.
+    pub note: String,
+}
+
+impl Flag {
+    /// A flag that concerns the whole capture.
+    #[must_use]
+    pub fn whole(kind: &str, note: impl Into<String>) -> Self {
+        Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
+    }
+}
+
+/// The noise parameters of one channel (contract, section 7; names of IEEE Std 952).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct NoiseParameters {
+    /// The channel's unit.
+    pub unit: String,
+    /// Angle or velocity random walk.
+    #[serde(rename = "N")]
+    pub n: Estimate,
+    /// Bias instability: coefficient of flicker noise, not divided by or multiplied with 0.664.
+    #[serde(rename = "B")]
+    pub b: Estimate,
+    /// Rate random walk.
+    #[serde(rename = "K")]
+    pub k: Estimate,
+    /// Quantization noise.
+    #[serde(rename = "Q")]
+    pub q: Estimate,
+    /// Rate ramp.
+    #[serde(rename = "R")]
+    pub r: Estimate,
+    /// Gauss–Markov process; null where there is none.
+    pub gauss_markov: Option<GaussMarkov>,
+    /// The fit.
+    pub fit: FitSummary,
+    /// What else is to be known.
+    pub flags: Vec<Flag>,
+}
+
+impl NoiseParameters {
+    /// The estimate of a term.
+    #[must_use]
+    pub fn estimate(&self, term: Term) -> &Estimate {
+        match term {
+            Term::N => &self.n,
+            Term::B => &self.b,
+            Term::K => &self.k,
+            Term::Q => &self.q,
+            Term::R => &self.r,
+        }
+    }
+}
+
+/// Noise parameters of a capture, as `GET /v1/captures/{id}/noise` and `vn100d noise --format json` answer them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct NoiseReport {
+    /// [`NoiseReport::FORMAT`].
+    pub format: String,
+    /// The capture's name.
+    pub capture: String,
+    /// Sampling rate in Hz.
+    pub rate_hz: f64,
+    /// Sample time covered, s.
+    pub duration_s: f64,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Whether the capture has ended.
+    pub complete: bool,
+    /// One entry per analysed channel.
+    pub channels: BTreeMap<Channel, NoiseParameters>,
+    /// Comparison with a data sheet, where one was asked for.
+    pub datasheet: Option<serde_json::Value>,
+}
+
+impl NoiseReport {
+    /// The name of this format.
+    pub const FORMAT: &'static str = "vn100d-noise-1";
+}
+
+/// Unit of a term's coefficient.
+#[must_use]
+pub fn unit(channel: Channel, term: Term) -> String {
+    let u = channel.unit();
+    match term {
+        Term::N => format!("{u}/√Hz"),
+        Term::B => u.to_owned(),
+        Term::K => format!("{u}/√s"),
+        Term::Q if channel.triad() == Some(Triad::Gyro) => "rad".to_owned(),
+        Term::Q if channel.triad() == Some(Triad::Accel) => "m/s".to_owned(),
+        Term::Q => format!("{u}·s"),
+        Term::R => format!("{u}/s"),
+    }
+}
+
+/// The units that people quote and the factors from the SI unit to them.
+fn quoted(channel: Channel, term: Term) -> &'static [(&'static str, f64)] {
+    /// (deg/s)/√Hz is 60 deg/√h.
+    const SQRT_HOUR: f64 = 60.0;
+    const DEG: f64 = 1.0 / RAD_PER_DEG;
+    const MG: f64 = 1e3 / STANDARD_GRAVITY_M_S2;
+    const UG: f64 = 1e6 / STANDARD_GRAVITY_M_S2;
+    /// 1 gauss is 100 µT.
+    const UT: f64 = 100.0;
+    match (channel.triad(), term) {
+        (Some(Triad::Gyro), Term::N) => &[("deg/√h", DEG * SQRT_HOUR), ("deg/s/√Hz", DEG)],
+        (Some(Triad::Gyro), Term::B) => &[("deg/h", DEG * SECONDS_PER_HOUR)],
+        (Some(Triad::Gyro), Term::K) => &[("deg/h/√h", DEG * SECONDS_PER_HOUR * SQRT_HOUR)],
+        (Some(Triad::Gyro), Term::Q) => &[("arcsec", DEG * 3600.0)],
+        (Some(Triad::Gyro), Term::R) => &[("deg/h/h", DEG * SECONDS_PER_HOUR * SECONDS_PER_HOUR)],
+        (Some(Triad::Accel), Term::N) => &[("m/s/√h", SQRT_HOUR), ("µg/√Hz", UG)],
+        (Some(Triad::Accel), Term::B) => &[("mg", MG)],
+        (Some(Triad::Accel), Term::K) => &[("mg/√h", MG * SQRT_HOUR)],
+        (Some(Triad::Accel), Term::R) => &[("mg/h", MG * SECONDS_PER_HOUR)],
+        (Some(Triad::Mag), Term::N) => &[("µT/√Hz", UT), ("µgauss/√Hz", 1e6)],
+        (Some(Triad::Mag), Term::B) => &[("µT", UT)],
+        _ => &[],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identified_parameter_is_written_as_the_contract_has_it() {
+        let estimate = Estimate::identified(Channel::GyroX, Term::N, 1.2e-4, [1.19e-4, 1.21e-4]);
+        let written = serde_json::to_value(&estimate).unwrap();
+        assert_eq!(written["value"], 1.2e-4);
+        assert_eq!(written["ci95"], serde_json::json!([1.19e-4, 1.21e-4]));
+        assert_eq!(written["identified"], true);
+        assert_eq!(written["unit"], "rad/s/√Hz");
+        let quoted = written["also"]["deg/√h"].as_f64().unwrap();
+        assert!((quoted - 0.4125).abs() < 1e-3, "{quoted}");
+        assert!(written.get("upper_limit95").is_none());
+    }
+
+    #[test]
+    fn an_unidentified_parameter_is_null_with_a_limit() {
+        assert_eq!(
+            serde_json::to_value(Estimate::unidentified(Channel::GyroX, Term::K, Some(3e-7))).unwrap(),
+            serde_json::json!({ "value": null, "upper_limit95": 3e-7, "identified": false, "unit": "rad/s/√s" })
+        );
+    }
+
+    #[test]
+    fn quoted_units_are_those_of_the_handbooks() {
+        let also = |channel, term, value: f64| Estimate::identified(channel, term, value, [0.0, 1.0]).also;
+        // Bias instability of 5.36 °/h, 210 µg/√Hz, 0.112 mg, 1 (deg/h)/√h.
+        assert!((also(Channel::GyroX, Term::B, 2.6e-5)["deg/h"] - 5.363).abs() < 1e-3);
+        assert!((also(Channel::AccelX, Term::N, 0.0021)["µg/√Hz"] - 214.14).abs() < 1e-2);
+        assert!((also(Channel::AccelX, Term::N, 0.0021)["m/s/√h"] - 0.126).abs() < 1e-12);
+        assert!((also(Channel::AccelX, Term::B, 0.0011)["mg"] - 0.112_17).abs() < 1e-5);
+        let k = RAD_PER_DEG / 3600.0 / 60.0;
+        assert!((also(Channel::GyroX, Term::K, k)["deg/h/√h"] - 1.0).abs() < 1e-12);
+        assert!((also(Channel::MagX, Term::N, 140e-6)["µgauss/√Hz"] - 140.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,14 @@
+//! Noise: Allan deviations, their confidence, and the noise parameters N, B, K, Q, R fitted to them.
+//!
+//! Samples of one channel enter as `f64` in the channel's unit, segment by segment; what leaves are exact sums that can be
+//! checkpointed and merged ([`allan::Overlapping`]), curves with confidence intervals ([`allan::AllanCurve`]), parameters
+//! with units and intervals ([`fit::NoiseParameters`]), moments and histograms ([`statistics::Statistics`]). Nothing here
+//! reads a clock or a file, and no number that leaves is NaN or infinite: where the data does not say, the answer is absent
+//! and says so.
+
+pub mod allan;
+pub mod fit;
+pub mod statistics;
+
+pub use fit::{NoiseParameters, NoiseReport};
+pub use statistics::{Moments, Statistics};
