@@ -18,6 +18,8 @@ pub mod observe;
 pub mod sample;
 pub mod units;
 
+pub mod effects;
 pub mod noise;
 pub mod protocol;
+pub mod simulator;
 

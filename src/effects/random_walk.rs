@@ -1,0 +1,78 @@
+//! Random walk of the rate (K): the sum of independent steps.
+
+use super::{Effect, Sampler, Stream};
+use std::f64::consts::PI;
+
+/// Rate random walk with two-sided PSD (K/2πf)².
+///
+/// Sampled, it is a sum of steps of standard deviation K√dt that starts at 0; its spectrum is then
+/// (K·dt)²/(4 sin²(πf·dt)), which is (K/2πf)² far below Nyquist.
+///
+/// Source: IEEE Std 952-1997, annex C (rate random walk).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RandomWalk {
+    /// K in U/√s.
+    pub k: f64,
+}
+
+impl Effect for RandomWalk {
+    fn name(&self) -> &'static str {
+        "random_walk"
+    }
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+        let half_step = 2.0 * rate_hz * (PI * frequency_hz / rate_hz).sin();
+        (self.k / half_step).powi(2)
+    }
+    /// K²·dt·(2m² + 1)/(6m), exact for the sampled walk; K²τ/3 for large m.
+    fn allan_variance(&self, m: u64, rate_hz: f64) -> f64 {
+        let m = m as f64;
+        self.k * self.k / rate_hz * (2.0 * m * m + 1.0) / (6.0 * m)
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+        Box::new(RandomWalkSampler { step: self.k / rate_hz.sqrt(), value: 0.0, stream })
+    }
+}
+
+/// The walk's place and the size of its steps.
+#[derive(Debug)]
+struct RandomWalkSampler {
+    step: f64,
+    value: f64,
+    stream: Stream,
+}
+
+impl Sampler for RandomWalkSampler {
+    fn apply(&mut self, values: &mut [f64]) {
+        for value in values {
+            *value += self.value;
+            self.value += self.step * self.stream.normal();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn spectrum_and_allan_variance_are_those_of_a_random_walk() {
+        check::agrees_with_its_closed_forms(&RandomWalk { k: 3.19e-4 }, 40.0);
+    }
+
+    #[test]
+    fn the_walk_starts_at_zero_and_its_steps_are_k_root_dt() {
+        let values = check::draw(&RandomWalk { k: 2.0 }, 100.0, 200_000, 5);
+        assert_eq!(values[0], 0.0);
+        let variance =
+            values.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>() / (values.len() - 1) as f64;
+        assert!((variance / 0.04 - 1.0).abs() < 5.0 * 0.0032, "{variance}");
+    }
+
+    #[test]
+    fn the_spectrum_is_that_of_the_standard_far_below_nyquist() {
+        let walk = RandomWalk { k: 0.1 };
+        let standard = (0.1 / (2.0 * PI * 0.01)).powi(2);
+        assert!((walk.psd(0.01, 40.0) / standard - 1.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,102 @@
+//! Random streams: a seed and a stream's identity in, normal numbers out, the same on every machine and in every version.
+//!
+//! Each stream is ChaCha8 under the key `seed (8 bytes, little endian) ‖ "vn100d-simulator-1" ‖ zeros` with the 64-bit
+//! stream number
+//!
+//! ```text
+//! bits 63–32  owner      the channel's column number (0–13); 256 + n for what belongs to a triad or a whole sensor
+//! bits 31–16  effect     1 white · 2 flicker · 3 random_walk; numbers are given once and never reused
+//! bits 15–0   instance   counts several effects of one kind on one owner, from 0
+//! ```
+//!
+//! Normal numbers are the Ziggurat of `rand_distr`; `the_stream_is_value_stable` fails if a new version of it, or of the
+//! generator, draws other values.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Separates these streams from any other use of the same seed; a new scheme gets a new number.
+const DOMAIN: &[u8; 18] = b"vn100d-simulator-1";
+
+/// Which stream: see the module's table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct StreamId {
+    /// Column number of the channel, or 256 + n.
+    pub owner: u32,
+    /// Number of the effect's kind.
+    pub effect: u16,
+    /// Which of several of that kind.
+    pub instance: u16,
+}
+
+/// A stream of standard normal numbers.
+#[derive(Debug, Clone)]
+pub struct Stream(ChaCha8Rng);
+
+impl Stream {
+    /// The stream `id` of `seed`, at its beginning.
+    #[must_use]
+    pub fn new(seed: u64, id: StreamId) -> Self {
+        let mut key = [0_u8; 32];
+        key[..8].copy_from_slice(&seed.to_le_bytes());
+        key[8..8 + DOMAIN.len()].copy_from_slice(DOMAIN);
+        let mut generator = ChaCha8Rng::from_seed(key);
+        generator.set_stream(u64::from(id.owner) << 32 | u64::from(id.effect) << 16 | u64::from(id.instance));
+        Self(generator)
+    }
+
+    /// The next number: mean 0, variance 1.
+    #[inline]
+    pub fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ID: StreamId = StreamId { owner: 9, effect: 1, instance: 0 };
+
+    #[test]
+    fn the_stream_is_value_stable() {
+        let mut stream = Stream::new(1, ID);
+        let drawn: Vec<f64> = (0..4).map(|_| stream.normal()).collect();
+        assert_eq!(drawn, [-1.6236043913647966, -0.594052344562553, -1.9408553170850902, 0.6245322440979414]);
+        assert_eq!((0..100_000).map(|_| stream.normal()).last(), Some(-0.3643090252422438));
+    }
+
+    #[test]
+    fn streams_differ_by_seed_owner_effect_and_instance() {
+        let first = |seed, id| Stream::new(seed, id).normal();
+        let reference = first(1, ID);
+        assert_eq!(first(1, ID), reference);
+        for other in [
+            first(2, ID),
+            first(1, StreamId { owner: 10, ..ID }),
+            first(1, StreamId { effect: 2, ..ID }),
+            first(1, StreamId { instance: 1, ..ID }),
+        ] {
+            assert_ne!(other, reference);
+        }
+    }
+
+    #[test]
+    fn normal_numbers_have_the_moments_of_a_normal_distribution() {
+        let mut stream = Stream::new(7, ID);
+        let n = 1_000_000;
+        let (mut mean, mut square, mut fourth) = (0.0, 0.0, 0.0);
+        for _ in 0..n {
+            let value = stream.normal();
+            mean += value;
+            square += value * value;
+            fourth += value.powi(4);
+        }
+        let n = f64::from(n);
+        // Five standard errors: sd of the estimates are 1/√n, √(2/n), √(96/n).
+        assert!((mean / n).abs() < 5.0 / n.sqrt());
+        assert!((square / n - 1.0).abs() < 5.0 * (2.0 / n).sqrt());
+        assert!((fourth / n - 3.0).abs() < 5.0 * (96.0 / n).sqrt());
+    }
+}
