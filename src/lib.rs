@@ -23,3 +23,4 @@ pub mod noise;
 pub mod protocol;
 pub mod simulator;
 
+pub mod recording;

@@ -1,0 +1,117 @@
+//! What can be wrong with a recording as a whole. A single bad line is an item, not an error.
+
+use crate::sample::Channel;
+use std::path::PathBuf;
+
+/// Why a recording could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordingError {
+    /// The file could not be opened.
+    #[error("cannot open {}: {source}", file.display())]
+    Open {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file could not be read to its end.
+    #[error("cannot read {} beyond line {line}: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The last line that was read.
+        line: u64,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The compressed data end too early: the recording was cut.
+    #[error(
+        "{} ends in the middle of its compressed data after line {line}: \
+         save what is there with `zcat FILE > FILE.txt` and read that",
+        file.display()
+    )]
+    CutCompression {
+        /// The file.
+        file: PathBuf,
+        /// The last line that was read.
+        line: u64,
+    },
+    /// The content is none that can be read.
+    #[error(
+        "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines \
+         or a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed)",
+        file.display()
+    )]
+    Unrecognised {
+        /// The file.
+        file: PathBuf,
+        /// How it begins.
+        found: String,
+    },
+    /// The content is of a known kind that this version does not read.
+    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines or CSV", file.display())]
+    NotReadYet {
+        /// The file.
+        file: PathBuf,
+        /// The kind.
+        found: &'static str,
+    },
+    /// Two columns of a CSV give the same channel.
+    #[error(
+        "{}: line 1: columns {first:?} and {second:?} both give {channel}; leave one of them out",
+        file.display()
+    )]
+    DuplicateColumn {
+        /// The file.
+        file: PathBuf,
+        /// The earlier column.
+        first: String,
+        /// The later one.
+        second: String,
+        /// The channel.
+        channel: Channel,
+    },
+    /// Two columns of a CSV give the time.
+    #[error("{}: line 1: two columns `time_s`; leave one of them out", file.display())]
+    DuplicateTime {
+        /// The file.
+        file: PathBuf,
+    },
+    /// A recording without times, and no rate was told.
+    #[error("{} has no `time_s` column: give its rate with --rate HZ", file.display())]
+    NoRate {
+        /// The file.
+        file: PathBuf,
+    },
+    /// The stamps tell no rate.
+    #[error(
+        "{}: its {samples} samples have no two stamps of which the later is greater, \
+         so that no rate follows from them; take the stamps out and give --rate HZ",
+        file.display()
+    )]
+    NoStep {
+        /// The file.
+        file: PathBuf,
+        /// Samples that were found.
+        samples: u64,
+    },
+    /// Nothing in it is a sample.
+    #[error("{} has no sample: {lines} lines, {rejected} of them rejected{first}", file.display())]
+    NoSample {
+        /// The file.
+        file: PathBuf,
+        /// Lines after the header.
+        lines: u64,
+        /// Lines rejected.
+        rejected: u64,
+        /// The first rejected line, its cause and text.
+        first: String,
+    },
+    /// The told rate is no rate.
+    #[error("a recording's rate must be a finite number above 0, not {found} Hz")]
+    Rate {
+        /// What was told.
+        found: f64,
+    },
+}

@@ -1,0 +1,56 @@
+//! Rows: what every kind of recording is read as, before times and rates are known.
+
+use super::error::RecordingError;
+use super::info::Decimals;
+use crate::sample::{DiscardCause, Sample};
+
+/// How much of a rejected line is kept.
+const TEXT_CHARS: usize = 256;
+
+/// A line that did not become a sample.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Rejected {
+    /// Its number in the (decompressed) file, from 1.
+    pub line: u64,
+    /// Why.
+    pub cause: DiscardCause,
+    /// Its text, at most 256 characters.
+    pub text: String,
+    /// Bytes of the line.
+    #[serde(skip)]
+    pub bytes: u64,
+    /// Whether it stands where a sample should be: without stamps, one sample is then missing there.
+    #[serde(skip)]
+    pub stands_for_sample: bool,
+}
+
+impl Rejected {
+    pub(super) fn new(line: u64, cause: DiscardCause, text: &str, stands_for_sample: bool) -> Self {
+        Self { line, cause, text: text.chars().take(TEXT_CHARS).collect(), bytes: text.len() as u64, stands_for_sample }
+    }
+
+    /// What it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
+    #[must_use]
+    pub fn amount(&self) -> u64 {
+        if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }
+    }
+}
+
+/// One line of a recording.
+#[derive(Debug)]
+pub(super) enum Row {
+    /// A sample; its times are not set yet.
+    Sample { line: u64, stamp_ns: Option<i64>, sample: Sample },
+    /// A line that is no sample.
+    Rejected(Rejected),
+    /// A valid line that carries no measurement: a reply to a command.
+    Aside,
+}
+
+/// A recording, line by line.
+pub(super) trait Rows {
+    /// The next line; `None` at the end.
+    fn next_row(&mut self) -> Result<Option<Row>, RecordingError>;
+    /// How the values read so far were written.
+    fn decimals(&self) -> &Decimals;
+}

@@ -1,0 +1,409 @@
+//! The room as its callers see it, on files made here and, where `VN100D_REAL_DATA` names them, on real ones.
+
+use super::*;
+use crate::sample::{Channel, Gap, GapCause, Record, Timebase};
+use std::io::Write;
+use std::path::PathBuf;
+
+const MARCH_2024_NS: i64 = 1_710_358_267_000_000_000;
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+    fn file(&self, name: &str, content: &[u8]) -> PathBuf {
+        let path = self.0.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        path
+    }
+    fn load(&self, content: &str, options: Options) -> Result<LoadedRecording, RecordingError> {
+        load_columns(&self.file("recording", content.as_bytes()), options)
+    }
+}
+
+fn gzip(content: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(content).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn at_rate(rate_hz: f64) -> Options {
+    Options { rate_hz: Some(rate_hz), started_utc_ns: 0 }
+}
+
+/// A valid `$VNYMR` line whose gyro x is `value`.
+fn line(value: f64) -> String {
+    let body = format!(
+        "VNYMR,-134.051,-000.443,-000.892,-00.1575,+00.1599,+00.3040,-00.077,+00.164,-09.965,{value:+010.6},+00.001325,+00.000043"
+    );
+    format!("${body}*{:02X}", body.bytes().fold(0, |sum, byte| sum ^ byte))
+}
+
+fn values(recording: &LoadedRecording, channel: Channel) -> &[f64] {
+    &recording.column(channel).unwrap().values
+}
+
+fn shape(gaps: &[Gap]) -> Vec<(u64, u64, bool, GapCause)> {
+    gaps.iter().map(|gap| (gap.before_seq, gap.missing, gap.missing_exact, gap.cause)).collect()
+}
+
+#[test]
+fn columns_stand_in_any_order_and_units_are_converted_once() {
+    let content = "accel_z_mg,note,time_s,gyro_x_dps,mag_y_ut,roll_rad,temperature_c,accel_x_g,mag_x_tesla,gyro_y_rad_s\n\
+                   1000,a,0,180,50,3.141592653589793,25.5,-1,0.00005,0.125\n\
+                   -1000,b,0.5,-90,25,0,25.25,1,0,0.25\n";
+    let loaded = Folder::new().load(content, Options::default()).unwrap();
+    assert_eq!(loaded.info.ignored_columns, ["note"]);
+    assert_eq!((loaded.info.rate_hz, loaded.info.rate_assumed, loaded.info.stamps), (2.0, false, Stamps::Relative));
+    for (channel, expected) in [
+        (Channel::AccelZ, [9.80665, -9.80665]),
+        (Channel::AccelX, [-9.80665, 9.80665]),
+        (Channel::GyroX, [std::f64::consts::PI, -std::f64::consts::FRAC_PI_2]),
+        (Channel::MagY, [0.5, 0.25]),
+        (Channel::MagX, [0.5, 0.0]),
+        (Channel::Roll, [180.0, 0.0]),
+        (Channel::Temperature, [25.5, 25.25]),
+        (Channel::GyroY, [0.125, 0.25]),
+    ] {
+        for (found, expected) in values(&loaded, channel).iter().zip(expected) {
+            assert!((found - expected).abs() <= 1e-15 * expected.abs(), "{channel}: {found}");
+        }
+    }
+    let converted: Vec<_> =
+        loaded.info.conversions.iter().map(|conversion| (conversion.channel, conversion.original_unit)).collect();
+    assert_eq!(converted.len(), 6);
+    assert!(converted.contains(&(Channel::AccelZ, "mg")) && converted.contains(&(Channel::MagX, "T")));
+    let decimals =
+        [Channel::Temperature, Channel::GyroY, Channel::AccelX].map(|channel| loaded.info.decimals.get(channel));
+    assert_eq!(decimals, [Some(2), Some(3), Some(0)]);
+}
+
+#[test]
+fn a_blank_cell_or_nan_is_an_absent_channel_and_never_a_number() {
+    let content = "time_s,gyro_x_rad_s,gyro_y_rad_s\n0,1,1\n1,,2\n2,NaN,3\n3,4,4\n4,,\n5,6,6\n";
+    let loaded = Folder::new().load(content, Options::default()).unwrap();
+    let x = loaded.column(Channel::GyroX).unwrap();
+    assert_eq!(x.values, [1.0, 0.0, 0.0, 4.0, 6.0]);
+    assert_eq!(x.segments, [0..1, 3..4, 4..5]);
+    // The row without any value is rejected: the stamps show the gap.
+    assert_eq!(loaded.segments, [0..4, 4..5]);
+    assert_eq!(shape(&loaded.gaps), [(4, 1, true, GapCause::Source)]);
+    assert_eq!(loaded.info.rejected, [(DiscardCause::Malformed, 1)].into());
+}
+
+#[test]
+fn a_bad_row_is_rejected_with_its_line_and_the_rest_is_read() {
+    let content = "time_s,gyro_x_rad_s\n0,1\n1,two\n2,3\n3\n4,5,6\n5,inf\nsix,7\n7,8\n\u{FFFD},9\n";
+    let loaded = Folder::new().load(content, Options::default()).unwrap();
+    assert_eq!(values(&loaded, Channel::GyroX), [1.0, 3.0, 8.0]);
+    let rejected: Vec<_> = loaded.info.first_rejected.iter().map(|bad| (bad.line, bad.text.as_str())).collect();
+    assert_eq!(rejected, [(3, "1,two"), (5, "3"), (6, "4,5,6"), (7, "5,inf"), (8, "six,7"), (10, "\u{FFFD},9")]);
+    assert_eq!(loaded.info.rejected, [(DiscardCause::Malformed, 6)].into());
+}
+
+#[test]
+fn a_gap_is_a_step_over_one_and_a_half_median_steps() {
+    let steps = [1.0, 1.0, 1.49, 1.0, 1.51, 1.0, 4.2, 1.0, 1.0];
+    let mut content = "time_s,gyro_x_rad_s\n0,0\n".to_owned();
+    let mut time = 0.0;
+    for step in steps {
+        time += 0.025 * step;
+        content.push_str(&format!("{time:.6},1\n"));
+    }
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!(loaded.info.rate_hz, 40.0);
+    assert_eq!(shape(&loaded.gaps), [(5, 1, true, GapCause::Source), (7, 3, true, GapCause::Source)]);
+    assert_eq!(loaded.segments, [0..5, 5..7, 7..10]);
+    assert_eq!((loaded.samples, loaded.missing), (10, 4));
+    assert_eq!(loaded.gaps[1].device_ns, Some((175_000_000, 280_000_000)));
+    assert!((loaded.duration_s() - 14.0 / 40.0).abs() < 1e-12);
+}
+
+#[test]
+fn samples_are_never_reordered_a_stamp_that_does_not_advance_is_a_duplicate() {
+    let content = "time_s,gyro_x_rad_s\n0,1\n1,2\n1,3\n0.5,4\n2,5\n";
+    let loaded = Folder::new().load(content, Options::default()).unwrap();
+    assert_eq!(values(&loaded, Channel::GyroX), [1.0, 2.0, 5.0]);
+    assert_eq!(loaded.info.rejected, [(DiscardCause::Duplicate, 2)].into());
+    assert_eq!(loaded.missing, 0);
+    assert_eq!(loaded.info.first_rejected[1].line, 5);
+}
+
+#[test]
+fn stamps_since_1970_give_the_utc_to_the_nanosecond_others_count_from_the_told_start() {
+    let folder = Folder::new();
+    let times = |content: &str, options| -> Vec<(Option<u64>, i64)> {
+        let file = folder.file("times", content.as_bytes());
+        let recording = Recording::open(&file, options).unwrap();
+        let items = recording.items().unwrap().map(|item| match item.unwrap() {
+            Item::Sample(sample) => (sample.device_time_ns, sample.host_utc_ns),
+            Item::Rejected(rejected) => panic!("{rejected:?}"),
+        });
+        items.collect()
+    };
+    let unix = "time_s,gyro_x_rad_s\n1710358267.000000001,1\n1710358267.025000002,2\n";
+    let expected = [(Some(0), MARCH_2024_NS + 1), (Some(25_000_001), MARCH_2024_NS + 25_000_002)];
+    assert_eq!(times(unix, Options::default()), expected);
+    let relative = "time_s,gyro_x_rad_s\n100,1\n100.5,2\n";
+    let started = Options { rate_hz: None, started_utc_ns: 7 };
+    assert_eq!(times(relative, started), [(Some(0), 7), (Some(500_000_000), 500_000_007)]);
+    let unstamped = "gyro_x_rad_s\n1\n2\n";
+    let started = Options { rate_hz: Some(8.0), started_utc_ns: 7 };
+    assert_eq!(times(unstamped, started), [(None, 7), (None, 125_000_007)]);
+}
+
+#[test]
+fn without_stamps_a_csv_needs_a_rate_and_with_stamps_it_does_not_take_one() {
+    let folder = Folder::new();
+    let refused = folder.load("gyro_x_rad_s\n1\n", Options::default()).unwrap_err();
+    assert!(refused.to_string().contains("--rate HZ"), "{refused}");
+    let loaded = folder.load("gyro_x_rad_s\n1\n2\n", at_rate(100.0)).unwrap();
+    assert_eq!((loaded.info.rate_hz, loaded.info.timebase()), (100.0, Timebase::Rate));
+    let loaded = folder.load("time_s,gyro_x_rad_s\n0,1\n0.1,2\n", at_rate(100.0)).unwrap();
+    assert_eq!((loaded.info.rate_hz, loaded.info.unused_rate_hz), (10.0, Some(100.0)));
+    for rate in [0.0, -1.0, f64::NAN] {
+        assert!(matches!(folder.load("gyro_x_rad_s\n1\n", at_rate(rate)), Err(RecordingError::Rate { .. })));
+    }
+}
+
+#[test]
+fn stamps_that_tell_no_rate_are_refused() {
+    let folder = Folder::new();
+    for content in ["time_s,gyro_x_rad_s\n5,1\n", "time_s,gyro_x_rad_s\n5,1\n5,2\n"] {
+        assert!(matches!(folder.load(content, Options::default()), Err(RecordingError::NoStep { samples: 1, .. })));
+    }
+}
+
+#[test]
+fn two_columns_for_one_channel_or_for_the_time_are_refused() {
+    let folder = Folder::new();
+    let error = folder.load("gyro_x_rad_s,gyro_x_dps\n1,1\n", at_rate(1.0)).unwrap_err().to_string();
+    assert!(error.contains("gyro_x_rad_s") && error.contains("gyro_x_dps"), "{error}");
+    let error = folder.load("time_s,gyro_x_rad_s,time_s\n1,1,1\n", at_rate(1.0)).unwrap_err();
+    assert!(matches!(error, RecordingError::DuplicateTime { .. }));
+}
+
+#[test]
+fn raw_lines_without_stamps_are_taken_at_forty_hertz_and_say_so() {
+    let content: String = (0..5).map(|i| line(f64::from(i) * 1e-6) + "\r\n").collect();
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!((loaded.info.kind, loaded.info.stamps), (Kind::VnText, Stamps::None));
+    assert_eq!((loaded.info.rate_hz, loaded.info.rate_assumed), (40.0, true));
+    assert_eq!(values(&loaded, Channel::GyroX), [0.0, 1e-6, 2e-6, 3e-6, 4e-6]);
+    assert_eq!(values(&loaded, Channel::AccelZ)[0], -9.965);
+    assert_eq!(loaded.info.decimals.get(Channel::GyroX), Some(6));
+    assert_eq!(loaded.info.decimals.get(Channel::MagX), Some(4));
+    let told = Folder::new().load(&content, at_rate(50.0)).unwrap();
+    assert_eq!((told.info.rate_hz, told.info.rate_assumed), (50.0, false));
+}
+
+#[test]
+fn the_last_number_before_the_dollar_is_the_stamp() {
+    let folder = Folder::new();
+    for separator in ["\t", ",", " ", ", ", ";"] {
+        let content: String = (0..4)
+            .map(|i| format!("1710358267.9{separator}1710358267.{:09}{separator}{}\n", 25_000_000 * i, line(0.1)))
+            .collect();
+        let loaded = folder.load(&content, Options::default()).unwrap();
+        assert_eq!((loaded.info.rate_hz, loaded.info.stamps), (40.0, Stamps::Unix), "{separator:?}");
+        assert_eq!(loaded.info.started_utc_ns, MARCH_2024_NS);
+        assert_eq!(loaded.samples, 4);
+    }
+    let content: String = (0..4).map(|i| format!("[12:30:0{i}] {}\n", line(0.1))).collect();
+    let loaded = folder.load(&content, Options::default()).unwrap();
+    assert_eq!((loaded.info.stamps, loaded.info.ignored_columns.len()), (Stamps::None, 1));
+}
+
+#[test]
+fn a_raw_line_that_fails_its_checksum_is_one_missing_sample_where_nothing_else_tells() {
+    let bad = line(0.5).replace("+00.500000", "+00.400000");
+    let cut = &line(0.2)[40..];
+    let reply = "$VNWRG,07,40*59";
+    let content = [cut, &line(0.0), &line(0.1), &bad, &bad, reply, &line(0.2), "hello", &line(0.3), &bad].join("\n");
+    let folder = Folder::new();
+    let file = folder.file("raw", content.as_bytes());
+    let recording = Recording::open(&file, Options::default()).unwrap();
+    assert_eq!(recording.info().rejected[&DiscardCause::Checksum], 3);
+    assert_eq!(recording.info().rejected[&DiscardCause::GarbageBytes], cut.len() as u64 + 5);
+    assert_eq!(recording.info().first_rejected[1].line, 4);
+    let mut accountant = RecordingAccountant::new(recording.info());
+    let mut records = Vec::new();
+    for item in recording.items().unwrap() {
+        accountant.take(item.unwrap(), &mut records);
+    }
+    let gaps: Vec<Gap> = records
+        .iter()
+        .filter_map(|record| if let Record::Gap(gap) = record { Some(gap.clone()) } else { None })
+        .collect();
+    assert_eq!(shape(&gaps), [(2, 2, false, GapCause::Checksum)]);
+    assert_eq!((gaps[0].from_utc_ns, gaps[0].to_utc_ns), (25_000_000, 100_000_000));
+    let segments: Vec<_> = records
+        .iter()
+        .filter_map(|record| if let Record::Segment(segment) = record { Some(segment.first_seq) } else { None })
+        .collect();
+    assert_eq!(segments, [0, 2]);
+    let discarded = records.iter().filter(|record| matches!(record, Record::Discarded { .. })).count();
+    let events = records.iter().filter(|record| matches!(record, Record::Event(_))).count();
+    assert_eq!((discarded, events), (5, 5));
+    assert_eq!((accountant.received(), accountant.missing(), accountant.gaps()), (4, 2, 1));
+}
+
+#[test]
+fn a_good_message_behind_a_spliced_one_is_still_a_sample() {
+    let content = format!("{0}\n{0}\n$VNYMR,-134.051,-000{1}\n{0}\n$VNQTN,0,0,0,1*52\n{0}\n", line(0.1), line(0.2));
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!(values(&loaded, Channel::GyroX), [0.1, 0.1, 0.2, 0.1, 0.1]);
+    assert_eq!(shape(&loaded.gaps), [(2, 1, false, GapCause::Checksum)]);
+    let rejected = [(DiscardCause::Checksum, 1), (DiscardCause::UnexpectedFormat, 1)];
+    assert_eq!(loaded.info.rejected, rejected.into());
+}
+
+#[test]
+fn a_stamped_gap_in_which_a_line_failed_its_checksum_has_that_cause() {
+    let bad = line(0.5).replace("+00.500000", "+00.400000");
+    let content: String = (0..8)
+        .filter(|i| *i != 5)
+        .map(|i| format!("{} {}\n", f64::from(i) * 0.025, if i == 2 { bad.clone() } else { line(0.1) }))
+        .collect();
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!(shape(&loaded.gaps), [(2, 1, true, GapCause::Checksum), (4, 1, true, GapCause::Source)]);
+}
+
+#[test]
+fn a_stamped_recording_rejects_a_line_without_stamp() {
+    let content = format!("0 {0}\n1 {0}\n{0}\n3 {0}\n4 {0}\n", line(0.1));
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!(loaded.info.rejected, [(DiscardCause::Malformed, 1)].into());
+    assert_eq!((loaded.samples, loaded.missing), (4, 1));
+}
+
+#[test]
+fn compressed_and_plain_files_give_the_same() {
+    let folder = Folder::new();
+    let content: String = (0..500).map(|i| line(f64::from(i) * 1e-6) + "\n").collect();
+    let plain = load_columns(&folder.file("a", content.as_bytes()), Options::default()).unwrap();
+    // Two members, as `cat a.gz b.gz` makes them.
+    let (first, second) = content.split_at(content.len() / 2);
+    let members = [gzip(first.as_bytes()), gzip(second.as_bytes())].concat();
+    let packed = load_columns(&folder.file("b", &members), Options::default()).unwrap();
+    assert_eq!(packed.columns, plain.columns);
+}
+
+#[test]
+fn cut_compressed_data_say_where_and_what_to_do() {
+    let content: String = (0..20_000).map(|i| line(f64::from(i) * 1e-6) + "\n").collect();
+    let mut packed = gzip(content.as_bytes());
+    packed.truncate(packed.len() / 2);
+    let folder = Folder::new();
+    let error = load_columns(&folder.file("cut.gz", &packed), Options::default()).unwrap_err();
+    let RecordingError::CutCompression { line, .. } = &error else { panic!("{error}") };
+    assert!((5_000..15_000).contains(line), "{line}");
+    assert!(error.to_string().contains("zcat"), "{error}");
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_how_it_begins() {
+    let folder = Folder::new();
+    for (content, part) in [
+        (&b"#ROSBAG V2.0\n"[..], "a ROS 1 bag"),
+        (b"SQLite format 3\0...", "an SQLite database"),
+        (b"\x89MCAP0\r\n", "an MCAP file"),
+        (b"\xFA\x01\x29", "raw binary output"),
+        (b"\x89PNG\r\n\x1a\n", "expected raw `$VN"),
+        (b"", "begins with \"\""),
+        (b"time,gx,gy\n1,2,3\n", "begins with \"time,gx,gy\""),
+        (b"gyro_x,gyro_y\n1,2\n", "gyro_x_rad_s"),
+    ] {
+        let error = load_columns(&folder.file("other", content), at_rate(1.0)).unwrap_err().to_string();
+        assert!(error.contains(part) && error.contains("other"), "{error}");
+    }
+    for path in [folder.0.path().to_owned(), folder.0.path().join("absent.csv")] {
+        let error = load_columns(&path, at_rate(1.0)).unwrap_err();
+        assert!(matches!(error, RecordingError::Open { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_recording_without_any_sample_is_refused_with_its_first_bad_line() {
+    let folder = Folder::new();
+    let error = folder.load("$VNYMR,1,2,3*00\n$VNYMR\n", Options::default()).unwrap_err().to_string();
+    assert!(error.contains("2 lines, 2 of them rejected") && error.contains("line 1 (checksum)"), "{error}");
+    let error = folder.load("time_s,gyro_x_rad_s\n", Options::default()).unwrap_err();
+    assert!(matches!(error, RecordingError::NoSample { lines: 0, .. }));
+}
+
+#[test]
+fn a_line_without_end_takes_bounded_memory() {
+    let mut content = line(0.1) + "\n";
+    content.push_str(&"x".repeat(1_000_000));
+    content.push('\n');
+    content.push_str(&line(0.2));
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!(values(&loaded, Channel::GyroX), [0.1, 0.2]);
+    assert_eq!(loaded.info.rejected[&DiscardCause::GarbageBytes], 1_000_000);
+    assert_eq!(loaded.missing, 0);
+}
+
+/// The folder of real recordings; without it the caller is skipped, with a note.
+fn real_data(test: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("VN100D_REAL_DATA").map(PathBuf::from);
+    if folder.is_none() {
+        println!("{test} was skipped: VN100D_REAL_DATA is not set");
+    }
+    folder
+}
+
+#[test]
+fn the_real_desk_capture_has_30178_samples_and_no_rejected_line() {
+    let Some(folder) = real_data("the real desk capture") else { return };
+    let loaded = load_columns(&folder.join("vn100-desk/live_capture.txt.gz"), Options::default()).unwrap();
+    assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_assumed), (30_178, 0, true));
+    assert!(loaded.info.rejected.is_empty());
+    assert_eq!(loaded.segments, std::slice::from_ref(&(0..30_178)));
+    assert_eq!(loaded.columns.len(), 12);
+    assert_eq!(values(&loaded, Channel::GyroX)[1], -0.000_023);
+    assert_eq!(loaded.info.decimals.get(Channel::AccelX), Some(3));
+}
+
+#[test]
+fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines() {
+    let Some(folder) = real_data("the real cart recording") else { return };
+    let file = folder.join("vn100-cart/circle_carter.imu.raw.txt.gz");
+    let loaded = load_columns(&file, Options::default()).unwrap();
+    assert_eq!(loaded.samples, 3_875);
+    assert_eq!(loaded.info.rejected, [(DiscardCause::Checksum, 5)].into());
+    let lines: Vec<u64> = loaded.info.first_rejected.iter().map(|bad| bad.line).collect();
+    assert_eq!(lines, [820, 1611, 2863, 3015, 3165]);
+    assert_eq!((loaded.info.stamps, loaded.info.started_utc_ns), (Stamps::Unix, 1_710_358_267_715_127_945));
+    // Of all 3,880 stamps 1,411 steps are gaps; without the five rejected lines some of them merge.
+    assert_eq!((loaded.gaps.len(), loaded.missing), (1_408, 1_462));
+    assert!(loaded.gaps.iter().any(|gap| gap.to_utc_ns - gap.from_utc_ns > 1_200_000_000));
+}
+
+#[test]
+fn the_real_adis16405_run_has_a_million_samples_at_the_told_rate() {
+    let Some(folder) = real_data("the real ADIS16405 run") else { return };
+    let loaded = load_columns(&folder.join("adis16405/adis_16405_imu1.csv.gz"), at_rate(100.0)).unwrap();
+    assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_hz), (1_000_000, 0, 100.0));
+    assert!(loaded.info.rejected.is_empty());
+    assert_eq!(loaded.info.conversions.len(), 6);
+    let first = values(&loaded, Channel::AccelZ)[0];
+    assert!((first + 1.01565 * 9.80665).abs() < 1e-12, "{first}");
+}
+
+#[test]
+fn real_stamped_recordings_of_other_sensors_are_read_whole() {
+    let Some(folder) = real_data("real stamped recordings") else { return };
+    for (file, samples, missing, rate_hz) in [
+        ("vn100-car/data_circle2_0.imu.raw.txt.gz", 2_617, 0, 39.992_792),
+        ("broad/01_undisturbed_slow_rotation_A.csv.gz", 56_940, 0, 285.714_286),
+        // Its stamps come in bursts: by the contract's rule most of its steps are gaps.
+        ("mpu6050/still-10min.csv.gz", 65_067, 260_764, 491.347_614),
+    ] {
+        let loaded = load_columns(&folder.join(file), Options::default()).unwrap();
+        assert_eq!((loaded.samples, loaded.missing, loaded.info.rejected.len()), (samples, missing, 0), "{file}");
+        assert!((loaded.info.rate_hz - rate_hz).abs() < 1e-5, "{file}: {}", loaded.info.rate_hz);
+    }
+}
