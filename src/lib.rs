@@ -24,3 +24,4 @@ pub mod protocol;
 pub mod simulator;
 
 pub mod recording;
+pub mod store;

@@ -1,0 +1,674 @@
+//! Captures: made, changed, listed, deleted.
+
+use super::insert::timebase_from_name;
+use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
+use crate::sample::{Channel, Timebase};
+use rusqlite::types::Value as Sql;
+use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// The longest name in characters.
+const NAME_MAX: usize = 100;
+/// Rows deleted in one transaction: a few tens of ms, so that the writer is free in between.
+const DELETE_ROWS: i64 = 4000;
+
+/// What a capture is doing or how it ended (contract, section 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptureState {
+    /// It begins at a set time.
+    Waiting,
+    /// It is running (or will go on when the daemon starts).
+    Capturing,
+    /// It has all that its duration asked for.
+    Complete,
+    /// Somebody stopped it.
+    Stopped,
+    /// It came from a file.
+    Imported,
+    /// It came from a simulator.
+    Simulated,
+}
+
+impl CaptureState {
+    /// All states.
+    pub const ALL: [Self; 6] =
+        [Self::Waiting, Self::Capturing, Self::Complete, Self::Stopped, Self::Imported, Self::Simulated];
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Capturing => "capturing",
+            Self::Complete => "complete",
+            Self::Stopped => "stopped",
+            Self::Imported => "imported",
+            Self::Simulated => "simulated",
+        }
+    }
+    /// The state of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+    /// Whether samples may still come.
+    #[must_use]
+    pub fn is_open(self) -> bool {
+        matches!(self, Self::Waiting | Self::Capturing)
+    }
+}
+
+/// One of a capture's channels.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct ChannelRow {
+    /// Which.
+    #[serde(skip)]
+    pub channel: Option<Channel>,
+    /// Unit of the stored values.
+    pub unit: String,
+    /// Smallest step that was sent, in `unit`, where it is known (the decimals of ASCII messages).
+    pub resolution: Option<f64>,
+    /// Unit of an imported recording, where it was another.
+    pub original_unit: Option<String>,
+    /// stored = original × factor.
+    pub factor: Option<f64>,
+}
+
+impl ChannelRow {
+    /// A channel that was converted at import: stored = original × `factor`.
+    #[must_use]
+    pub fn converted(channel: Channel, original_unit: &str, factor: f64) -> Self {
+        Self { original_unit: Some(original_unit.to_owned()), factor: Some(factor), ..Self::plain(channel) }
+    }
+    /// A channel stored as it was sent, of unknown resolution.
+    #[must_use]
+    pub fn plain(channel: Channel) -> Self {
+        Self {
+            channel: Some(channel),
+            unit: channel.unit().to_owned(),
+            resolution: None,
+            original_unit: None,
+            factor: None,
+        }
+    }
+}
+
+/// A capture that is to be made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewCapture {
+    /// Its name; made of kind and time where absent.
+    pub name: Option<String>,
+    /// Where its samples come from: a port, a file, `simulator`.
+    pub source: String,
+    /// What it is at first.
+    pub state: CaptureState,
+    /// How much sample time it shall hold.
+    pub planned: Option<Duration>,
+    /// When it shall begin, UTC ns.
+    pub start_at_utc_ns: Option<i64>,
+    /// When it began, UTC ns; its first sample's time where absent.
+    pub started_utc_ns: Option<i64>,
+    /// Whether its rate was assumed, not told by the source.
+    pub rate_assumed: bool,
+    /// A description of the sensor, where one is known already (a JSON object).
+    pub sensor: Option<serde_json::Value>,
+    /// How it was configured (a JSON object).
+    pub configuration: Option<serde_json::Value>,
+    /// Channels of which more is known than their unit.
+    pub channels: Vec<ChannelRow>,
+}
+
+impl NewCapture {
+    /// A capture from `source` in `state`, nothing else said.
+    #[must_use]
+    pub fn new(source: &str, state: CaptureState) -> Self {
+        Self {
+            name: None,
+            source: source.to_owned(),
+            state,
+            planned: None,
+            start_at_utc_ns: None,
+            started_utc_ns: None,
+            rate_assumed: false,
+            sensor: None,
+            configuration: None,
+            channels: Vec::new(),
+        }
+    }
+}
+
+/// A capture as the interfaces show it (contract, section 3).
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct CaptureRow {
+    /// Its id; never used twice.
+    pub id: i64,
+    /// Its name; unique.
+    pub name: String,
+    /// Where its samples come from: a port, a file, `simulator`.
+    pub source: String,
+    /// What it is doing or how it ended.
+    pub state: CaptureState,
+    /// When it was made.
+    pub created_at: UtcNs,
+    /// When a waiting capture begins.
+    pub start_at: Option<UtcNs>,
+    /// When it began; null before.
+    pub started_at: Option<UtcNs>,
+    /// When it ended; null before.
+    pub ended_at: Option<UtcNs>,
+    /// How much sample time it shall hold, s.
+    pub planned_duration_s: Option<f64>,
+    /// How much sample time it holds, received and missing, s.
+    pub duration_s: f64,
+    /// Output rate of its first segment in Hz; null before that.
+    pub rate_hz: Option<f64>,
+    /// Whether the rate was assumed, not told by the source.
+    pub rate_assumed: bool,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// How many gaps.
+    pub gaps: u64,
+    /// How many segments.
+    pub segments: u64,
+    /// What arrived and did not become a sample, by cause.
+    pub rejected: BTreeMap<String, u64>,
+    /// Whether it is kept from deletion.
+    pub pinned: bool,
+    /// Its channels, in column order.
+    pub channels: Vec<Channel>,
+    /// Unit, resolution and conversion of each channel.
+    pub units: BTreeMap<String, ChannelRow>,
+    /// The sensor; an empty object where nothing is known.
+    #[schema(value_type = Object)]
+    pub sensor: serde_json::Value,
+    /// How it was configured; an empty object where nothing is known.
+    #[schema(value_type = Object)]
+    pub configuration: serde_json::Value,
+    /// What made it.
+    pub software: String,
+}
+
+/// Which captures a list holds.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CaptureFilter {
+    /// Only those in this state.
+    pub state: Option<CaptureState>,
+}
+
+/// A capture that is to go on: what the accounting needs to begin where it stopped.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unfinished {
+    /// Its id.
+    pub id: i64,
+    /// Its name.
+    pub name: String,
+    /// `Waiting` or `Capturing`.
+    pub state: CaptureState,
+    /// How much sample time it shall hold.
+    pub planned: Option<Duration>,
+    /// When it shall begin, UTC ns.
+    pub start_at_utc_ns: Option<i64>,
+    /// When it began, UTC ns.
+    pub started_utc_ns: Option<i64>,
+    /// The sensor it belongs to, where it was read.
+    pub sensor: Option<serde_json::Value>,
+    /// How it was configured.
+    pub configuration: Option<serde_json::Value>,
+    /// Samples on disk; the next one's `seq`.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Gaps recorded.
+    pub gaps: u64,
+    /// Sample time held so far, received and missing, ns.
+    pub sample_time_ns: u64,
+    /// Rate and timebase of the last segment.
+    pub stream: Option<(f64, Timebase)>,
+    /// Number of the last segment; 0 where there is none.
+    pub segment: u32,
+    /// Epoch of the last segment; 0 where there is none.
+    pub epoch: u32,
+    /// Device time of that epoch's first sample.
+    pub epoch_first_device_ns: Option<u64>,
+    /// Device, host monotonic and UTC time of the last sample.
+    pub last: Option<(Option<u64>, u64, i64)>,
+}
+
+impl Store {
+    /// Makes a capture and answers its id.
+    ///
+    /// # Errors
+    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or what the database says.
+    pub fn create_capture(&self, capture: NewCapture) -> Result<i64, StoreError> {
+        if let Some(name) = &capture.name {
+            check_name(name)?;
+        }
+        let utc_ns = self.utc_ns();
+        self.execute(move |transaction| create(transaction, &capture, utc_ns, "live", None))
+    }
+
+    /// Sets what the capture is doing; `utc_ns` becomes its start (`Capturing`, where it has none) or its end.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    pub fn set_state(&self, id: i64, state: CaptureState, utc_ns: i64) -> Result<(), StoreError> {
+        self.execute(move |transaction| {
+            let sql = match state {
+                CaptureState::Waiting => "UPDATE capture SET state = ?2 WHERE id = ?1 AND ?3 IS NOT NULL",
+                CaptureState::Capturing => {
+                    "UPDATE capture SET state = ?2, started_utc_ns = coalesce(started_utc_ns, ?3), \
+                     ended_utc_ns = NULL WHERE id = ?1"
+                }
+                _ => "UPDATE capture SET state = ?2, ended_utc_ns = coalesce(ended_utc_ns, ?3) WHERE id = ?1",
+            };
+            changed_one(id, transaction.execute(sql, params![id, state.name(), utc_ns])?)
+        })
+    }
+
+    /// Keeps the capture from deletion, or no longer.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    pub fn pin(&self, id: i64, pinned: bool) -> Result<(), StoreError> {
+        self.execute(move |transaction| {
+            let sql = "UPDATE capture SET pinned = ?2 WHERE id = ?1 AND lifecycle = 'live'";
+            changed_one(id, transaction.execute(sql, params![id, pinned])?)
+        })
+    }
+
+    /// Deletes a capture: it is gone from every list at once, its jobs are cancelled; its rows go in small steps with
+    /// [`Self::purge_step`].
+    ///
+    /// # Errors
+    /// [`StoreError::NotDeletable`] for one that runs, waits or is pinned; [`StoreError::NoSuchCapture`].
+    pub fn delete_capture(&self, id: i64) -> Result<(), StoreError> {
+        self.execute(move |transaction| {
+            let sql = "SELECT state, pinned FROM capture WHERE id = ?1 AND lifecycle = 'live'";
+            let found = transaction
+                .query_row(sql, [id], |row| Ok((row.get::<_, String>(0)?, row.get::<_, bool>(1)?)))
+                .optional()?;
+            let Some((state, pinned)) = found else { return Err(no_such(id)) };
+            let why = match state.as_str() {
+                "capturing" => Some("running"),
+                "waiting" => Some("waiting"),
+                _ if pinned => Some("pinned"),
+                _ => None,
+            };
+            if let Some(why) = why {
+                return Err(StoreError::NotDeletable { id, why });
+            }
+            transaction.execute(
+                "UPDATE job SET state = 'cancelled' WHERE capture_id = ?1 AND state IN ('queued', 'running')",
+                [id],
+            )?;
+            transaction.execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1", [id])?;
+            Ok(())
+        })
+    }
+
+    /// Takes some rows of deleted captures away, in one transaction of some tens of milliseconds; answers whether more
+    /// remain.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn purge_step(&self) -> Result<bool, StoreError> {
+        self.execute(|transaction| {
+            let sql = "SELECT id FROM capture WHERE lifecycle = 'deleted' ORDER BY id LIMIT 1";
+            let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
+                return Ok(false);
+            };
+            let deleted = transaction
+                .prepare_cached(
+                    "DELETE FROM sample WHERE capture_id = ?1 AND seq < \
+                     (SELECT min(seq) FROM sample WHERE capture_id = ?1) + ?2",
+                )?
+                .execute(params![id, DELETE_ROWS])?;
+            if deleted > 0 {
+                return Ok(true);
+            }
+            for table in ["gap", "event", "configuration", "result", "job"] {
+                let key = match table {
+                    "gap" | "event" | "configuration" => format!("{table}_id"),
+                    _ => "id".to_owned(),
+                };
+                let sql = format!(
+                    "DELETE FROM {table} WHERE {key} IN (SELECT {key} FROM {table} WHERE capture_id = ?1 LIMIT ?2)"
+                );
+                if transaction.execute(&sql, params![id, DELETE_ROWS])? > 0 {
+                    return Ok(true);
+                }
+            }
+            transaction.execute("DELETE FROM capture WHERE id = ?1", [id])?;
+            Ok(true)
+        })
+    }
+
+    /// Captures that ran or waited when the program last ended, oldest first.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn unfinished(&self) -> Result<Vec<Unfinished>, StoreError> {
+        self.execute(|transaction| {
+            forget_open_gaps(transaction)?;
+            unfinished(transaction)
+        })
+    }
+}
+
+/// When the program last ended: imports in the making are cleared away by and by, jobs that ran go on.
+pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreError> {
+    connection.execute("UPDATE capture SET lifecycle = 'deleted' WHERE lifecycle = 'importing'", [])?;
+    connection.execute("UPDATE job SET state = 'queued' WHERE state = 'running'", [])?;
+    Ok(())
+}
+
+fn no_such(id: i64) -> StoreError {
+    StoreError::NoSuchCapture { asked: id.to_string() }
+}
+
+fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
+    if rows == 0 { Err(no_such(id)) } else { Ok(()) }
+}
+
+pub(super) fn check_name(name: &str) -> Result<(), StoreError> {
+    let why = if name.trim() != name || name.is_empty() {
+        "it is empty or begins or ends with a space"
+    } else if name == "latest" {
+        "`latest` means the capture made last"
+    } else if name.bytes().all(|byte| byte.is_ascii_digit()) {
+        "a number means the capture with that id"
+    } else if name.chars().count() > NAME_MAX {
+        "it is longer than 100 characters"
+    } else if name.chars().any(|character| character == '/' || character.is_control()) {
+        "it holds a `/` or a control character"
+    } else {
+        return Ok(());
+    };
+    Err(StoreError::NameRefused { name: name.chars().take(NAME_MAX).collect(), why })
+}
+
+/// Inserts the capture; without a name it is called after the time, `2026-11-21T20-00-00Z`, `…-2` where that is taken.
+pub(super) fn create(
+    transaction: &Transaction<'_>,
+    capture: &NewCapture,
+    utc_ns: i64,
+    lifecycle: &str,
+    fingerprint: Option<&str>,
+) -> Result<i64, StoreError> {
+    let name = match &capture.name {
+        Some(name) => name.clone(),
+        None => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
+    };
+    let json = |value: &Option<serde_json::Value>| value.as_ref().map(serde_json::Value::to_string);
+    let rows = transaction.execute(
+        "INSERT INTO capture (name, source, state, lifecycle, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
+         started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
+        params![
+            name,
+            capture.source,
+            capture.state.name(),
+            lifecycle,
+            utc_ns,
+            capture.start_at_utc_ns,
+            capture.planned.map(|planned| planned.as_nanos() as i64),
+            capture.started_utc_ns,
+            capture.rate_assumed,
+            json(&capture.sensor),
+            json(&capture.configuration),
+            SOFTWARE,
+            fingerprint,
+        ],
+    );
+    match rows {
+        Err(error) if error.sqlite_error_code() == Some(ErrorCode::ConstraintViolation) => {
+            return Err(if error.to_string().contains("capture.name") {
+                StoreError::NameTaken { name }
+            } else {
+                error.into()
+            });
+        }
+        other => other?,
+    };
+    let id = transaction.last_insert_rowid();
+    for row in &capture.channels {
+        let Some(channel) = row.channel else { continue };
+        transaction.execute(
+            "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+            params![id, channel.name(), row.unit, row.resolution, row.original_unit, row.factor],
+        )?;
+    }
+    Ok(id)
+}
+
+pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, StoreError> {
+    let sql = "SELECT NOT EXISTS (SELECT 1 FROM capture WHERE name = ?1 AND lifecycle = 'live')";
+    Ok(connection.prepare_cached(sql)?.query_row([name], |row| row.get(0))?)
+}
+
+fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
+    let base = chrono::DateTime::from_timestamp_nanos(utc_ns).format("%Y-%m-%dT%H-%M-%SZ").to_string();
+    let mut name = base.clone();
+    let mut number = 2;
+    while !name_is_free(connection, &name)? {
+        name = format!("{base}-{number}");
+        number += 1;
+    }
+    Ok(name)
+}
+
+/// A gap whose next sample was not committed will be measured again, from the last sample that was.
+fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
+    let open = "capture_id = capture.id AND before_seq >= capture.samples";
+    connection.execute(
+        &format!(
+            "UPDATE capture SET missing = missing - (SELECT CAST(total(missing) AS INTEGER) FROM gap WHERE {open}), \
+             gaps = gaps - (SELECT count(*) FROM gap WHERE {open}), \
+             sample_time_ns = max(0, sample_time_ns - CAST(round((SELECT total(missing) FROM gap WHERE {open}) * 1e9 / \
+             (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1)) AS INTEGER)) \
+             WHERE state = 'capturing' AND lifecycle = 'live' AND EXISTS (SELECT 1 FROM gap WHERE {open})"
+        ),
+        [],
+    )?;
+    connection.execute(
+        "DELETE FROM gap WHERE gap_id IN (SELECT gap_id FROM gap JOIN capture ON capture.id = gap.capture_id \
+         WHERE state = 'capturing' AND lifecycle = 'live' AND before_seq >= samples)",
+        [],
+    )?;
+    Ok(())
+}
+
+fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
+    let mut statement = connection.prepare(
+        "SELECT id, name, state, planned_duration_ns, start_at_utc_ns, started_utc_ns, sensor, configuration, samples, \
+         missing, gaps, sample_time_ns FROM capture \
+         WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live' ORDER BY id",
+    )?;
+    let mut rows = statement.query([])?;
+    let mut captures = Vec::new();
+    while let Some(row) = rows.next()? {
+        let mut capture = Unfinished {
+            id: row.get(0)?,
+            name: row.get(1)?,
+            state: state_of(row, 2)?,
+            planned: row.get::<_, Option<i64>>(3)?.map(|ns| Duration::from_nanos(ns.max(0) as u64)),
+            start_at_utc_ns: row.get(4)?,
+            started_utc_ns: row.get(5)?,
+            sensor: json_of(row, 6)?,
+            configuration: json_of(row, 7)?,
+            samples: row.get::<_, i64>(8)? as u64,
+            missing: row.get::<_, i64>(9)? as u64,
+            gaps: row.get::<_, i64>(10)? as u64,
+            sample_time_ns: row.get::<_, i64>(11)? as u64,
+            stream: None,
+            segment: 0,
+            epoch: 0,
+            epoch_first_device_ns: None,
+            last: None,
+        };
+        add_position(connection, &mut capture)?;
+        captures.push(capture);
+    }
+    Ok(captures)
+}
+
+fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(), StoreError> {
+    let sql = "SELECT segment_id, epoch, rate_hz, timebase, (SELECT first_device_time_ns FROM segment AS first \
+               WHERE first.capture_id = segment.capture_id AND first.epoch = segment.epoch ORDER BY segment_id LIMIT 1) \
+               FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
+    let found = connection
+        .query_row(sql, [capture.id], |row| {
+            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get::<_, String>(3)?, row.get::<_, Option<i64>>(4)?))
+        })
+        .optional()?;
+    if let Some((segment, epoch, rate_hz, timebase, first)) = found {
+        let timebase =
+            timebase_from_name(&timebase).ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?;
+        capture.segment = segment;
+        capture.epoch = epoch;
+        capture.stream = Some((rate_hz, timebase));
+        capture.epoch_first_device_ns = first.map(|ns| ns as u64);
+    }
+    let sql =
+        "SELECT device_time_ns, host_mono_ns, host_utc_ns FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
+    capture.last = connection
+        .query_row(sql, [capture.id], |row| {
+            let device: Option<i64> = row.get(0)?;
+            Ok((device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?))
+        })
+        .optional()?;
+    Ok(())
+}
+
+const CAPTURE_COLUMNS: &str = "id, name, source, state, created_utc_ns, start_at_utc_ns, started_utc_ns, ended_utc_ns, \
+    planned_duration_ns, sample_time_ns, rate_hz, rate_assumed, samples, missing, gaps, segments, \
+    (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), pinned, \
+    (SELECT json_group_array(json_array(channel, unit, resolution, original_unit, factor)) \
+        FROM channel WHERE capture_id = capture.id), sensor, configuration, software";
+
+fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
+    type Raw = (String, String, Option<f64>, Option<String>, Option<f64>);
+    let count = |index| row.get::<_, i64>(index).map(|count| count as u64);
+    let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));
+    let channels: Vec<Raw> = serde_json::from_str(&row.get::<_, String>(18)?)?;
+    let mut units = BTreeMap::new();
+    let mut names = Vec::new();
+    for (name, unit, resolution, original_unit, factor) in channels {
+        let channel = Channel::from_name(&name)
+            .ok_or_else(|| StoreError::Unknown { column: "channel.channel", found: name.clone() })?;
+        names.push(channel);
+        units.insert(name, ChannelRow { channel: Some(channel), unit, resolution, original_unit, factor });
+    }
+    names.sort_unstable();
+    let object = |index| Ok::<_, StoreError>(json_of(row, index)?.unwrap_or_else(|| serde_json::json!({})));
+    Ok(CaptureRow {
+        id: row.get(0)?,
+        name: row.get(1)?,
+        source: row.get(2)?,
+        state: state_of(row, 3)?,
+        created_at: UtcNs(row.get(4)?),
+        start_at: time(5)?,
+        started_at: time(6)?,
+        ended_at: time(7)?,
+        planned_duration_s: row.get::<_, Option<i64>>(8)?.map(seconds),
+        duration_s: seconds(row.get(9)?),
+        rate_hz: row.get(10)?,
+        rate_assumed: row.get(11)?,
+        samples: count(12)?,
+        missing: count(13)?,
+        gaps: count(14)?,
+        segments: count(15)?,
+        rejected: serde_json::from_str(&row.get::<_, String>(16)?)?,
+        pinned: row.get(17)?,
+        channels: names,
+        units,
+        sensor: object(19)?,
+        configuration: object(20)?,
+        software: row.get(21)?,
+    })
+}
+
+fn seconds(ns: i64) -> f64 {
+    ns as f64 / 1e9
+}
+
+pub(super) fn json_of(row: &Row<'_>, index: usize) -> Result<Option<serde_json::Value>, StoreError> {
+    let text: Option<String> = row.get(index)?;
+    Ok(text.map(|text| serde_json::from_str(&text)).transpose()?)
+}
+
+fn state_of(row: &Row<'_>, index: usize) -> Result<CaptureState, StoreError> {
+    let name: String = row.get(index)?;
+    CaptureState::from_name(&name).ok_or(StoreError::Unknown { column: "capture.state", found: name })
+}
+
+impl Reader {
+    /// The id of `latest` (the capture made last), of an id, or of a name.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    pub fn resolve(&self, asked: &str) -> Result<i64, StoreError> {
+        let (sql, key) = if asked == "latest" {
+            ("SELECT max(id) FROM capture WHERE lifecycle = 'live' AND ?1 IS NOT NULL", Sql::Integer(0))
+        } else if let Ok(id) = asked.parse::<i64>() {
+            ("SELECT id FROM capture WHERE lifecycle = 'live' AND id = ?1", Sql::Integer(id))
+        } else {
+            ("SELECT id FROM capture WHERE lifecycle = 'live' AND name = ?1", Sql::Text(asked.to_owned()))
+        };
+        let found: Option<Option<i64>> =
+            self.connection.prepare_cached(sql)?.query_row([key], |row| row.get(0)).optional()?;
+        found.flatten().ok_or_else(|| StoreError::NoSuchCapture { asked: asked.chars().take(NAME_MAX).collect() })
+    }
+
+    /// Whether rows of deleted captures are still to be taken away ([`Store::purge_step`]).
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn has_deleted(&self) -> Result<bool, StoreError> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM capture WHERE lifecycle = 'deleted')";
+        Ok(self.connection.prepare_cached(sql)?.query_row([], |row| row.get(0))?)
+    }
+
+    /// One capture.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    pub fn capture(&self, id: i64) -> Result<CaptureRow, StoreError> {
+        let sql = format!("SELECT {CAPTURE_COLUMNS} FROM capture WHERE id = ?1 AND lifecycle = 'live'");
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query([id])?;
+        match rows.next()? {
+            Some(row) => capture_of(row),
+            None => Err(no_such(id)),
+        }
+    }
+
+    /// Captures, the latest first.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn captures(&self, filter: &CaptureFilter, page: &PageRequest) -> Result<Page<CaptureRow>, StoreError> {
+        let before = page.after("captures")?.unwrap_or(i64::MAX);
+        let mut sql = format!("SELECT {CAPTURE_COLUMNS} FROM capture WHERE lifecycle = 'live' AND id < ?");
+        let mut values = vec![Sql::Integer(before)];
+        if let Some(state) = filter.state {
+            sql.push_str(" AND state = ?");
+            values.push(Sql::Text(state.name().to_owned()));
+        }
+        sql.push_str(" ORDER BY id DESC LIMIT ?");
+        values.push(Sql::Integer(page.limit() as i64 + 1));
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query(params_from_iter(values))?;
+        let mut captures = Vec::new();
+        while let Some(row) = rows.next()? {
+            let capture = capture_of(row)?;
+            captures.push((capture.id, capture));
+        }
+        Ok(Page::cut(captures, page.limit(), "captures"))
+    }
+}

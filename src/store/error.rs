@@ -1,0 +1,255 @@
+//! What the store refuses and why. Kinds, not texts, decide exit codes and HTTP status codes elsewhere.
+
+use crate::observe::StorageState;
+use rusqlite::ErrorCode;
+use std::path::PathBuf;
+
+/// Everything that can go wrong with the database.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// Another process writes this database.
+    #[error("database {path} is in use by process {pid}: stop that process or choose another data directory")]
+    Locked {
+        /// The database.
+        path: PathBuf,
+        /// The process that holds the lock, as it wrote itself down.
+        pid: String,
+    },
+    /// A directory or file could not be made.
+    #[error("cannot create {path}: {source}")]
+    Create {
+        /// What should have been made.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// There is no database to read.
+    #[error("there is no database at {path}: capture or import something first, or name its directory with --data-dir")]
+    NoDatabase {
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// The file system does not keep SQLite's promises.
+    #[error(
+        "{path} lies on a {kind} file system, on which SQLite cannot keep data safe: choose a directory on a local disk"
+    )]
+    NetworkFileSystem {
+        /// The database.
+        path: PathBuf,
+        /// What kind of file system.
+        kind: &'static str,
+    },
+    /// The file is something else.
+    #[error(
+        "{path} is not a vn100d database (application id {found:#010x}, expected {expected:#010x}): it was left \
+         untouched, choose another data directory"
+    )]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Its application id; 0 for a file that is no SQLite database or has none.
+        found: i32,
+        /// Ours.
+        expected: i32,
+    },
+    /// A newer program made the database.
+    #[error("{path} has schema version {found}, this vn100d knows versions up to {supported}: use a newer vn100d")]
+    NewerSchema {
+        /// The database.
+        path: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The newest this program knows.
+        supported: i64,
+    },
+    /// An older program made the database and it is open for reading only.
+    #[error(
+        "{path} has schema version {found}, this vn100d reads version {expected}: start `vn100d run` once to bring it up to date"
+    )]
+    OlderSchema {
+        /// The database.
+        path: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The version this program reads.
+        expected: i64,
+    },
+    /// The SQLite in this program has a bug that can damage a WAL database.
+    #[error("SQLite {found} can damage a database in WAL mode: need {needed} or newer")]
+    SqliteTooOld {
+        /// Its version.
+        found: &'static str,
+        /// The first version without the bug.
+        needed: &'static str,
+    },
+    /// The schema could not be brought up to date.
+    #[error("the schema could not be brought up to date: {0}")]
+    Migration(#[from] rusqlite_migration::Error),
+    /// The database is damaged.
+    #[error("the database is damaged ({report}): copy it away, then salvage what is intact with `vn100d recover`")]
+    Damaged {
+        /// What SQLite's check reports.
+        report: String,
+    },
+    /// SQLite refused.
+    #[error("database: {0}")]
+    Sqlite(#[from] rusqlite::Error),
+    /// Stored JSON could not be read, or a value not be written as JSON.
+    #[error("JSON in the database: {0}")]
+    Json(#[from] serde_json::Error),
+    /// Stored text is none of those this program knows.
+    #[error("column {column} holds `{found}`, which this program does not know")]
+    Unknown {
+        /// Where it stands.
+        column: &'static str,
+        /// What stands there.
+        found: String,
+    },
+    /// No capture has that id or name.
+    #[error("there is no capture `{asked}`: `vn100d captures` lists them")]
+    NoSuchCapture {
+        /// What was asked for.
+        asked: String,
+    },
+    /// No job has that id.
+    #[error("there is no job {id}")]
+    NoSuchJob {
+        /// What was asked for.
+        id: i64,
+    },
+    /// The name is taken.
+    #[error("a capture named `{name}` exists already: choose another name")]
+    NameTaken {
+        /// The name.
+        name: String,
+    },
+    /// The name cannot be one.
+    #[error("`{name}` cannot name a capture: {why}")]
+    NameRefused {
+        /// The name.
+        name: String,
+        /// Why.
+        why: &'static str,
+    },
+    /// The capture must stay.
+    #[error("capture {id} is {why}: it is not deleted")]
+    NotDeletable {
+        /// The capture.
+        id: i64,
+        /// `running`, `waiting` or `pinned`.
+        why: &'static str,
+    },
+    /// The job has ended already.
+    #[error("job {id} is {state}: nothing to cancel")]
+    JobEnded {
+        /// The job.
+        id: i64,
+        /// How it ended.
+        state: &'static str,
+    },
+    /// A cursor that this program did not give out.
+    #[error("`{found}` is not a cursor of this list: take the one that the previous page gave as `next`")]
+    BadCursor {
+        /// The cursor.
+        found: String,
+    },
+    /// The writer thread has ended.
+    #[error("the store is closed")]
+    Closed,
+    /// At the end something could not be written.
+    #[error("{records} records could not be written before the end: {reason}")]
+    Unwritten {
+        /// How many.
+        records: usize,
+        /// The last error.
+        reason: String,
+    },
+    /// The writer thread could not be started.
+    #[error("the writer thread could not be started: {0}")]
+    Thread(std::io::Error),
+}
+
+/// What a caller does about an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum StoreErrorKind {
+    /// The database cannot be created or is locked: exit code 73.
+    CannotCreate,
+    /// A database of a newer schema: exit code 78.
+    NewerSchema,
+    /// Input or output failed: exit code 74.
+    Io,
+    /// What was asked for does not exist: exit code 1, HTTP 404.
+    NotFound,
+    /// What was asked for contradicts what is there: exit code 1, HTTP 409.
+    Conflict,
+    /// What was asked for makes no sense: exit code 2, HTTP 400.
+    Invalid,
+    /// The database is busy or full for now: HTTP 503.
+    Unavailable,
+    /// A fault in this program: exit code 1, HTTP 500.
+    Internal,
+}
+
+impl StoreError {
+    /// What to do about it.
+    #[must_use]
+    pub fn kind(&self) -> StoreErrorKind {
+        match self {
+            Self::Locked { .. } | Self::Create { .. } | Self::NetworkFileSystem { .. } | Self::Foreign { .. } => {
+                StoreErrorKind::CannotCreate
+            }
+            Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,
+            Self::Damaged { .. } | Self::Thread(_) | Self::Unwritten { .. } => StoreErrorKind::Io,
+            Self::NoDatabase { .. } | Self::NoSuchCapture { .. } | Self::NoSuchJob { .. } => StoreErrorKind::NotFound,
+            Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } => StoreErrorKind::Conflict,
+            Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
+            Self::Closed => StoreErrorKind::Unavailable,
+            Self::Sqlite(error) => kind_of(error),
+            Self::Migration(rusqlite_migration::Error::RusqliteError { err, .. }) => kind_of(err),
+            Self::SqliteTooOld { .. } | Self::Migration(_) | Self::Json(_) | Self::Unknown { .. } => {
+                StoreErrorKind::Internal
+            }
+        }
+    }
+
+    /// The state that the store is in after this error.
+    #[must_use]
+    pub fn storage_state(&self) -> StorageState {
+        match self {
+            Self::Sqlite(error) => match error.sqlite_error_code() {
+                Some(ErrorCode::DiskFull) => StorageState::StorageFull,
+                Some(ErrorCode::ReadOnly) => StorageState::StorageReadonly,
+                Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => StorageState::StorageLocked,
+                _ => StorageState::StorageError,
+            },
+            _ => StorageState::StorageError,
+        }
+    }
+
+    /// Whether the connection may be used on: the transaction was rolled back and nothing is in doubt.
+    pub(super) fn connection_is_sound(&self) -> bool {
+        matches!(self.storage_state(), StorageState::StorageFull | StorageState::StorageLocked)
+    }
+
+    /// Whether a long query was ended by its own caller.
+    #[must_use]
+    pub fn is_interrupted(&self) -> bool {
+        matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted))
+    }
+}
+
+fn kind_of(error: &rusqlite::Error) -> StoreErrorKind {
+    match error.sqlite_error_code() {
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked | ErrorCode::DiskFull) => StoreErrorKind::Unavailable,
+        Some(ErrorCode::CannotOpen) => StoreErrorKind::CannotCreate,
+        Some(
+            ErrorCode::SystemIoFailure
+            | ErrorCode::ReadOnly
+            | ErrorCode::DatabaseCorrupt
+            | ErrorCode::NotADatabase
+            | ErrorCode::PermissionDenied,
+        ) => StoreErrorKind::Io,
+        _ => StoreErrorKind::Internal,
+    }
+}

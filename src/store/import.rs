@@ -1,0 +1,158 @@
+//! Imports: a recording becomes a capture, whole or not at all, beside a running capture.
+//!
+//! Records come in the order of a capture's (segment, samples, gap, segment…) and are written in steps of a few tens of
+//! milliseconds, each in a transaction of its own, so that the running capture's commits are not held up. Until
+//! [`Import::finish`] nobody sees the new capture; an import that is dropped, fails or is killed leaves only rows that
+//! [`Store::purge_step`] takes away.
+
+use super::captures::{check_name, create, name_is_free};
+use super::insert::insert;
+use super::{NewCapture, Store, StoreError};
+use crate::sample::Record;
+use rusqlite::{Connection, OptionalExtension, params};
+
+/// Records written in one transaction.
+const STEP: usize = 4000;
+
+/// A capture that is being imported.
+#[derive(Debug)]
+pub struct Import {
+    store: Store,
+    id: i64,
+    name: Option<String>,
+    fingerprint: Option<String>,
+    pending: Vec<(i64, Record)>,
+    finished: bool,
+}
+
+/// What an import came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImportEnd {
+    /// A new capture.
+    Created(i64),
+    /// The same recording was there already, as this capture.
+    Known(i64),
+}
+
+impl ImportEnd {
+    /// The capture that holds the recording.
+    #[must_use]
+    pub fn id(self) -> i64 {
+        match self {
+            Self::Created(id) | Self::Known(id) => id,
+        }
+    }
+}
+
+impl Store {
+    /// The capture that the recording with this fingerprint has become, if it has.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn imported(&self, fingerprint: &str) -> Result<Option<i64>, StoreError> {
+        let fingerprint = fingerprint.to_owned();
+        self.execute(move |transaction| known(transaction, &fingerprint))
+    }
+
+    /// Begins an import. `fingerprint` names the recording's content: the same one makes one capture, however often it
+    /// is imported; without one every import makes a capture.
+    ///
+    /// # Errors
+    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or what the database says.
+    pub fn begin_import(&self, capture: NewCapture, fingerprint: Option<&str>) -> Result<Import, StoreError> {
+        let name = capture.name.clone();
+        if let Some(name) = &name {
+            check_name(name)?;
+        }
+        let utc_ns = self.utc_ns();
+        let fingerprint = fingerprint.map(str::to_owned);
+        let of_row = fingerprint.clone();
+        let id = self.execute(move |transaction| {
+            if let Some(name) = &capture.name {
+                let mine = match &of_row {
+                    Some(fingerprint) => known(transaction, fingerprint)?.is_some(),
+                    None => false,
+                };
+                if !mine && !name_is_free(transaction, name)? {
+                    return Err(StoreError::NameTaken { name: name.clone() });
+                }
+            }
+            create(transaction, &capture, utc_ns, "importing", of_row.as_deref())
+        })?;
+        Ok(Import { store: self.clone(), id, name, fingerprint, pending: Vec::with_capacity(STEP), finished: false })
+    }
+}
+
+impl Import {
+    /// The id that the capture will have.
+    #[must_use]
+    pub fn id(&self) -> i64 {
+        self.id
+    }
+
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// What the database says; the import is then to be dropped.
+    pub fn push(&mut self, record: Record) -> Result<(), StoreError> {
+        self.pending.push((self.id, record));
+        if self.pending.len() >= STEP { self.write() } else { Ok(()) }
+    }
+
+    fn write(&mut self) -> Result<(), StoreError> {
+        let records = std::mem::replace(&mut self.pending, Vec::with_capacity(STEP));
+        let utc_ns = self.store.utc_ns();
+        self.store.execute(move |transaction| insert(transaction, &records, utc_ns).map(drop))
+    }
+
+    /// Shows the capture to everybody. `ended_utc_ns` is when its recording ended, where that is known.
+    ///
+    /// # Errors
+    /// [`StoreError::NameTaken`] where the name was given away meanwhile, or what the database says.
+    pub fn finish(mut self, ended_utc_ns: Option<i64>) -> Result<ImportEnd, StoreError> {
+        self.write()?;
+        let (id, name, fingerprint) = (self.id, self.name.clone(), self.fingerprint.clone());
+        let end = self.store.execute(move |transaction| {
+            if let Some(fingerprint) = &fingerprint
+                && let Some(known) = known(transaction, fingerprint)?
+            {
+                transaction.execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1", [id])?;
+                return Ok(ImportEnd::Known(known));
+            }
+            if let Some(name) = name
+                && !name_is_free(transaction, &name)?
+            {
+                return Err(StoreError::NameTaken { name });
+            }
+            transaction.execute(
+                "UPDATE capture SET lifecycle = 'live', ended_utc_ns = coalesce(?2, ended_utc_ns) WHERE id = ?1",
+                params![id, ended_utc_ns],
+            )?;
+            Ok(ImportEnd::Created(id))
+        })?;
+        self.finished = true;
+        Ok(end)
+    }
+}
+
+impl Drop for Import {
+    fn drop(&mut self) {
+        if self.finished {
+            return;
+        }
+        let id = self.id;
+        let marked = self.store.execute(move |transaction| {
+            transaction
+                .execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1 AND lifecycle = 'importing'", [id])?;
+            Ok(())
+        });
+        if let Err(error) = marked {
+            tracing::warn!(message = "An unfinished import is cleared away at the next start.", id, %error);
+        }
+    }
+}
+
+fn known(connection: &Connection, fingerprint: &str) -> Result<Option<i64>, StoreError> {
+    let sql = "SELECT id FROM capture WHERE fingerprint = ?1 AND lifecycle = 'live'";
+    Ok(connection.prepare_cached(sql)?.query_row([fingerprint], |row| row.get(0)).optional()?)
+}

@@ -1,0 +1,332 @@
+//! From [`Record`]s to rows, inside the caller's transaction; the counters of a capture change with its rows or not at all.
+//!
+//! Writing the same records again adds nothing: samples are known by `(capture, seq)`, gaps by their place and times,
+//! and counters count rows that were really added. Events and rejections have no such key; the batch number in table
+//! `writer` keeps them single.
+//!
+//! A record that the schema refuses (an unknown capture, a rate of 0) is dropped, logged and counted in
+//! [`Inserted::refused`]: it must not hold up what comes behind it.
+
+use super::StoreError;
+use crate::sample::record::CaptureEnd;
+use crate::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
+use crate::units::NANOS_PER_SECOND;
+use rusqlite::{CachedStatement, Connection, ErrorCode, params};
+use std::collections::BTreeMap;
+
+/// What became of a batch.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Inserted {
+    /// Samples that each capture has now.
+    pub(super) committed: BTreeMap<i64, u64>,
+    /// Samples that were added.
+    pub(super) samples: u64,
+    /// Records that the schema refused.
+    pub(super) refused: u64,
+}
+
+/// What a batch adds to one capture.
+#[derive(Default)]
+struct Added {
+    samples: u64,
+    missing: u64,
+    gaps: u64,
+    segments: u64,
+    sample_time_ns: f64,
+    rate_hz: Option<f64>,
+    first_rate_hz: Option<f64>,
+    rejected: BTreeMap<DiscardCause, u64>,
+    ends: BTreeMap<u32, SegmentEnd>,
+    ended: Option<(CaptureEnd, i64)>,
+    first_utc_ns: Option<i64>,
+    next_seq: u64,
+}
+
+#[derive(Default)]
+struct SegmentEnd {
+    samples: u64,
+    device_time_ns: Option<u64>,
+    utc_ns: i64,
+}
+
+const INSERT_SAMPLE: &str = "INSERT INTO sample (capture_id, segment_id, seq, device_time_ns, host_mono_ns, host_utc_ns, \
+    yaw, pitch, roll, mag_x, mag_y, mag_z, accel_x, accel_y, accel_z, gyro_x, gyro_y, gyro_z, temperature, pressure, \
+    sync_count) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21) \
+    ON CONFLICT DO NOTHING";
+
+/// Writes the records in their order. `utc_ns` is the time of configurations, which carry none of their own.
+pub(super) fn insert(connection: &Connection, records: &[(i64, Record)], utc_ns: i64) -> Result<Inserted, StoreError> {
+    let mut captures: BTreeMap<i64, Option<Added>> = BTreeMap::new();
+    let mut inserted = Inserted::default();
+    let mut sample_statement = connection.prepare_cached(INSERT_SAMPLE)?;
+    for (capture_id, record) in records {
+        let added = match captures.entry(*capture_id) {
+            std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
+            std::collections::btree_map::Entry::Vacant(entry) => entry.insert(begin(connection, *capture_id)?),
+        };
+        let Some(added) = added else {
+            inserted.refused += 1;
+            continue;
+        };
+        let outcome = match record {
+            Record::Sample { seq, segment, sample } => {
+                insert_sample(&mut sample_statement, *capture_id, *segment, *seq, sample, added)
+            }
+            Record::Segment(segment) => insert_segment(connection, *capture_id, segment, added),
+            Record::Gap(gap) => insert_gap(connection, *capture_id, gap, added),
+            Record::Event(event) => insert_event(connection, *capture_id, event),
+            Record::Discarded { cause, count } => {
+                *added.rejected.entry(*cause).or_default() += count;
+                Ok(())
+            }
+            Record::Configuration(registers) => {
+                insert_configuration(connection, *capture_id, registers, added.next_seq, utc_ns)
+            }
+            Record::Ended { how, utc_ns } => {
+                added.ended = Some((*how, *utc_ns));
+                Ok(())
+            }
+        };
+        match outcome {
+            Err(StoreError::Sqlite(error)) if error.sqlite_error_code() == Some(ErrorCode::ConstraintViolation) => {
+                tracing::error!(message = "A record was refused by the schema.", capture_id, %error, ?record);
+                inserted.refused += 1;
+            }
+            other => other?,
+        }
+    }
+    for (capture_id, added) in captures {
+        let Some(added) = added else {
+            tracing::error!(message = "Records of a capture that does not exist were dropped.", capture_id);
+            continue;
+        };
+        inserted.samples += added.samples;
+        inserted.committed.insert(capture_id, finish(connection, capture_id, &added)?);
+    }
+    Ok(inserted)
+}
+
+/// What the capture has so far; None where there is no such capture.
+fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, StoreError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT samples, (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1) \
+         FROM capture WHERE id = ?1",
+    )?;
+    let mut rows = statement.query([capture_id])?;
+    let Some(row) = rows.next()? else { return Ok(None) };
+    let next_seq = row.get::<_, i64>(0)? as u64;
+    Ok(Some(Added { next_seq, rate_hz: row.get(1)?, ..Added::default() }))
+}
+
+fn insert_sample(
+    statement: &mut CachedStatement<'_>,
+    capture_id: i64,
+    segment: u32,
+    seq: u64,
+    sample: &Sample,
+    added: &mut Added,
+) -> Result<(), StoreError> {
+    statement.raw_bind_parameter(1, capture_id)?;
+    statement.raw_bind_parameter(2, segment)?;
+    statement.raw_bind_parameter(3, seq as i64)?;
+    // Bits kept: a clock beyond 2^63 ns comes back as it was.
+    statement.raw_bind_parameter(4, sample.device_time_ns.map(|ns| ns as i64))?;
+    statement.raw_bind_parameter(5, sample.host_mono_ns as i64)?;
+    statement.raw_bind_parameter(6, sample.host_utc_ns)?;
+    for channel in Channel::ALL {
+        statement.raw_bind_parameter(7 + channel as usize, sample.get(channel))?;
+    }
+    statement.raw_bind_parameter(7 + Channel::COUNT, sample.sync_count)?;
+    if statement.raw_execute()? == 0 {
+        return Ok(());
+    }
+    added.samples += 1;
+    added.next_seq = seq + 1;
+    if let Some(rate_hz) = added.rate_hz {
+        added.sample_time_ns += NANOS_PER_SECOND as f64 / rate_hz;
+    }
+    let end = added.ends.entry(segment).or_default();
+    end.samples += 1;
+    end.device_time_ns = sample.device_time_ns;
+    end.utc_ns = sample.host_utc_ns;
+    Ok(())
+}
+
+fn insert_segment(
+    connection: &Connection,
+    capture_id: i64,
+    segment: &Segment,
+    added: &mut Added,
+) -> Result<(), StoreError> {
+    let names: Vec<&str> = segment.channels.iter().map(Channel::name).collect();
+    let rows = connection
+        .prepare_cached(
+            "INSERT INTO segment (capture_id, segment_id, epoch, first_seq, rate_hz, timebase, channels, \
+             first_device_time_ns, first_utc_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT DO NOTHING",
+        )?
+        .execute(params![
+            capture_id,
+            segment.number,
+            segment.epoch,
+            segment.first_seq as i64,
+            segment.rate_hz,
+            timebase_name(segment.timebase),
+            serde_json::to_string(&names)?,
+            segment.first_device_time_ns.map(|ns| ns as i64),
+            segment.first_utc_ns,
+        ])?;
+    added.rate_hz = Some(segment.rate_hz);
+    if rows == 0 {
+        return Ok(());
+    }
+    added.segments += 1;
+    if segment.number == 1 {
+        added.first_rate_hz = Some(segment.rate_hz);
+        // 0 stands for a recording without host time.
+        added.first_utc_ns = Some(segment.first_utc_ns).filter(|ns| *ns != 0);
+    }
+    let ascii = matches!(segment.timebase, Timebase::Arrival | Timebase::SyncCounter);
+    let mut channel_statement = connection.prepare_cached(
+        "INSERT INTO channel (capture_id, channel, unit, resolution) VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
+    )?;
+    for channel in segment.channels.iter() {
+        // Only ASCII messages come without device time, and their decimals are known.
+        let resolution = ascii.then(|| 10f64.powi(-(channel.ascii_decimals() as i32)));
+        channel_statement.execute(params![capture_id, channel.name(), channel.unit(), resolution])?;
+    }
+    Ok(())
+}
+
+fn insert_gap(connection: &Connection, capture_id: i64, gap: &Gap, added: &mut Added) -> Result<(), StoreError> {
+    let rows = connection
+        .prepare_cached(
+            "INSERT INTO gap (capture_id, before_seq, from_utc_ns, to_utc_ns, from_device_ns, to_device_ns, missing, \
+             missing_exact, cause) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT DO NOTHING",
+        )?
+        .execute(params![
+            capture_id,
+            gap.before_seq as i64,
+            gap.from_utc_ns,
+            gap.to_utc_ns,
+            gap.device_ns.map(|(from, _)| from as i64),
+            gap.device_ns.map(|(_, to)| to as i64),
+            gap.missing as i64,
+            gap.missing_exact,
+            gap.cause.name(),
+        ])?;
+    if rows == 1 {
+        added.gaps += 1;
+        added.missing += gap.missing;
+        if let Some(rate_hz) = added.rate_hz {
+            added.sample_time_ns += gap.missing as f64 * NANOS_PER_SECOND as f64 / rate_hz;
+        }
+    }
+    Ok(())
+}
+
+fn insert_event(connection: &Connection, capture_id: i64, event: &EventRecord) -> Result<(), StoreError> {
+    let detail = event.detail.as_ref().map(serde_json::Value::to_string);
+    connection
+        .prepare_cached("INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)")?
+        .execute(params![capture_id, event.utc_ns, event.kind.name(), event.message, detail])?;
+    Ok(())
+}
+
+fn insert_configuration(
+    connection: &Connection,
+    capture_id: i64,
+    registers: &serde_json::Value,
+    before_seq: u64,
+    utc_ns: i64,
+) -> Result<(), StoreError> {
+    connection
+        .prepare_cached(
+            "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)",
+        )?
+        .execute(params![capture_id, utc_ns, before_seq as i64, registers.to_string()])?;
+    let (sensor, configuration) = split_description(registers);
+    connection
+        .prepare_cached(
+            "UPDATE capture SET sensor = coalesce(sensor, ?2), configuration = coalesce(configuration, ?3) WHERE id = ?1",
+        )?
+        .execute(params![capture_id, sensor, configuration])?;
+    Ok(())
+}
+
+/// A description `{"sensor": {…}, "configuration": {…}}` is taken apart; any other is the configuration as a whole, and
+/// the sensor is what it says of model, serial number and firmware.
+fn split_description(registers: &serde_json::Value) -> (Option<String>, Option<String>) {
+    let part = |name: &str| registers.get(name).filter(|part| part.is_object()).map(serde_json::Value::to_string);
+    if let (Some(sensor), Some(configuration)) = (part("sensor"), part("configuration")) {
+        return (Some(sensor), Some(configuration));
+    }
+    let identity: serde_json::Map<String, serde_json::Value> =
+        ["model", "serial_number", "firmware", "hardware_revision"]
+            .into_iter()
+            .filter_map(|name| registers.get(name).map(|value| (name.to_owned(), value.clone())))
+            .collect();
+    let sensor = (!identity.is_empty()).then(|| serde_json::Value::Object(identity).to_string());
+    (sensor, Some(registers.to_string()))
+}
+
+/// Brings the counters up to date; answers how many samples the capture has now.
+fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64, StoreError> {
+    let mut end_statement = connection.prepare_cached(
+        "UPDATE segment SET samples = samples + ?3, last_device_time_ns = ?4, last_utc_ns = ?5 \
+         WHERE capture_id = ?1 AND segment_id = ?2",
+    )?;
+    for (segment, end) in &added.ends {
+        let device_time_ns = end.device_time_ns.map(|ns| ns as i64);
+        end_statement.execute(params![capture_id, segment, end.samples as i64, device_time_ns, end.utc_ns])?;
+    }
+    let mut rejected_statement = connection.prepare_cached(
+        "INSERT INTO rejected (capture_id, cause, count) VALUES (?1, ?2, ?3) \
+         ON CONFLICT (capture_id, cause) DO UPDATE SET count = count + excluded.count",
+    )?;
+    for (cause, count) in &added.rejected {
+        rejected_statement.execute(params![capture_id, cause.name(), *count as i64])?;
+    }
+    let state = added.ended.map(|(how, _)| match how {
+        CaptureEnd::Complete => "complete",
+        CaptureEnd::Stopped => "stopped",
+    });
+    let samples: i64 = connection
+        .prepare_cached(
+            "UPDATE capture SET samples = samples + ?2, missing = missing + ?3, gaps = gaps + ?4, \
+             segments = segments + ?5, sample_time_ns = sample_time_ns + ?6, rate_hz = coalesce(?7, rate_hz), \
+             started_utc_ns = coalesce(started_utc_ns, ?8), state = coalesce(?9, CASE WHEN state = 'waiting' AND ?5 > 0 THEN 'capturing' ELSE state END), \
+             ended_utc_ns = coalesce(?10, ended_utc_ns) WHERE id = ?1 RETURNING samples",
+        )?
+        .query_row(
+            params![
+                capture_id,
+                added.samples as i64,
+                added.missing as i64,
+                added.gaps as i64,
+                added.segments as i64,
+                added.sample_time_ns.round() as i64,
+                added.first_rate_hz,
+                added.first_utc_ns,
+                state,
+                added.ended.map(|(_, utc_ns)| utc_ns),
+            ],
+            |row| row.get(0),
+        )?;
+    Ok(samples as u64)
+}
+
+pub(super) fn timebase_name(timebase: Timebase) -> &'static str {
+    match timebase {
+        Timebase::Device => "device",
+        Timebase::SyncCounter => "sync_counter",
+        Timebase::Arrival => "arrival",
+        Timebase::Stamps => "stamps",
+        Timebase::Rate => "rate",
+    }
+}
+
+pub(super) fn timebase_from_name(name: &str) -> Option<Timebase> {
+    [Timebase::Device, Timebase::SyncCounter, Timebase::Arrival, Timebase::Stamps, Timebase::Rate]
+        .into_iter()
+        .find(|timebase| timebase_name(*timebase) == name)
+}

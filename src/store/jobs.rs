@@ -1,0 +1,381 @@
+//! Jobs: durable states of background work. What a job computes is `jobs`' affair; here is what survives a kill.
+
+use super::captures::json_of;
+use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
+use rusqlite::types::Value as Sql;
+use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_from_iter};
+use serde::{Deserialize, Serialize};
+
+/// Starts without a checkpoint in between after which a job is taken to be the cause of the program's ends.
+pub const ATTEMPTS_MAX: u32 = 3;
+
+/// What a job is doing or how it ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// It waits for its turn.
+    Queued,
+    /// It is being worked on.
+    Running,
+    /// Its result is there.
+    Done,
+    /// It cannot be done; `error` says why.
+    Failed,
+    /// Somebody called it off.
+    Cancelled,
+}
+
+impl JobState {
+    /// All states.
+    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+    /// The state of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+}
+
+/// Work that is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewJob {
+    /// Which computation.
+    pub kind: String,
+    /// The capture it reads.
+    pub capture_id: i64,
+    /// Its parameters (a JSON object).
+    pub params: serde_json::Value,
+}
+
+/// A job as the interfaces show it.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct JobRow {
+    /// Its id.
+    pub id: i64,
+    /// Which computation.
+    pub kind: String,
+    /// The capture it reads.
+    pub capture: i64,
+    /// Its parameters.
+    #[schema(value_type = Object)]
+    pub params: serde_json::Value,
+    /// It reads the samples with `seq` below this, fixed when it was submitted.
+    pub end_seq: u64,
+    /// What it is doing or how it ended.
+    pub state: JobState,
+    /// How far it has come, 0–1; never goes back.
+    pub progress: f64,
+    /// When it was submitted.
+    pub created_at: UtcNs,
+    /// When it was first begun.
+    pub started_at: Option<UtcNs>,
+    /// When it ended.
+    pub finished_at: Option<UtcNs>,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// The id of its result.
+    pub result_id: Option<i64>,
+}
+
+/// Where a job goes on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct JobCheckpoint {
+    /// The first sample not yet taken in.
+    pub next_seq: u64,
+    /// What the computation has so far, in its own encoding.
+    pub state: Vec<u8>,
+}
+
+const JOB_COLUMNS: &str = "id, kind, capture_id, params, end_seq, state, progress, created_utc_ns, started_utc_ns, \
+    finished_utc_ns, error, result_id";
+
+fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
+    let state: String = row.get(5)?;
+    let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));
+    Ok(JobRow {
+        id: row.get(0)?,
+        kind: row.get(1)?,
+        capture: row.get(2)?,
+        params: json_of(row, 3)?.unwrap_or_default(),
+        end_seq: row.get::<_, i64>(4)? as u64,
+        state: JobState::from_name(&state).ok_or(StoreError::Unknown { column: "job.state", found: state })?,
+        progress: row.get(6)?,
+        created_at: UtcNs(row.get(7)?),
+        started_at: time(8)?,
+        finished_at: time(9)?,
+        error: row.get(10)?,
+        result_id: row.get(11)?,
+    })
+}
+
+fn job(connection: &Connection, id: i64) -> Result<Option<JobRow>, StoreError> {
+    let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE id = ?1");
+    let mut statement = connection.prepare_cached(&sql)?;
+    let mut rows = statement.query([id])?;
+    rows.next()?.map(job_of).transpose()
+}
+
+/// Objects with their keys in order, whatever order they came in: the same parameters make the same text.
+fn canonical(value: &serde_json::Value) -> String {
+    match value {
+        serde_json::Value::Object(map) => {
+            let mut entries: Vec<_> = map.iter().collect();
+            entries.sort_by_key(|(key, _)| key.as_str());
+            let inner: Vec<String> = entries
+                .into_iter()
+                .map(|(key, value)| format!("{}:{}", serde_json::Value::from(key.as_str()), canonical(value)))
+                .collect();
+            format!("{{{}}}", inner.join(","))
+        }
+        serde_json::Value::Array(values) => {
+            let inner: Vec<String> = values.iter().map(canonical).collect();
+            format!("[{}]", inner.join(","))
+        }
+        scalar => scalar.to_string(),
+    }
+}
+
+impl Store {
+    /// Queues a job over the samples that are on disk now; answers it, and whether it is new. The same submission (kind,
+    /// capture, samples, parameters, software) is the same job, unless that one failed or was cancelled.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    pub fn submit_job(&self, new: NewJob) -> Result<(JobRow, bool), StoreError> {
+        let utc_ns = self.utc_ns();
+        self.execute(move |transaction| submit(transaction, &new, utc_ns))
+    }
+
+    /// Takes the oldest queued job and marks it as running. One that was begun [`ATTEMPTS_MAX`] times and never reached
+    /// its next checkpoint has brought the program down each time: it fails.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
+        let utc_ns = self.utc_ns();
+        self.execute(move |transaction| {
+            transaction.execute(
+                "UPDATE job SET state = 'failed', finished_utc_ns = ?2, \
+                 error = 'begun ' || attempts || ' times, the program ended each time before a step was done' \
+                 WHERE state = 'queued' AND attempts >= ?1",
+                params![ATTEMPTS_MAX, utc_ns],
+            )?;
+            let sql = "SELECT id FROM job WHERE state = 'queued' ORDER BY id LIMIT 1";
+            let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
+                return Ok(None);
+            };
+            transaction.execute(
+                "UPDATE job SET state = 'running', attempts = attempts + 1, \
+                 started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1",
+                params![id, utc_ns],
+            )?;
+            job(transaction, id)
+        })
+    }
+
+    /// Keeps where a running job has come to. Answers false where the job was cancelled or deleted: it is to end.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn checkpoint_job(&self, id: i64, checkpoint: JobCheckpoint, progress: f64) -> Result<bool, StoreError> {
+        self.execute(move |transaction| {
+            let running = transaction
+                .prepare_cached(
+                    "UPDATE job SET progress = max(progress, ?2), attempts = 0 WHERE id = ?1 AND state = 'running'",
+                )?
+                .execute(params![id, progress.clamp(0.0, 1.0)])?;
+            if running == 1 {
+                transaction
+                    .prepare_cached(
+                        "INSERT INTO job_checkpoint (job_id, next_seq, state) VALUES (?1, ?2, ?3) \
+                         ON CONFLICT (job_id) DO UPDATE SET next_seq = excluded.next_seq, state = excluded.state",
+                    )?
+                    .execute(params![id, checkpoint.next_seq as i64, checkpoint.state])?;
+            }
+            Ok(running == 1)
+        })
+    }
+
+    /// Keeps a running job's result (a JSON document) and marks the job as done; answers the result's id. None where the
+    /// job was cancelled or deleted meanwhile.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn finish_job(&self, id: i64, body: String) -> Result<Option<i64>, StoreError> {
+        let utc_ns = self.utc_ns();
+        self.execute(move |transaction| {
+            let Some(job) = job(transaction, id)?.filter(|job| job.state == JobState::Running) else { return Ok(None) };
+            transaction.execute(
+                "INSERT INTO result (job_id, capture_id, kind, software, created_utc_ns, body) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                params![id, job.capture, job.kind, SOFTWARE, utc_ns, body],
+            )?;
+            let result_id = transaction.last_insert_rowid();
+            transaction.execute(
+                "UPDATE job SET state = 'done', progress = 1, attempts = 0, finished_utc_ns = ?2, result_id = ?3 \
+                 WHERE id = ?1",
+                params![id, utc_ns, result_id],
+            )?;
+            transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            Ok(Some(result_id))
+        })
+    }
+
+    /// Marks a running job as failed.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn fail_job(&self, id: i64, error: &str) -> Result<(), StoreError> {
+        let (error, utc_ns) = (error.to_owned(), self.utc_ns());
+        self.execute(move |transaction| {
+            transaction.execute(
+                "UPDATE job SET state = 'failed', error = ?2, finished_utc_ns = ?3 WHERE id = ?1 AND state = 'running'",
+                params![id, error, utc_ns],
+            )?;
+            transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            Ok(())
+        })
+    }
+
+    /// Puts a running job back into the queue, with its checkpoint: the program ends in good order.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn release_job(&self, id: i64) -> Result<(), StoreError> {
+        self.execute(move |transaction| {
+            transaction.execute(
+                "UPDATE job SET state = 'queued', attempts = max(attempts - 1, 0) WHERE id = ?1 AND state = 'running'",
+                [id],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// Calls a queued or running job off; a running one ends at its next checkpoint.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchJob`], [`StoreError::JobEnded`], or what the database says.
+    pub fn cancel_job(&self, id: i64) -> Result<(), StoreError> {
+        let utc_ns = self.utc_ns();
+        self.execute(move |transaction| {
+            let job = job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?;
+            if !matches!(job.state, JobState::Queued | JobState::Running) {
+                return Err(StoreError::JobEnded { id, state: job.state.name() });
+            }
+            transaction.execute(
+                "UPDATE job SET state = 'cancelled', finished_utc_ns = ?2 WHERE id = ?1",
+                params![id, utc_ns],
+            )?;
+            transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            Ok(())
+        })
+    }
+}
+
+fn submit(transaction: &Transaction<'_>, new: &NewJob, utc_ns: i64) -> Result<(JobRow, bool), StoreError> {
+    let sql = "SELECT samples FROM capture WHERE id = ?1 AND lifecycle = 'live'";
+    let end_seq: i64 = transaction
+        .query_row(sql, [new.capture_id], |row| row.get(0))
+        .optional()?
+        .ok_or_else(|| StoreError::NoSuchCapture { asked: new.capture_id.to_string() })?;
+    let fingerprint = canonical(&serde_json::json!({
+        "kind": new.kind, "capture": new.capture_id, "end_seq": end_seq, "params": new.params, "software": SOFTWARE,
+    }));
+    let sql = "SELECT id FROM job WHERE fingerprint = ?1 AND state IN ('queued', 'running', 'done')";
+    let known: Option<i64> = transaction.query_row(sql, [&fingerprint], |row| row.get(0)).optional()?;
+    let (id, is_new) = match known {
+        Some(id) => (id, false),
+        None => {
+            transaction.execute(
+                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, state, created_utc_ns) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, 'queued', ?6)",
+                params![new.kind, new.capture_id, new.params.to_string(), end_seq, fingerprint, utc_ns],
+            )?;
+            (transaction.last_insert_rowid(), true)
+        }
+    };
+    Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?, is_new))
+}
+
+impl Reader {
+    /// One job.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchJob`], or what the database says.
+    pub fn job(&self, id: i64) -> Result<JobRow, StoreError> {
+        job(&self.connection, id)?.ok_or(StoreError::NoSuchJob { id })
+    }
+
+    /// Jobs, the latest first; only a capture's, or only those in a state, where asked for.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn jobs(
+        &self,
+        capture_id: Option<i64>,
+        state: Option<JobState>,
+        page: &PageRequest,
+    ) -> Result<Page<JobRow>, StoreError> {
+        let mut sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE id < ?");
+        let mut values = vec![Sql::Integer(page.after("jobs")?.unwrap_or(i64::MAX))];
+        if let Some(capture_id) = capture_id {
+            sql.push_str(" AND capture_id = ?");
+            values.push(Sql::Integer(capture_id));
+        }
+        if let Some(state) = state {
+            sql.push_str(" AND state = ?");
+            values.push(Sql::Text(state.name().to_owned()));
+        }
+        sql.push_str(" ORDER BY id DESC LIMIT ?");
+        values.push(Sql::Integer(page.limit() as i64 + 1));
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query(params_from_iter(values))?;
+        let mut jobs = Vec::new();
+        while let Some(row) = rows.next()? {
+            let job = job_of(row)?;
+            jobs.push((job.id, job));
+        }
+        Ok(Page::cut(jobs, page.limit(), "jobs"))
+    }
+
+    /// The job submitted last for this capture and kind, whatever became of it.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn latest_job(&self, capture_id: i64, kind: &str) -> Result<Option<JobRow>, StoreError> {
+        let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query(params![capture_id, kind])?;
+        rows.next()?.map(job_of).transpose()
+    }
+
+    /// Where a job goes on; None before its first checkpoint.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn checkpoint(&self, job_id: i64) -> Result<Option<JobCheckpoint>, StoreError> {
+        let sql = "SELECT next_seq, state FROM job_checkpoint WHERE job_id = ?1";
+        let read = |row: &Row<'_>| Ok(JobCheckpoint { next_seq: row.get::<_, i64>(0)? as u64, state: row.get(1)? });
+        Ok(self.connection.prepare_cached(sql)?.query_row([job_id], read).optional()?)
+    }
+
+    /// How many jobs are in a state.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn count_jobs(&self, state: JobState) -> Result<u64, StoreError> {
+        let sql = "SELECT count(*) FROM job WHERE state = ?1";
+        let count: i64 = self.connection.prepare_cached(sql)?.query_row([state.name()], |row| row.get(0))?;
+        Ok(count as u64)
+    }
+}

@@ -1,0 +1,279 @@
+//! The store: SQLite, and the only room that says `rusqlite`.
+//!
+//! In: [`Record`]s of captures through [`RecordSender`], commands as methods of [`Store`]. Out: typed rows through
+//! [`Reader`]. One process writes a database ([`StoreError::Locked`] names the other), through one thread and one
+//! connection (`writer`); any number read beside it, never for longer than one short query.
+//!
+//! Promised: what [`WriterProgress::committed`] counts survives kill -9 and power loss (WAL, `synchronous=FULL`); a
+//! record waits at most a second for its commit; a commit that fails loses nothing, it is tried again while the queue
+//! absorbs. Refused: network file systems, files of other programs (left untouched), databases of a newer schema.
+//!
+//! Methods of [`Store`] block until their transaction is committed: from asynchronous code call them through
+//! [`Store::offload`].
+
+mod captures;
+mod error;
+mod import;
+mod insert;
+mod jobs;
+mod lock;
+mod page;
+mod reader;
+mod results;
+mod samples;
+mod schema;
+mod times;
+mod trail;
+mod writer;
+
+#[cfg(test)]
+mod data_model;
+#[cfg(test)]
+mod tests;
+
+pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NewCapture, Unfinished};
+pub use error::{StoreError, StoreErrorKind};
+pub use import::{Import, ImportEnd};
+pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob};
+pub use page::{Page, PageRequest};
+pub use reader::{Interrupt, PooledReader, Reader, ReaderPool};
+pub use results::ResultRow;
+pub use samples::{Chunk, SeqRange, Times};
+pub use schema::{APPLICATION_ID, schema_version};
+pub use times::UtcNs;
+pub use trail::{ConfigurationRow, EventRow, GapRow, SegmentRow};
+pub use writer::{BYTES_PER_SAMPLE, COMMIT_AFTER, COMMIT_RECORDS, RecordSender, Refused, WriterProgress};
+
+use crate::clock::{Clock, SystemClock};
+use crate::observe::StorageStatus;
+use rusqlite::Transaction;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::{mpsc, oneshot};
+use writer::{Command, Failure, SharedProgress, Writer};
+
+/// Name and version of this program, as captures and results keep it.
+pub const SOFTWARE: &str = concat!("vn100d ", env!("CARGO_PKG_VERSION"));
+/// The smallest queue between reader and disk, in records: 30 s at 800 Hz.
+pub const QUEUE_MIN: usize = 24_000;
+
+/// How large the queue must be for 30 s of data at `rate_hz`, at least [`QUEUE_MIN`].
+#[must_use]
+pub fn queue_capacity(rate_hz: f64) -> usize {
+    QUEUE_MIN.max((30.0 * rate_hz).ceil() as usize)
+}
+
+/// How a store is opened.
+#[derive(Debug, Clone)]
+pub struct StoreOptions {
+    /// Records that the queue holds ([`queue_capacity`]).
+    pub queue: usize,
+    /// The clock that rows without a time of their own are stamped with.
+    pub clock: Arc<dyn Clock>,
+}
+
+impl Default for StoreOptions {
+    fn default() -> Self {
+        Self { queue: QUEUE_MIN, clock: Arc::new(SystemClock) }
+    }
+}
+
+/// A database opened for writing; cheap to clone. The last clone that is dropped writes what is left and closes it.
+#[derive(Debug, Clone)]
+pub struct Store {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    path: PathBuf,
+    clock: Arc<dyn Clock>,
+    records: RecordSender,
+    commands: mpsc::UnboundedSender<Command>,
+    progress: SharedProgress,
+    thread: Mutex<Option<std::thread::JoinHandle<Result<(), StoreError>>>>,
+}
+
+impl Store {
+    /// Opens the database at `path` for writing; directories and file are made where they are missing, an older schema
+    /// is brought up to date.
+    ///
+    /// # Errors
+    /// [`StoreError`] of kind `CannotCreate` (locked, not ours, cannot be made), `NewerSchema` or `Io`.
+    pub fn open(path: &Path, options: StoreOptions) -> Result<Self, StoreError> {
+        let create = |source| StoreError::Create { path: path.to_owned(), source };
+        let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        std::fs::create_dir_all(directory)
+            .map_err(|source| StoreError::Create { path: directory.to_owned(), source })?;
+        let name = path.file_name().ok_or_else(|| create(std::io::ErrorKind::InvalidInput.into()))?;
+        // Links are followed once, before the lock: two names of one file must meet at one lock.
+        let path = match path.canonicalize() {
+            Ok(path) => path,
+            Err(_) => directory.canonicalize().map_err(create)?.join(name),
+        };
+        lock::refuse_network_file_system(&path)?;
+        let writer_lock = lock::WriterLock::take(&path)?;
+        let mut connection = schema::open_and_migrate(&path)?;
+        captures::tidy_after_start(&mut connection)?;
+
+        let (record_sender, record_receiver) = mpsc::channel(options.queue);
+        let (command_sender, command_receiver) = mpsc::unbounded_channel();
+        let progress = SharedProgress::default();
+        let writer = Writer::new(
+            path.clone(),
+            Arc::clone(&options.clock),
+            connection,
+            record_receiver,
+            command_receiver,
+            Arc::clone(&progress),
+        )?;
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(StoreError::Thread)?;
+        let thread = std::thread::Builder::new()
+            .name("writer".to_owned())
+            .spawn(move || {
+                let outcome = runtime.block_on(writer.run());
+                drop(writer_lock);
+                outcome
+            })
+            .map_err(StoreError::Thread)?;
+        Ok(Self {
+            inner: Arc::new(Inner {
+                path,
+                clock: options.clock,
+                records: RecordSender(record_sender),
+                commands: command_sender,
+                progress,
+                thread: Mutex::new(Some(thread)),
+            }),
+        })
+    }
+
+    /// Where the database is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.inner.path
+    }
+
+    /// The way for records into the queue.
+    #[must_use]
+    pub fn records(&self) -> RecordSender {
+        self.inner.records.clone()
+    }
+
+    /// How the writer is; from memory.
+    #[must_use]
+    pub fn progress(&self) -> WriterProgress {
+        writer::locked(&self.inner.progress).clone()
+    }
+
+    /// The same for the status page; from memory, never waits for the disk.
+    #[must_use]
+    pub fn status(&self) -> StorageStatus {
+        let progress = self.progress();
+        let now = SystemClock.mono_ns();
+        let growth = progress.samples_per_s * BYTES_PER_SAMPLE;
+        StorageStatus {
+            state: progress.state,
+            database: self.inner.path.display().to_string(),
+            database_bytes: progress.database_bytes,
+            wal_bytes: progress.wal_bytes,
+            free_bytes: progress.free_bytes,
+            time_to_full_s: (growth > 1.0).then(|| progress.free_bytes as f64 / growth),
+            last_commit_age_s: progress.last_commit_mono_ns.map(|at| now.saturating_sub(at) as f64 / 1e9),
+            last_commit_s: progress.last_commit.map(|took| took.as_secs_f64()),
+            queued: (self.inner.records.queued() + progress.in_flight) as u64,
+            error: progress.error,
+        }
+    }
+
+    /// A connection for reading.
+    ///
+    /// # Errors
+    /// [`StoreError`] where it cannot be opened.
+    pub fn reader(&self) -> Result<Reader, StoreError> {
+        Reader::open(&self.inner.path)
+    }
+
+    /// Waits until everything that is in the queue now is on disk; as long as the disk refuses, so long.
+    ///
+    /// # Errors
+    /// [`StoreError::Closed`] where the writer has ended.
+    pub async fn flush(&self) -> Result<(), StoreError> {
+        let (reply, answer) = oneshot::channel();
+        self.inner.commands.send(Command::Flush(reply)).map_err(|_| StoreError::Closed)?;
+        answer.await.map_err(|_| StoreError::Closed)
+    }
+
+    /// As [`Self::flush`], from a thread outside the asynchronous runtime.
+    ///
+    /// # Errors
+    /// [`StoreError::Closed`] where the writer has ended.
+    pub fn flush_blocking(&self) -> Result<(), StoreError> {
+        let (reply, answer) = oneshot::channel();
+        self.inner.commands.send(Command::Flush(reply)).map_err(|_| StoreError::Closed)?;
+        answer.blocking_recv().map_err(|_| StoreError::Closed)
+    }
+
+    /// Runs one of the store's blocking methods on a thread for such work: `store.offload(move |s| s.pin(7, true)).await`.
+    ///
+    /// # Errors
+    /// Whatever the method reports; [`StoreError::Closed`] where it could not be run.
+    pub async fn offload<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Self) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let store = self.clone();
+        tokio::task::spawn_blocking(move || work(&store)).await.map_err(|_| StoreError::Closed)?
+    }
+
+    /// Runs `work` on the writer's thread in a transaction of its own and answers once that is committed. After an I/O
+    /// error at the commit itself it may be there all the same: commands are made so that they can be given again.
+    pub(crate) fn execute<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let (reply, answer) = std::sync::mpsc::sync_channel(1);
+        let job = move |connection: Result<&mut rusqlite::Connection, StoreError>| {
+            let result = connection.and_then(|connection| writer::in_transaction(connection, work));
+            let failure = result.as_ref().err().filter(|error| writer::concerns_storage(error)).map(Failure::of);
+            // Whoever asked may be gone.
+            let _ = reply.send(result);
+            failure
+        };
+        self.inner.commands.send(Command::Run(Box::new(job))).map_err(|_| StoreError::Closed)?;
+        answer.recv().map_err(|_| StoreError::Closed)?
+    }
+
+    /// The clock's civil time.
+    pub(crate) fn utc_ns(&self) -> i64 {
+        self.inner.clock.utc_ns()
+    }
+
+    /// Writes everything that is in the queue, empties the log and closes the database. Further calls answer
+    /// [`StoreError::Closed`].
+    ///
+    /// # Errors
+    /// [`StoreError::Unwritten`] where the disk refused to the end.
+    pub fn close(&self) -> Result<(), StoreError> {
+        self.inner.close()
+    }
+}
+
+impl Inner {
+    fn close(&self) -> Result<(), StoreError> {
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(thread) = thread else { return Ok(()) };
+        // A writer that has ended already takes no command.
+        let _ = self.commands.send(Command::Stop);
+        thread.join().map_err(|_| StoreError::Closed)?
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        if let Err(error) = self.close() {
+            tracing::error!(message = "The store could not be closed cleanly.", %error);
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Pages of lists by keyset: a cursor names the last row that was given, so that rows which come and go in between
+//! neither repeat nor hide others.
+
+use super::StoreError;
+
+/// Rows of a page where nothing else is asked for.
+pub const LIMIT: u32 = 100;
+/// The most rows of a page.
+pub const LIMIT_MAX: u32 = 1000;
+
+/// Which part of a list is wanted.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct PageRequest {
+    /// How many rows, 1–1000; 100 where absent. Larger numbers are taken as 1000.
+    pub limit: Option<u32>,
+    /// `next` of the page before; the first page where absent.
+    pub cursor: Option<String>,
+}
+
+/// A part of a list.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Page<T> {
+    /// The rows.
+    pub rows: Vec<T>,
+    /// The cursor of the next page; absent on the last.
+    pub next: Option<String>,
+}
+
+impl PageRequest {
+    /// Everything a page can hold, from the start.
+    #[must_use]
+    pub fn first() -> Self {
+        Self { limit: Some(LIMIT_MAX), cursor: None }
+    }
+
+    pub(super) fn limit(&self) -> usize {
+        self.limit.unwrap_or(LIMIT).clamp(1, LIMIT_MAX) as usize
+    }
+
+    /// The key after which the page begins. `list` keeps the cursor of one list from being used on another.
+    pub(super) fn after(&self, list: &str) -> Result<Option<i64>, StoreError> {
+        let Some(cursor) = &self.cursor else { return Ok(None) };
+        cursor
+            .strip_prefix(list)
+            .and_then(|rest| rest.strip_prefix("-1-"))
+            .and_then(|key| u64::from_str_radix(key, 36).ok())
+            .and_then(|key| i64::try_from(key).ok())
+            .map(Some)
+            .ok_or_else(|| StoreError::BadCursor { found: cursor.chars().take(64).collect() })
+    }
+}
+
+impl<T> Page<T> {
+    /// A page from up to `limit + 1` rows: the one too many tells that there is more.
+    pub(super) fn cut(mut rows: Vec<(i64, T)>, limit: usize, list: &str) -> Self {
+        let more = rows.len() > limit;
+        rows.truncate(limit);
+        let next = rows.last().filter(|_| more).map(|(key, _)| format!("{list}-1-{}", base36(*key)));
+        Self { rows: rows.into_iter().map(|(_, row)| row).collect(), next }
+    }
+}
+
+fn base36(key: i64) -> String {
+    let mut rest = key.max(0) as u64;
+    let mut digits = Vec::new();
+    loop {
+        digits.extend(char::from_digit((rest % 36) as u32, 36));
+        rest /= 36;
+        if rest == 0 {
+            break;
+        }
+    }
+    digits.iter().rev().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cursor_leads_on_in_its_own_list_only() {
+        let page = Page::cut(vec![(7, 'a'), (1_000_000, 'b'), (2_000_000, 'c')], 2, "gaps");
+        assert_eq!(page.rows, ['a', 'b']);
+        let next = PageRequest { limit: None, cursor: page.next };
+        assert_eq!(next.after("gaps").unwrap(), Some(1_000_000));
+        assert!(matches!(next.after("events"), Err(StoreError::BadCursor { .. })));
+        for bad in ["", "gaps", "gaps-1-", "gaps-2-a", "gaps-1--1", "gaps-1-zzzzzzzzzzzzzz", "gaps-1-é"] {
+            let request = PageRequest { limit: None, cursor: Some(bad.to_owned()) };
+            assert!(request.after("gaps").is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_last_page_has_no_next() {
+        assert_eq!(Page::cut(vec![(1, ()), (2, ())], 2, "x").next, None);
+        assert_eq!(Page::<()>::cut(vec![], 2, "x").next, None);
+    }
+}

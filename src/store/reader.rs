@@ -1,0 +1,118 @@
+//! Readers: connections that cannot write, usable beside a running daemon, and a pool of them.
+//!
+//! Every method is one short query; none leaves a read transaction open, because an open one keeps the log from being
+//! emptied (an hour's worth of data: 168 MB).
+
+use super::{StoreError, schema};
+use rusqlite::{Connection, InterruptHandle};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Connections that the pool keeps for the next one who asks.
+const IDLE_MAX: usize = 16;
+
+/// A connection for reading.
+#[derive(Debug)]
+pub struct Reader {
+    pub(super) connection: Connection,
+}
+
+impl Reader {
+    /// Opens the database at `path` for reading; no lock is needed.
+    ///
+    /// # Errors
+    /// [`StoreError::NoDatabase`], [`StoreError::Foreign`], [`StoreError::NewerSchema`], [`StoreError::OlderSchema`] or
+    /// what SQLite says.
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        Ok(Self { connection: schema::reader_connection(path)? })
+    }
+
+    /// A handle with which another thread ends a query of this reader that takes too long.
+    #[must_use]
+    pub fn interrupt(&self) -> Interrupt {
+        Interrupt(Arc::new(self.connection.get_interrupt_handle()))
+    }
+}
+
+/// Ends a running query; the query then answers an error for which [`StoreError::is_interrupted`] holds.
+#[derive(Clone)]
+pub struct Interrupt(Arc<InterruptHandle>);
+
+impl Interrupt {
+    /// Ends the query that runs now, if one does.
+    pub fn interrupt(&self) {
+        self.0.interrupt();
+    }
+}
+
+impl std::fmt::Debug for Interrupt {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Interrupt")
+    }
+}
+
+/// Readers that are lent out and come back; cheap to clone.
+#[derive(Debug, Clone)]
+pub struct ReaderPool {
+    path: PathBuf,
+    idle: Arc<Mutex<Vec<Reader>>>,
+}
+
+impl ReaderPool {
+    /// A pool for the database at `path`; connections are opened as they are asked for.
+    #[must_use]
+    pub fn new(path: &Path) -> Self {
+        Self { path: path.to_owned(), idle: Arc::default() }
+    }
+
+    /// A reader; it goes back when dropped.
+    ///
+    /// # Errors
+    /// As [`Reader::open`].
+    pub fn get(&self) -> Result<PooledReader, StoreError> {
+        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let reader = match idle {
+            Some(reader) => reader,
+            None => Reader::open(&self.path)?,
+        };
+        Ok(PooledReader { reader: Some(reader), idle: Arc::clone(&self.idle) })
+    }
+
+    /// Runs `work` with a reader on a thread for blocking work.
+    ///
+    /// # Errors
+    /// Whatever `work` reports; [`StoreError::Closed`] where it could not be run.
+    pub async fn read<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let pool = self.clone();
+        tokio::task::spawn_blocking(move || work(&*pool.get()?)).await.map_err(|_| StoreError::Closed)?
+    }
+}
+
+/// A reader on loan.
+#[derive(Debug)]
+pub struct PooledReader {
+    reader: Option<Reader>,
+    idle: Arc<Mutex<Vec<Reader>>>,
+}
+
+impl std::ops::Deref for PooledReader {
+    type Target = Reader;
+    #[expect(clippy::expect_used, reason = "the reader is only taken out by drop")]
+    fn deref(&self) -> &Reader {
+        self.reader.as_ref().expect("a pooled reader is there until it is dropped")
+    }
+}
+
+impl Drop for PooledReader {
+    fn drop(&mut self) {
+        if let Some(reader) = self.reader.take() {
+            let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+            if idle.len() < IDLE_MAX {
+                idle.push(reader);
+            }
+        }
+    }
+}

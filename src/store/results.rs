@@ -1,0 +1,58 @@
+//! Results: what jobs have computed, as the JSON documents that the interfaces give out.
+
+use super::{Reader, StoreError, UtcNs};
+use rusqlite::{OptionalExtension, Row, params};
+
+/// A result.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ResultRow {
+    /// Its id.
+    pub id: i64,
+    /// The job that made it; absent once that is deleted.
+    pub job_id: Option<i64>,
+    /// The capture it is about.
+    pub capture_id: i64,
+    /// Which computation.
+    pub kind: String,
+    /// What made it: a result of other software than [`super::SOFTWARE`] is stale.
+    pub software: String,
+    /// When.
+    pub created_at: UtcNs,
+    /// The document, JSON text, byte by byte as it was stored.
+    pub body: String,
+}
+
+const RESULT_COLUMNS: &str = "id, job_id, capture_id, kind, software, created_utc_ns, body";
+
+fn result_of(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
+    Ok(ResultRow {
+        id: row.get(0)?,
+        job_id: row.get(1)?,
+        capture_id: row.get(2)?,
+        kind: row.get(3)?,
+        software: row.get(4)?,
+        created_at: UtcNs(row.get(5)?),
+        body: row.get(6)?,
+    })
+}
+
+impl Reader {
+    /// One result; None where there is none with that id.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn result(&self, id: i64) -> Result<Option<ResultRow>, StoreError> {
+        let sql = format!("SELECT {RESULT_COLUMNS} FROM result WHERE id = ?1");
+        Ok(self.connection.prepare_cached(&sql)?.query_row([id], result_of).optional()?)
+    }
+
+    /// The latest result of this kind for a capture; None where there is none.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn latest_result(&self, capture_id: i64, kind: &str) -> Result<Option<ResultRow>, StoreError> {
+        let sql =
+            format!("SELECT {RESULT_COLUMNS} FROM result WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");
+        Ok(self.connection.prepare_cached(&sql)?.query_row(params![capture_id, kind], result_of).optional()?)
+    }
+}

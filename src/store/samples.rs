@@ -1,0 +1,189 @@
+//! Samples: read in chunks, column by column.
+
+use super::{Reader, StoreError};
+use crate::sample::Channel;
+use rusqlite::types::ValueRef;
+use rusqlite::{OptionalExtension, Row, params};
+
+/// Rows that one query reads at most; longer chunks are read in several, so that no read transaction lasts.
+const ROWS_PER_QUERY: u64 = 65_536;
+
+/// Which samples a capture has: `first..=last`, none where it is empty.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SeqRange {
+    /// The first sample's `seq`.
+    pub first: u64,
+    /// The last sample's `seq`.
+    pub last: u64,
+}
+
+/// The three clocks of a chunk's samples.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Times {
+    /// The sensor's clock in ns, where it was sent.
+    pub device_ns: Vec<Option<u64>>,
+    /// The host's monotonic clock in ns.
+    pub host_mono_ns: Vec<u64>,
+    /// UTC in ns since 1970.
+    pub host_utc_ns: Vec<i64>,
+}
+
+/// Consecutive samples, column by column; all columns have the same length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chunk {
+    /// `seq` of the first row; row i has `first_seq + i`.
+    pub first_seq: u64,
+    /// The number of each row's segment.
+    pub segment: Vec<u32>,
+    /// What was asked for, in that order.
+    pub channels: Vec<Channel>,
+    /// One column per channel, in the channel's unit; NaN where the sample has no value.
+    pub columns: Vec<Vec<f64>>,
+    /// The clocks, where they were asked for.
+    pub times: Option<Times>,
+}
+
+impl Chunk {
+    fn new(first_seq: u64, channels: &[Channel], times: bool) -> Self {
+        Self {
+            first_seq,
+            segment: Vec::new(),
+            channels: channels.to_vec(),
+            columns: vec![Vec::new(); channels.len()],
+            times: times.then(Times::default),
+        }
+    }
+    /// How many samples it has.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.segment.len()
+    }
+    /// Whether it has none: the capture has no sample at or after the one asked for.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.segment.is_empty()
+    }
+    /// `seq` after its last row.
+    #[must_use]
+    pub fn next_seq(&self) -> u64 {
+        self.first_seq + self.len() as u64
+    }
+}
+
+impl Reader {
+    /// Up to `limit` samples from `from_seq` on, without their times.
+    ///
+    /// # Errors
+    /// What the database says; a `seq` that is left out there is [`StoreError::Damaged`].
+    pub fn read_chunk(
+        &self,
+        capture_id: i64,
+        from_seq: u64,
+        limit: usize,
+        channels: &[Channel],
+    ) -> Result<Chunk, StoreError> {
+        self.read(capture_id, from_seq, limit, channels, false)
+    }
+
+    /// As [`Self::read_chunk`], with the three clocks.
+    ///
+    /// # Errors
+    /// As [`Self::read_chunk`].
+    pub fn read_samples(
+        &self,
+        capture_id: i64,
+        from_seq: u64,
+        limit: usize,
+        channels: &[Channel],
+    ) -> Result<Chunk, StoreError> {
+        self.read(capture_id, from_seq, limit, channels, true)
+    }
+
+    fn read(
+        &self,
+        capture_id: i64,
+        from_seq: u64,
+        limit: usize,
+        channels: &[Channel],
+        times: bool,
+    ) -> Result<Chunk, StoreError> {
+        let mut sql = String::from("SELECT seq, segment_id");
+        for channel in channels {
+            sql.push_str(", ");
+            sql.push_str(channel.name());
+        }
+        if times {
+            sql.push_str(", device_time_ns, host_mono_ns, host_utc_ns");
+        }
+        sql.push_str(" FROM sample WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3 ORDER BY seq");
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut chunk = Chunk::new(from_seq, channels, times);
+        let end = from_seq.saturating_add(limit as u64).min(i64::MAX as u64);
+        while chunk.next_seq() < end {
+            let (begin, stop) = (chunk.next_seq(), end.min(chunk.next_seq() + ROWS_PER_QUERY));
+            let mut rows = statement.query(params![capture_id, begin as i64, stop as i64])?;
+            while let Some(row) = rows.next()? {
+                push(&mut chunk, row)?;
+            }
+            if chunk.next_seq() < stop {
+                break;
+            }
+        }
+        Ok(chunk)
+    }
+
+    /// The first and last sample of a capture; None where it has none.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn seq_range(&self, capture_id: i64) -> Result<Option<SeqRange>, StoreError> {
+        let end = |order: &str| -> Result<Option<i64>, StoreError> {
+            let sql = format!("SELECT seq FROM sample WHERE capture_id = ?1 ORDER BY seq {order} LIMIT 1");
+            Ok(self.connection.prepare_cached(&sql)?.query_row([capture_id], |row| row.get(0)).optional()?)
+        };
+        Ok(match (end("ASC")?, end("DESC")?) {
+            (Some(first), Some(last)) => Some(SeqRange { first: first as u64, last: last as u64 }),
+            _ => None,
+        })
+    }
+
+    /// `seq` of the first sample at or after `utc_ns` (one past the last where none is); found by bisection, so that
+    /// where the host's clock was stepped back it is one of the places in question.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn seq_at(&self, capture_id: i64, utc_ns: i64) -> Result<u64, StoreError> {
+        let Some(range) = self.seq_range(capture_id)? else { return Ok(0) };
+        let mut statement =
+            self.connection.prepare_cached("SELECT host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2")?;
+        let (mut low, mut high) = (range.first, range.last + 1);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let at: i64 = statement.query_row(params![capture_id, middle as i64], |row| row.get(0))?;
+            if at < utc_ns { low = middle + 1 } else { high = middle }
+        }
+        Ok(low)
+    }
+}
+
+fn push(chunk: &mut Chunk, row: &Row<'_>) -> Result<(), StoreError> {
+    let seq = row.get_ref(0)?.as_i64().map_err(rusqlite::Error::from)? as u64;
+    if seq != chunk.next_seq() {
+        let report = format!("sample {} is not there, the next one is {seq}", chunk.next_seq());
+        return Err(StoreError::Damaged { report });
+    }
+    chunk.segment.push(row.get(1)?);
+    for (column, index) in chunk.columns.iter_mut().zip(2..) {
+        column.push(match row.get_ref(index)? {
+            ValueRef::Real(value) => value,
+            _ => f64::NAN,
+        });
+    }
+    if let Some(times) = &mut chunk.times {
+        let first = 2 + chunk.columns.len();
+        times.device_ns.push(row.get::<_, Option<i64>>(first)?.map(|ns| ns as u64));
+        times.host_mono_ns.push(row.get::<_, i64>(first + 1)? as u64);
+        times.host_utc_ns.push(row.get(first + 2)?);
+    }
+    Ok(())
+}

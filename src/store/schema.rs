@@ -1,0 +1,185 @@
+//! Opening: the one place that says which file is ours, what its schema is and which pragmas a connection has.
+
+use super::StoreError;
+use rusqlite::{Connection, OpenFlags};
+use rusqlite_migration::{M, Migrations};
+use std::path::Path;
+use std::time::Duration;
+
+/// `VN10` in ASCII: marks a SQLite file as ours (PRAGMA application_id).
+pub const APPLICATION_ID: i32 = 0x564E_3130;
+/// First SQLite without the WAL-reset race (sqlite.org/wal.html#walresetbug).
+const SQLITE_NEEDED: (i32, &str) = (3_051_003, "3.51.3");
+/// In order, never edited after a release.
+const MIGRATIONS: &[&str] =
+    &[include_str!("../../migrations/0001_captures.sql"), include_str!("../../migrations/0002_jobs.sql")];
+/// How long the writer waits for a foreign lock before it reports it.
+const WRITER_BUSY: Duration = Duration::from_millis(5000);
+/// How long a reader waits.
+const READER_BUSY: Duration = Duration::from_millis(2000);
+/// Statements that a connection keeps prepared.
+const STATEMENTS: usize = 64;
+
+/// The newest schema version this program knows.
+#[must_use]
+pub fn schema_version() -> i64 {
+    MIGRATIONS.len() as i64
+}
+
+fn migrations() -> Migrations<'static> {
+    Migrations::new(MIGRATIONS.iter().map(|sql| M::up(sql)).collect())
+}
+
+pub(super) fn check_sqlite() -> Result<(), StoreError> {
+    if rusqlite::version_number() < SQLITE_NEEDED.0 {
+        return Err(StoreError::SqliteTooOld { found: rusqlite::version(), needed: SQLITE_NEEDED.1 });
+    }
+    Ok(())
+}
+
+/// The writer's connection to a database that exists or is made; its schema is brought up to date.
+pub(super) fn open_and_migrate(path: &Path) -> Result<Connection, StoreError> {
+    check_sqlite()?;
+    let existing = std::fs::metadata(path).is_ok_and(|file| file.len() > 0);
+    if existing {
+        // A foreign file is looked at through a connection that cannot write.
+        let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
+        refuse_foreign(&connection, path)?;
+        refuse_newer(&connection, path)?;
+    }
+    let mut connection = writer_connection(path, OpenFlags::SQLITE_OPEN_CREATE)?;
+    migrations().to_latest(&mut connection)?;
+    Ok(connection)
+}
+
+/// The writer's connection to a database that must be there: what it reopens after an error.
+pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
+    let connection = writer_connection(path, OpenFlags::empty())?;
+    refuse_foreign(&connection, path)?;
+    Ok(connection)
+}
+
+fn writer_connection(path: &Path, more: OpenFlags) -> Result<Connection, StoreError> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX | more;
+    let connection = Connection::open_with_flags(path, flags)?;
+    connection.busy_timeout(WRITER_BUSY)?;
+    // A new file has no pages yet: it takes the id before it takes WAL mode.
+    if connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0))? == 0 {
+        connection.pragma_update(None, "application_id", APPLICATION_ID)?;
+    }
+    connection.pragma_update(None, "journal_mode", "WAL")?;
+    connection.pragma_update(None, "synchronous", "FULL")?;
+    connection.pragma_update(None, "wal_autocheckpoint", 1000)?;
+    connection.pragma_update(None, "journal_size_limit", 64 << 20)?;
+    connection.pragma_update(None, "foreign_keys", true)?;
+    common_pragmas(&connection)?;
+    Ok(connection)
+}
+
+/// A connection that can only read. It never checkpoints: that is the writer's.
+pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
+    check_sqlite()?;
+    match std::fs::metadata(path) {
+        Ok(file) if file.len() > 0 => {}
+        _ => return Err(StoreError::NoDatabase { path: path.to_owned() }),
+    }
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let mut connection = Connection::open_with_flags(path, flags)?;
+    connection.busy_timeout(READER_BUSY)?;
+    if let Err(StoreError::Sqlite(error)) = refuse_foreign(&connection, path) {
+        // WAL mode needs a shared-memory file; where none can be made and no log is left the file itself is complete.
+        let log = wal_path(path);
+        if std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
+            return Err(error.into());
+        }
+        let uri = format!("file:{}?immutable=1", uri_escaped(path));
+        connection = Connection::open_with_flags(uri, flags | OpenFlags::SQLITE_OPEN_URI)?;
+    }
+    refuse_foreign(&connection, path)?;
+    refuse_newer(&connection, path)?;
+    let found = user_version(&connection)?;
+    if found < schema_version() {
+        return Err(StoreError::OlderSchema { path: path.to_owned(), found, expected: schema_version() });
+    }
+    connection.pragma_update(None, "query_only", true)?;
+    connection.pragma_update(None, "wal_autocheckpoint", 0)?;
+    common_pragmas(&connection)?;
+    Ok(connection)
+}
+
+fn common_pragmas(connection: &Connection) -> Result<(), StoreError> {
+    connection.pragma_update(None, "cell_size_check", true)?;
+    connection.pragma_update(None, "trusted_schema", false)?;
+    connection.pragma_update(None, "mmap_size", 0)?;
+    connection.pragma_update(None, "temp_store", "MEMORY")?;
+    connection.set_prepared_statement_cache_capacity(STATEMENTS);
+    Ok(())
+}
+
+pub(super) fn wal_path(path: &Path) -> std::path::PathBuf {
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    log.into()
+}
+
+/// The characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
+fn uri_escaped(path: &Path) -> String {
+    path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23")
+}
+
+fn user_version(connection: &Connection) -> Result<i64, StoreError> {
+    Ok(connection.pragma_query_value(None, "user_version", |row| row.get(0))?)
+}
+
+fn refuse_foreign(connection: &Connection, path: &Path) -> Result<(), StoreError> {
+    let foreign = |found| StoreError::Foreign { path: path.to_owned(), found, expected: APPLICATION_ID };
+    let found: i32 = match connection.pragma_query_value(None, "application_id", |row| row.get(0)) {
+        Err(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::NotADatabase) => return Err(foreign(0)),
+        other => other?,
+    };
+    if found == APPLICATION_ID { Ok(()) } else { Err(foreign(found)) }
+}
+
+fn refuse_newer(connection: &Connection, path: &Path) -> Result<(), StoreError> {
+    let found = user_version(connection)?;
+    if found > schema_version() {
+        return Err(StoreError::NewerSchema { path: path.to_owned(), found, supported: schema_version() });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_migrations_can_be_applied() {
+        migrations().validate().unwrap();
+    }
+
+    #[test]
+    fn the_writer_has_the_pragmas_that_make_a_commit_durable() {
+        let directory = tempfile::tempdir().unwrap();
+        let connection = open_and_migrate(&directory.path().join("a.db")).unwrap();
+        let text = |name| connection.pragma_query_value(None, name, |row| row.get::<_, String>(0)).unwrap();
+        let number = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0)).unwrap();
+        assert_eq!(text("journal_mode"), "wal");
+        assert_eq!(number("synchronous"), 2);
+        assert_eq!(number("application_id"), i64::from(APPLICATION_ID));
+        assert_eq!(number("user_version"), schema_version());
+        assert_eq!(number("foreign_keys"), 1);
+        assert_eq!(number("cell_size_check"), 1);
+        assert_eq!(number("trusted_schema"), 0);
+        assert_eq!(number("busy_timeout"), 5000);
+    }
+
+    #[test]
+    fn a_reader_cannot_write() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a?b#c%.db");
+        drop(open_and_migrate(&path).unwrap());
+        let reader = reader_connection(&path).unwrap();
+        assert!(reader.execute("UPDATE writer SET batch = 7", []).is_err());
+        assert_eq!(reader.query_row("SELECT batch FROM writer", [], |row| row.get::<_, i64>(0)).unwrap(), 0);
+    }
+}

@@ -1,0 +1,206 @@
+//! The trail of a capture: its segments, gaps, events and configurations.
+
+use super::captures::json_of;
+use super::insert::timebase_from_name;
+use super::{Page, PageRequest, Reader, StoreError, UtcNs};
+use crate::sample::{Channel, GapCause, Timebase};
+use rusqlite::{OptionalExtension, Row, params};
+use serde::Serialize;
+
+/// A segment as the interfaces show it.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct SegmentRow {
+    /// Number within the capture, from 1.
+    pub segment: u32,
+    /// One run of the sensor's clock, from 1: a reset begins a new epoch.
+    pub epoch: u32,
+    /// `seq` of its first sample.
+    pub first_seq: u64,
+    /// Samples it has.
+    pub samples: u64,
+    /// Output rate in Hz.
+    pub rate_hz: f64,
+    /// What its times rest on.
+    pub timebase: Timebase,
+    /// Its channels in column order.
+    pub channels: Vec<Channel>,
+    /// Time of its first sample.
+    pub from: UtcNs,
+    /// Time of its last sample; null while it has none.
+    pub to: Option<UtcNs>,
+    /// Device time of its first sample in ns.
+    pub first_device_time_ns: Option<u64>,
+    /// Device time of its last sample in ns.
+    pub last_device_time_ns: Option<u64>,
+}
+
+/// A gap as the interfaces show it.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct GapRow {
+    /// Time of the last sample before it.
+    pub from: UtcNs,
+    /// Time of the first sample after it.
+    pub to: UtcNs,
+    /// How many samples are missing.
+    pub missing: u64,
+    /// Whether the number follows from the sensor's own clock; otherwise from the host's.
+    pub missing_exact: bool,
+    /// Why.
+    pub cause: GapCause,
+    /// `seq` of the first sample after it.
+    pub before_seq: u64,
+    /// The sensor's clock before it in ns, where one epoch spans it.
+    pub from_device_ns: Option<u64>,
+    /// The sensor's clock after it in ns.
+    pub to_device_ns: Option<u64>,
+}
+
+/// An event as the interfaces show it.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct EventRow {
+    /// When.
+    pub at: UtcNs,
+    /// What kind ([`crate::sample::EventKind`]).
+    pub kind: String,
+    /// One sentence for a person.
+    pub message: String,
+    /// Details for a program.
+    #[schema(value_type = Option<Object>)]
+    pub detail: Option<serde_json::Value>,
+}
+
+/// The sensor's registers as read at one connection.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct ConfigurationRow {
+    /// When.
+    pub at: UtcNs,
+    /// The samples from this `seq` on were taken with it.
+    pub before_seq: u64,
+    /// What was read.
+    #[schema(value_type = Object)]
+    pub registers: serde_json::Value,
+}
+
+impl Reader {
+    /// A capture's segments in order.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn segments(&self, capture_id: i64, page: &PageRequest) -> Result<Page<SegmentRow>, StoreError> {
+        let sql = "SELECT segment_id, epoch, first_seq, samples, rate_hz, timebase, channels, first_utc_ns, last_utc_ns, \
+                   first_device_time_ns, last_device_time_ns FROM segment WHERE capture_id = ?1 AND segment_id > ?2 \
+                   ORDER BY segment_id LIMIT ?3";
+        self.page(sql, capture_id, page, "segments", |row| {
+            let timebase: String = row.get(5)?;
+            let names: Vec<String> = serde_json::from_str(&row.get::<_, String>(6)?)?;
+            let device = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(|ns| ns as u64));
+            Ok(SegmentRow {
+                segment: row.get(0)?,
+                epoch: row.get(1)?,
+                first_seq: row.get::<_, i64>(2)? as u64,
+                samples: row.get::<_, i64>(3)? as u64,
+                rate_hz: row.get(4)?,
+                timebase: timebase_from_name(&timebase)
+                    .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+                channels: names.iter().filter_map(|name| Channel::from_name(name)).collect(),
+                from: UtcNs(row.get(7)?),
+                to: row.get::<_, Option<i64>>(8)?.map(UtcNs),
+                first_device_time_ns: device(9)?,
+                last_device_time_ns: device(10)?,
+            })
+        })
+    }
+
+    /// The rate of one segment in Hz.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] where samples belong to a segment that is not there, or what the database says.
+    pub fn segment_rate_hz(&self, capture_id: i64, segment: u32) -> Result<f64, StoreError> {
+        let sql = "SELECT rate_hz FROM segment WHERE capture_id = ?1 AND segment_id = ?2";
+        let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, segment], |row| row.get(0));
+        found.optional()?.ok_or_else(|| StoreError::Damaged {
+            report: format!("segment {segment} of capture {capture_id} is not there"),
+        })
+    }
+
+    /// Samples missing before the sample `seq`, over all gaps that lie before it.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn missing_before(&self, capture_id: i64, seq: u64) -> Result<u64, StoreError> {
+        let sql = "SELECT coalesce(sum(missing), 0) FROM gap WHERE capture_id = ?1 AND before_seq < ?2";
+        let missing: i64 =
+            self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], |row| row.get(0))?;
+        Ok(missing as u64)
+    }
+
+    /// A capture's gaps in the order they were recorded.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn gaps(&self, capture_id: i64, page: &PageRequest) -> Result<Page<GapRow>, StoreError> {
+        let sql = "SELECT gap_id, from_utc_ns, to_utc_ns, missing, missing_exact, cause, before_seq, from_device_ns, \
+                   to_device_ns FROM gap WHERE capture_id = ?1 AND gap_id > ?2 ORDER BY gap_id LIMIT ?3";
+        self.page(sql, capture_id, page, "gaps", |row| {
+            let cause: String = row.get(5)?;
+            let device = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(|ns| ns as u64));
+            Ok(GapRow {
+                from: UtcNs(row.get(1)?),
+                to: UtcNs(row.get(2)?),
+                missing: row.get::<_, i64>(3)? as u64,
+                missing_exact: row.get(4)?,
+                cause: GapCause::from_name(&cause).ok_or(StoreError::Unknown { column: "gap.cause", found: cause })?,
+                before_seq: row.get::<_, i64>(6)? as u64,
+                from_device_ns: device(7)?,
+                to_device_ns: device(8)?,
+            })
+        })
+    }
+
+    /// A capture's events in the order they were recorded.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn events(&self, capture_id: i64, page: &PageRequest) -> Result<Page<EventRow>, StoreError> {
+        let sql = "SELECT event_id, utc_ns, kind, message, detail FROM event WHERE capture_id = ?1 AND event_id > ?2 \
+                   ORDER BY event_id LIMIT ?3";
+        self.page(sql, capture_id, page, "events", |row| {
+            Ok(EventRow { at: UtcNs(row.get(1)?), kind: row.get(2)?, message: row.get(3)?, detail: json_of(row, 4)? })
+        })
+    }
+
+    /// A capture's configurations in the order they were read.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn configurations(&self, capture_id: i64, page: &PageRequest) -> Result<Page<ConfigurationRow>, StoreError> {
+        let sql = "SELECT configuration_id, utc_ns, before_seq, registers FROM configuration WHERE capture_id = ?1 \
+                   AND configuration_id > ?2 ORDER BY configuration_id LIMIT ?3";
+        self.page(sql, capture_id, page, "configurations", |row| {
+            Ok(ConfigurationRow {
+                at: UtcNs(row.get(1)?),
+                before_seq: row.get::<_, i64>(2)? as u64,
+                registers: json_of(row, 3)?.unwrap_or_default(),
+            })
+        })
+    }
+
+    /// Rows of a capture after the page's cursor; the first column is the key.
+    fn page<T>(
+        &self,
+        sql: &str,
+        capture_id: i64,
+        page: &PageRequest,
+        list: &str,
+        read: impl Fn(&Row<'_>) -> Result<T, StoreError>,
+    ) -> Result<Page<T>, StoreError> {
+        let after = page.after(list)?.unwrap_or(-1);
+        let mut statement = self.connection.prepare_cached(sql)?;
+        let mut rows = statement.query(params![capture_id, after, page.limit() as i64 + 1])?;
+        let mut found = Vec::new();
+        while let Some(row) = rows.next()? {
+            found.push((row.get(0)?, read(row)?));
+        }
+        Ok(Page::cut(found, page.limit(), list))
+    }
+}
