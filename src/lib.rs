@@ -23,5 +23,6 @@ pub mod noise;
 pub mod protocol;
 pub mod simulator;
 
+pub mod jobs;
 pub mod recording;
 pub mod store;

@@ -1,0 +1,50 @@
+//! Why a job was not taken or could not be done.
+
+use crate::noise::allan::AllanError;
+use crate::store::StoreError;
+
+/// Everything that can go wrong with a job.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JobError {
+    /// No computation has that name.
+    #[error("there is no job kind `{found}`: expected one of {expected}")]
+    UnknownKind {
+        /// The name.
+        found: String,
+        /// The names there are.
+        expected: String,
+    },
+    /// The parameters of the job are not those of its kind.
+    #[error("parameters of a `{kind}` job: {reason}")]
+    Parameters {
+        /// The kind.
+        kind: &'static str,
+        /// What is wrong with them.
+        reason: String,
+    },
+    /// The capture has nothing to compute from.
+    #[error("{reason}")]
+    InsufficientData {
+        /// What is lacking.
+        reason: String,
+    },
+    /// The estimator refused.
+    #[error("{0}")]
+    Allan(#[from] AllanError),
+    /// A checkpoint could not be read.
+    #[error("the checkpoint of job {job} is damaged: submit the job again")]
+    Checkpoint {
+        /// The job.
+        job: i64,
+    },
+    /// The database refused.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The result could not be written as JSON.
+    #[error("the result could not be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// A worker thread could not be started.
+    #[error("a worker thread could not be started: {0}")]
+    Thread(std::io::Error),
+}

@@ -1,0 +1,126 @@
+//! What a job does with the samples: one of two folds, driven alike.
+
+use super::distribution::Distribution;
+use super::plan::Plan;
+use super::sums::Summation;
+use super::{JobError, JobKind, JobParameters};
+use crate::sample::Channel;
+use crate::store::{Chunk, JobRow, Reader};
+
+/// A computation in the making.
+#[derive(Debug)]
+pub(super) enum Fold {
+    /// Allan sums, for `allan` and `noise`.
+    Sums(Box<Summation>),
+    /// Moments and histograms, for `statistics`.
+    Distribution(Distribution),
+}
+
+impl Fold {
+    /// The job's computation where its last checkpoint left it, and the next `seq` it needs.
+    pub(super) fn begin(
+        reader: &Reader,
+        job: &JobRow,
+        kind: JobKind,
+        parameters: &JobParameters,
+    ) -> Result<(Self, u64), JobError> {
+        let checkpoint = reader.checkpoint(job.id)?;
+        let next_seq = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.next_seq.min(job.end_seq));
+        let state = checkpoint.as_ref().map(|checkpoint| checkpoint.state.as_slice());
+        let damaged = || JobError::Checkpoint { job: job.id };
+        let fold = match kind {
+            JobKind::Allan | JobKind::Noise => {
+                let wanted = parameters.channels.clone().unwrap_or_else(|| Channel::ANALYSED.to_vec());
+                let plan = Plan::read(reader, job.capture, job.end_seq, &wanted)?;
+                Self::Sums(Box::new(match state {
+                    Some(state) => {
+                        Summation::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?
+                    }
+                    None => Summation::new(plan, parameters)?,
+                }))
+            }
+            JobKind::Statistics => {
+                let capture = reader.capture(job.capture)?;
+                let mut channels = parameters.channels.clone().unwrap_or(capture.channels.clone());
+                channels.retain(|channel| capture.channels.contains(channel));
+                if job.end_seq == 0 || channels.is_empty() {
+                    let reason = format!("capture {} has no samples of these channels yet", job.capture);
+                    return Err(JobError::InsufficientData { reason });
+                }
+                Self::Distribution(match state {
+                    Some(state) => Distribution::restore(channels, state).ok_or_else(damaged)?,
+                    None => Distribution::new(channels),
+                })
+            }
+        };
+        Ok((fold, next_seq))
+    }
+
+    /// The channels to be read in this pass.
+    pub(super) fn pass_channels(&self) -> &[Channel] {
+        match self {
+            Self::Sums(summation) => summation.pass_channels(),
+            Self::Distribution(distribution) => distribution.channels(),
+        }
+    }
+
+    /// Takes in the next samples of this pass.
+    pub(super) fn take(&mut self, chunk: &Chunk) {
+        match self {
+            Self::Sums(summation) => summation.take(chunk),
+            Self::Distribution(distribution) => distribution.take(chunk),
+        }
+    }
+
+    /// Ends a pass over the samples; answers whether another one is needed.
+    pub(super) fn end_pass(&mut self) -> bool {
+        match self {
+            Self::Sums(summation) => summation.end_pass(),
+            Self::Distribution(_) => false,
+        }
+    }
+
+    /// How far the whole is when this pass has come to `next_seq` of `end_seq`, 0–1.
+    pub(super) fn progress(&self, next_seq: u64, end_seq: u64) -> f64 {
+        match self {
+            Self::Sums(summation) => summation.progress(next_seq),
+            Self::Distribution(_) => next_seq as f64 / end_seq.max(1) as f64,
+        }
+    }
+
+    /// What the checkpoint keeps.
+    pub(super) fn save(&mut self) -> Vec<u8> {
+        match self {
+            Self::Sums(summation) => summation.save(),
+            Self::Distribution(distribution) => distribution.save(),
+        }
+    }
+}
+
+/// Byte strings one after the other, each with its length before it.
+pub(super) fn join(entries: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = (entries.len() as u32).to_le_bytes().to_vec();
+    for entry in entries {
+        bytes.extend((entry.len() as u32).to_le_bytes());
+        bytes.extend(entry);
+    }
+    bytes
+}
+
+/// Takes off what [`join`] has written; None where it is damaged.
+pub(super) fn split(rest: &mut &[u8]) -> Option<Vec<Vec<u8>>> {
+    let number = |rest: &mut &[u8]| -> Option<usize> {
+        let (bytes, tail) = rest.split_first_chunk::<4>()?;
+        *rest = tail;
+        usize::try_from(u32::from_le_bytes(*bytes)).ok()
+    };
+    let count = number(rest)?;
+    let mut entries = Vec::new();
+    for _ in 0..count {
+        let length = number(rest)?;
+        let (entry, tail) = rest.split_at_checked(length)?;
+        entries.push(entry.to_vec());
+        *rest = tail;
+    }
+    Some(entries)
+}

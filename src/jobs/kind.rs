@@ -1,0 +1,110 @@
+//! Kinds of jobs and their parameters.
+
+use super::JobError;
+use crate::noise::allan::TauSpacing;
+use crate::sample::Channel;
+use serde::{Deserialize, Serialize};
+
+/// What a job computes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobKind {
+    /// Deviation curves (`vn100d-allan-1`).
+    Allan,
+    /// Noise parameters (`vn100d-noise-1`).
+    Noise,
+    /// Moments, histogram and a test for normality (`vn100d-statistics-1`).
+    Statistics,
+}
+
+impl JobKind {
+    /// All kinds.
+    pub const ALL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
+
+    /// The name in the database and JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Allan => "allan",
+            Self::Noise => "noise",
+            Self::Statistics => "statistics",
+        }
+    }
+
+    /// The kind of that name.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownKind`] with the names there are.
+    pub fn from_name(name: &str) -> Result<Self, JobError> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| JobError::UnknownKind {
+            found: name.chars().take(40).collect(),
+            expected: Self::ALL.map(Self::name).join(", "),
+        })
+    }
+
+    /// Reads the parameters of a job of this kind; what is not given is filled in, so that the same wish is the same job
+    /// however it is written.
+    ///
+    /// # Errors
+    /// [`JobError::Parameters`] for unknown names and impossible values.
+    pub fn parameters(self, given: &serde_json::Value) -> Result<JobParameters, JobError> {
+        let refuse = |reason| JobError::Parameters { kind: self.name(), reason };
+        let given = if given.is_null() { serde_json::json!({}) } else { given.clone() };
+        let mut parameters: JobParameters = serde_json::from_value(given).map_err(|error| refuse(error.to_string()))?;
+        if !matches!(parameters.taus, TauSpacing::Octave | TauSpacing::Log) {
+            return Err(refuse("`taus` is `octave` or `log`; every one is `vn100d allan --taus all`".to_owned()));
+        }
+        if let Some(channels) = &mut parameters.channels {
+            channels.sort_unstable();
+            channels.dedup();
+            if channels.is_empty() {
+                return Err(refuse("`channels` is empty: leave it out for all".to_owned()));
+            }
+        }
+        Ok(parameters)
+    }
+}
+
+/// Parameters of a job; the same for all kinds so far.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobParameters {
+    /// Averaging times: `log` (twenty to the decade) or `octave`; without effect on statistics.
+    #[serde(default)]
+    pub taus: TauSpacing,
+    /// Which channels; where absent those whose noise is analysed, for statistics all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channels: Option<Vec<Channel>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_wish_is_the_same_text_however_it_is_written() {
+        let text =
+            |given: serde_json::Value| serde_json::to_string(&JobKind::Allan.parameters(&given).unwrap()).unwrap();
+        assert_eq!(text(serde_json::Value::Null), text(serde_json::json!({"taus": "log"})));
+        assert_eq!(
+            text(serde_json::json!({"channels": ["gyro_z", "gyro_x"]})),
+            text(serde_json::json!({"channels": ["gyro_x", "gyro_z", "gyro_x"]})),
+        );
+    }
+
+    #[test]
+    fn what_is_not_a_parameter_is_refused_by_name() {
+        for given in [
+            serde_json::json!({"tau": "log"}),
+            serde_json::json!({"taus": "all"}),
+            serde_json::json!({"channels": []}),
+            serde_json::json!({"channels": ["gyro"]}),
+            serde_json::json!([1]),
+            serde_json::json!("log"),
+        ] {
+            let error = JobKind::Allan.parameters(&given).unwrap_err();
+            assert!(matches!(error, JobError::Parameters { kind: "allan", .. }), "{given}: {error}");
+        }
+        assert!(JobKind::from_name("alan").unwrap_err().to_string().contains("allan"));
+    }
+}

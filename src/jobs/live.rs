@@ -1,0 +1,240 @@
+//! Live analysis of a capture that still runs: octaves of all analysed channels and moments of all, in constant memory.
+//!
+//! It pulls: whenever somebody asks (or the daemon's tick calls [`Live::catch_up`]) it takes in what was committed since,
+//! at most [`CATCH_UP`] samples per call, and answers for what it has.
+
+use super::JobError;
+use super::distribution::Distribution;
+use super::report::{self, Extent, StatisticsReport};
+use crate::noise::NoiseReport;
+use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
+use crate::sample::Channel;
+use crate::store::Reader;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Samples taken in by one call: about a second of work.
+pub const CATCH_UP: usize = 500_000;
+/// Samples read at a time.
+const CHUNK: usize = 32_768;
+
+/// What is known about the capture that runs.
+#[derive(Debug, Default)]
+pub struct Live(Mutex<Option<Pyramids>>);
+
+/// The octaves of one capture, by rate: nothing mixes two.
+#[derive(Debug)]
+struct Pyramids {
+    capture_id: i64,
+    next_seq: u64,
+    /// Rates of the segments met so far.
+    rates: BTreeMap<u32, f64>,
+    segment: Option<u32>,
+    by_rate: BTreeMap<u64, Pyramid>,
+    distribution: Distribution,
+}
+
+#[derive(Debug)]
+struct Pyramid {
+    samples: u64,
+    channels: BTreeMap<Channel, LiveAllan>,
+}
+
+/// What a capture's live analysis has come to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LivePoints {
+    /// Rate of the samples taken in, Hz.
+    pub rate_hz: f64,
+    /// How many samples of that rate were taken in.
+    pub samples: u64,
+    /// How many of other rates were left out.
+    pub other_rate: u64,
+    /// `seq` up to which samples were looked at.
+    pub next_seq: u64,
+    /// Whether that is all there is.
+    pub caught_up: bool,
+    /// Octaves of each channel.
+    pub channels: BTreeMap<Channel, Vec<AllanPoint>>,
+}
+
+impl Live {
+    /// Nothing known yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Pyramids>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes in up to [`CATCH_UP`] samples committed since; answers whether that is all there is. Another capture than
+    /// last time begins anew.
+    ///
+    /// # Errors
+    /// [`JobError::Store`] where the samples cannot be read.
+    pub fn catch_up(&self, reader: &Reader, capture_id: i64) -> Result<bool, JobError> {
+        let mut slot = self.lock();
+        let pyramids = match &mut *slot {
+            Some(pyramids) if pyramids.capture_id == capture_id => pyramids,
+            other => other.insert(Pyramids::new(capture_id)),
+        };
+        let outcome = pyramids.catch_up(reader);
+        if outcome.is_err() {
+            // What was half taken in is not to be built upon.
+            *slot = None;
+        }
+        outcome
+    }
+
+    /// The octaves of what there is so far, after taking in what came since.
+    ///
+    /// # Errors
+    /// [`JobError::InsufficientData`] before the first sample; [`JobError::Store`].
+    pub fn points(&self, reader: &Reader, capture_id: i64) -> Result<LivePoints, JobError> {
+        let caught_up = self.catch_up(reader, capture_id)?;
+        let slot = self.lock();
+        let pyramids = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id);
+        let found = pyramids.and_then(|pyramids| Some((pyramids, pyramids.largest()?)));
+        let Some((pyramids, (rate_hz, pyramid))) = found else {
+            return Err(JobError::InsufficientData { reason: format!("capture {capture_id} has no samples yet") });
+        };
+        Ok(LivePoints {
+            rate_hz,
+            samples: pyramid.samples,
+            other_rate: pyramids.next_seq - pyramid.samples,
+            next_seq: pyramids.next_seq,
+            caught_up,
+            channels: pyramid
+                .channels
+                .iter()
+                .filter(|(_, live)| live.samples() > 0)
+                .map(|(channel, live)| (*channel, live.points()))
+                .collect(),
+        })
+    }
+
+    /// Deviation curves of what there is so far (`complete: false`).
+    ///
+    /// # Errors
+    /// As [`Self::points`].
+    pub fn allan(&self, reader: &Reader, capture_id: i64) -> Result<AllanReport, JobError> {
+        let points = self.points(reader, capture_id)?;
+        let curves = points
+            .channels
+            .iter()
+            .map(|(channel, octaves)| (*channel, AllanCurve::from_points(octaves, points.rate_hz, channel.unit())));
+        Ok(AllanReport::new(Estimator::Oadev, points.rate_hz, false, curves))
+    }
+}
+
+impl Live {
+    /// Noise parameters of what there is so far (`complete: false`).
+    ///
+    /// # Errors
+    /// As [`Self::points`].
+    pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<NoiseReport, JobError> {
+        let points = self.points(reader, capture_id)?;
+        let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
+        Ok(report::noise_of_points(&points.channels, points.rate_hz, points.other_rate, extent))
+    }
+
+    /// Statistics of what there is so far (`complete: false`).
+    ///
+    /// # Errors
+    /// As [`Self::points`].
+    pub fn statistics(&self, reader: &Reader, capture_id: i64) -> Result<StatisticsReport, JobError> {
+        let points = self.points(reader, capture_id)?;
+        let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
+        let slot = self.lock();
+        let channels = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id);
+        let channels = channels.map(|pyramids| pyramids.distribution.statistics()).unwrap_or_default();
+        Ok(report::statistics(channels, extent))
+    }
+}
+
+impl Pyramids {
+    fn new(capture_id: i64) -> Self {
+        Self {
+            capture_id,
+            next_seq: 0,
+            rates: BTreeMap::new(),
+            segment: None,
+            by_rate: BTreeMap::new(),
+            distribution: Distribution::new(Channel::ALL.to_vec()),
+        }
+    }
+
+    fn largest(&self) -> Option<(f64, &Pyramid)> {
+        let (rate, pyramid) = self.by_rate.iter().max_by_key(|(rate, pyramid)| (pyramid.samples, **rate))?;
+        Some((f64::from_bits(*rate), pyramid))
+    }
+
+    fn catch_up(&mut self, reader: &Reader) -> Result<bool, JobError> {
+        let mut left = CATCH_UP;
+        while left > 0 {
+            let limit = CHUNK.min(left);
+            let chunk = reader.read_chunk(self.capture_id, self.next_seq, limit, &Channel::ALL)?;
+            if chunk.is_empty() {
+                return Ok(true);
+            }
+            self.distribution.take(&chunk);
+            let analysed: Vec<&Vec<f64>> = chunk
+                .channels
+                .iter()
+                .zip(&chunk.columns)
+                .filter(|(channel, _)| Channel::ANALYSED.contains(channel))
+                .map(|(_, column)| column)
+                .collect();
+            let mut from = 0;
+            for rows in chunk.segment.chunk_by(|one, next| one == next) {
+                let to = from + rows.len();
+                if let Some(number) = rows.first() {
+                    let rate_hz = self.rate_of(reader, *number)?;
+                    let columns: Vec<&[f64]> =
+                        analysed.iter().map(|column| column.get(from..to).unwrap_or_default()).collect();
+                    self.take(*number, rate_hz, &columns, rows.len());
+                }
+                from = to;
+            }
+            left -= chunk.len();
+            self.next_seq = chunk.next_seq();
+        }
+        Ok(false)
+    }
+
+    fn take(&mut self, number: u32, rate_hz: f64, columns: &[&[f64]], rows: usize) {
+        let continues = self.segment == Some(number);
+        self.segment = Some(number);
+        let pyramid = self.by_rate.entry(rate_hz.to_bits()).or_insert_with(Pyramid::new);
+        pyramid.samples += rows as u64;
+        for (live, column) in pyramid.channels.values_mut().zip(columns) {
+            if !continues {
+                live.break_segment();
+            }
+            for (index, part) in column.split(|value| value.is_nan()).enumerate() {
+                if index > 0 {
+                    live.break_segment();
+                }
+                live.push(part);
+            }
+        }
+    }
+
+    fn rate_of(&mut self, reader: &Reader, number: u32) -> Result<f64, JobError> {
+        if let Some(rate_hz) = self.rates.get(&number) {
+            return Ok(*rate_hz);
+        }
+        let rate_hz = reader.segment_rate_hz(self.capture_id, number)?;
+        self.rates.insert(number, rate_hz);
+        Ok(rate_hz)
+    }
+}
+
+impl Pyramid {
+    fn new() -> Self {
+        // In column order, as ANALYSED is: the columns of a chunk stand in the same order.
+        let channels = Channel::ANALYSED.map(|channel| (channel, LiveAllan::new(FixedPoint::for_channel(channel))));
+        Self { samples: 0, channels: channels.into_iter().collect() }
+    }
+}

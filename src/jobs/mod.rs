@@ -1,0 +1,31 @@
+//! Jobs: durable background work over captures, in chunks, beside a running capture.
+//!
+//! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents the interfaces give out.
+//! Promised: the same submission is the same job; a job that is killed anywhere goes on at its last chunk and comes to the
+//! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
+//! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads that rest a
+//! tenth of their time and hold no read transaction between chunks.
+//!
+//! [`Live`] answers for a capture that still runs.
+
+mod distribution;
+mod error;
+mod fold;
+mod kind;
+mod live;
+mod plan;
+mod report;
+mod runner;
+mod sums;
+#[cfg(test)]
+mod tests;
+mod worker;
+
+pub use error::JobError;
+pub use kind::{JobKind, JobParameters};
+pub use live::{CATCH_UP, Live, LivePoints};
+pub use plan::Plan;
+pub use report::StatisticsReport;
+pub use runner::CHUNK;
+pub use sums::MEMORY;
+pub use worker::{Jobs, JobsOptions, leave_for_daemon};

@@ -1,0 +1,187 @@
+//! Exact Allan sums of a capture's channels, chunk by chunk: what `allan` and `noise` jobs are made of.
+//!
+//! Channels are taken in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] whatever the
+//! length: a channel needs 2.5 phases of 8 bytes per sample of its longest averaging time.
+
+use super::fold::{join, split};
+use super::plan::{Plan, feed};
+use super::{JobError, JobParameters};
+use crate::noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
+use crate::sample::Channel;
+use crate::store::{Chunk, Reader};
+
+/// Bytes that the phases of one pass may take.
+pub const MEMORY: usize = 48 << 20;
+/// Version of the checkpoint.
+const VERSION: u8 = 1;
+
+/// The sums in the making.
+#[derive(Debug)]
+pub(super) struct Summation {
+    plan: Plan,
+    grid: TauGrid,
+    /// Channels of one pass.
+    group: usize,
+    /// Sums of the channels of earlier passes.
+    done: Vec<AllanSums>,
+    /// The channels of this pass.
+    current: Vec<Overlapping>,
+    /// The segment that the last sample taken in belongs to.
+    open: Option<u32>,
+}
+
+impl Summation {
+    /// Nothing taken in yet.
+    pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
+        let grid = TauGrid::new(parameters.taus, plan.longest)?;
+        let bytes = grid.max_factor() * 20;
+        let group = (MEMORY / bytes.max(1)).clamp(1, plan.channels.len());
+        let mut summation = Self { plan, grid, group, done: Vec::new(), current: Vec::new(), open: None };
+        summation.begin_pass();
+        Ok(summation)
+    }
+
+    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells.
+    pub(super) fn restore(
+        plan: Plan,
+        parameters: &JobParameters,
+        state: &[u8],
+        next_seq: u64,
+        reader: &Reader,
+    ) -> Result<Option<Self>, JobError> {
+        Self::new(plan, parameters)?.restored(state, next_seq, reader)
+    }
+
+    fn restored(mut self, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
+        let Some((done, current)) = decode(state) else { return Ok(None) };
+        let (Some(finished), Some(running)) = (self.decode_sums(&done), self.decode_sums(&current)) else {
+            return Ok(None);
+        };
+        self.done = finished;
+        let channels = self.pass_channels().to_vec();
+        if channels.is_empty() || channels.len() != running.len() {
+            return Ok(None);
+        }
+        let halo = self.halo(next_seq, reader)?;
+        let mut current = Vec::new();
+        for (channel, sums) in channels.iter().zip(running) {
+            let values = match &halo {
+                Some((_, from)) => {
+                    let limit = usize::try_from(next_seq - from).unwrap_or(usize::MAX);
+                    let chunk = reader.read_chunk(self.plan.capture_id, *from, limit, &[*channel])?;
+                    chunk.columns.into_iter().next().unwrap_or_default()
+                }
+                None => Vec::new(),
+            };
+            // What precedes an absent value belongs to a stretch that has ended.
+            let since = values.iter().rposition(|value| value.is_nan()).map_or(0, |index| index + 1);
+            current.push(Overlapping::resume(sums, values.get(since..).unwrap_or_default()));
+        }
+        self.current = current;
+        self.open = halo.map(|(number, _)| number);
+        Ok(Some(self))
+    }
+
+    /// Sums over this grid; None where one is damaged or of another grid.
+    fn decode_sums(&self, entries: &[Vec<u8>]) -> Option<Vec<AllanSums>> {
+        let decode = |bytes: &Vec<u8>| AllanSums::from_bytes(bytes).ok().filter(|sums| *sums.grid() == self.grid);
+        entries.iter().map(decode).collect()
+    }
+
+    /// The segment that the sample before `next_seq` belongs to, and from where on it is needed again.
+    fn halo(&self, next_seq: u64, reader: &Reader) -> Result<Option<(u32, u64)>, JobError> {
+        let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
+        let chunk = reader.read_chunk(self.plan.capture_id, last, 1, &[])?;
+        let Some(number) = chunk.segment.first().copied() else { return Ok(None) };
+        let Some(range) = self.plan.segment(number) else { return Ok(None) };
+        Ok(Some((number, range.start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
+    }
+
+    /// The channels of this pass.
+    pub(super) fn pass_channels(&self) -> &[Channel] {
+        let from = self.done.len().min(self.plan.channels.len());
+        let to = (from + self.group).min(self.plan.channels.len());
+        self.plan.channels.get(from..to).unwrap_or_default()
+    }
+
+    fn begin_pass(&mut self) {
+        self.open = None;
+        self.current = self
+            .pass_channels()
+            .iter()
+            .map(|channel| Overlapping::new(FixedPoint::for_channel(*channel), self.grid.clone()))
+            .collect();
+    }
+
+    /// Ends a pass; answers whether another one is needed.
+    pub(super) fn end_pass(&mut self) -> bool {
+        self.done.extend(std::mem::take(&mut self.current).into_iter().map(Overlapping::into_sums));
+        let more = self.done.len() < self.plan.channels.len();
+        if more {
+            self.begin_pass();
+        }
+        more
+    }
+
+    /// How far the whole is when this pass has come to `next_seq`, 0–1.
+    pub(super) fn progress(&self, next_seq: u64) -> f64 {
+        let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
+        (self.done.len() as f64 + share) / self.plan.channels.len() as f64
+    }
+
+    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    pub(super) fn take(&mut self, chunk: &Chunk) {
+        let runs = self.plan.runs(chunk);
+        for (estimator, column) in self.current.iter_mut().zip(&chunk.columns) {
+            feed(estimator, &runs, column, self.open, Overlapping::push, Overlapping::break_segment);
+        }
+        if let Some((number, _)) = runs.last() {
+            self.open = *number;
+        }
+    }
+
+    /// Everything that [`Self::restore`] needs besides the samples.
+    pub(super) fn save(&mut self) -> Vec<u8> {
+        let done: Vec<Vec<u8>> = self.done.iter().map(AllanSums::to_bytes).collect();
+        let current: Vec<Vec<u8>> = self.current.iter_mut().map(|estimator| estimator.sums().to_bytes()).collect();
+        let mut bytes = vec![VERSION];
+        bytes.extend(join(&done));
+        bytes.extend(join(&current));
+        bytes
+    }
+
+    /// The plan and every channel's sums, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Vec<(Channel, AllanSums)>) {
+        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
+        (self.plan, sums)
+    }
+}
+
+#[cfg(test)]
+impl Summation {
+    pub(super) fn set_group(&mut self, group: usize) {
+        self.group = group;
+        self.begin_pass();
+    }
+
+    pub(super) fn restore_grouped(
+        plan: Plan,
+        parameters: &JobParameters,
+        state: &[u8],
+        next_seq: u64,
+        reader: &Reader,
+        group: usize,
+    ) -> Result<Option<Self>, JobError> {
+        let mut summation = Self::new(plan, parameters)?;
+        summation.set_group(group);
+        summation.restored(state, next_seq, reader)
+    }
+}
+
+type Lists = (Vec<Vec<u8>>, Vec<Vec<u8>>);
+
+fn decode(state: &[u8]) -> Option<Lists> {
+    let (version, mut rest) = state.split_first()?;
+    let lists = (split(&mut rest)?, split(&mut rest)?);
+    (*version == VERSION && rest.is_empty()).then_some(lists)
+}

@@ -1,0 +1,347 @@
+//! What jobs promise, on real files.
+
+use super::runner::{Outcome, run};
+use super::*;
+use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
+use crate::store::{CaptureState, JobState, NewCapture, NewJob, Reader, Store, StoreOptions};
+use std::time::{Duration, Instant};
+
+/// Samples of the capture: two segments at 40 Hz with a gap between them, one at 100 Hz, one at 40 Hz in which values of
+/// gyro_x are absent.
+const SEGMENTS: [(u64, f64); 4] = [(1500, 40.0), (2200, 40.0), (700, 100.0), (1100, 40.0)];
+const TOTAL: u64 = 5500;
+
+fn value(seq: u64, channel: Channel) -> f64 {
+    let mut state = (seq + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ ((channel as u64 + 1) << 32);
+    state ^= state >> 29;
+    state = state.wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.01
+}
+
+fn segment(number: u32, first_seq: u64, rate_hz: f64) -> Record {
+    Record::Segment(Segment {
+        number,
+        epoch: 1,
+        first_seq,
+        rate_hz,
+        timebase: Timebase::Device,
+        channels: [Channel::AccelX, Channel::GyroX, Channel::GyroY].into_iter().collect(),
+        first_device_time_ns: Some(first_seq * 25_000_000),
+        first_utc_ns: 1_800_000_000_000_000_000,
+    })
+}
+
+fn sample(number: u32, seq: u64) -> Record {
+    let mut sample = Sample::at(seq * 25_000_000, 1_800_000_000_000_000_000 + (seq * 25_000_000) as i64);
+    sample.device_time_ns = Some(seq * 25_000_000);
+    for channel in [Channel::AccelX, Channel::GyroX, Channel::GyroY] {
+        if !(channel == Channel::GyroX && (4600..4610).contains(&seq)) {
+            sample.set(channel, value(seq, channel));
+        }
+    }
+    Record::Sample { seq, segment: number, sample }
+}
+
+fn records() -> Vec<Record> {
+    let mut records = Vec::new();
+    let mut seq = 0;
+    for (number, (samples, rate_hz)) in (1..).zip(SEGMENTS) {
+        if number == 2 {
+            records.push(Record::Gap(Gap {
+                before_seq: seq,
+                from_utc_ns: 0,
+                to_utc_ns: 1,
+                device_ns: None,
+                missing: 7,
+                missing_exact: true,
+                cause: GapCause::Checksum,
+            }));
+        }
+        records.push(segment(number, seq, rate_hz));
+        records.extend((seq..seq + samples).map(|seq| sample(number, seq)));
+        seq += samples;
+    }
+    records
+}
+
+struct World {
+    directory: tempfile::TempDir,
+    store: Store,
+    capture: i64,
+}
+
+impl World {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let store = Store::open(&directory.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+        let named = NewCapture { name: Some("desk".to_owned()), ..NewCapture::new("test", CaptureState::Complete) };
+        let capture = store.create_capture(named).unwrap();
+        let world = Self { directory, store, capture };
+        world.send(records());
+        world
+    }
+    fn send(&self, records: Vec<Record>) {
+        for record in records {
+            self.store.records().blocking_send(self.capture, record).unwrap();
+        }
+        self.store.flush_blocking().unwrap();
+    }
+    fn reader(&self) -> Reader {
+        self.store.reader().unwrap()
+    }
+    fn queue(&self, kind: JobKind, params: serde_json::Value) -> i64 {
+        let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
+        let job = NewJob { kind: kind.name().to_owned(), capture_id: self.capture, params };
+        self.store.submit_job(job).unwrap().0.id
+    }
+    /// Works on the job in turns of `turns` chunks each, every turn as a program of its own would begin it.
+    fn work(&self, job: i64, chunk: usize, turns: impl IntoIterator<Item = usize>) -> String {
+        for chunks in turns {
+            let claimed = self.store.claim_job().unwrap().unwrap();
+            assert_eq!(claimed.id, job);
+            let mut left = chunks;
+            let outcome = run(&self.store, &self.reader(), &claimed, chunk, || {
+                left -= 1;
+                left > 0
+            });
+            match outcome.unwrap() {
+                Outcome::Done(result) => return self.reader().result(result).unwrap().unwrap().body,
+                Outcome::Stopped => {}
+                Outcome::Cancelled => panic!("nobody cancelled"),
+            }
+        }
+        panic!("the job did not come to an end");
+    }
+}
+
+#[test]
+fn a_job_killed_at_every_chunk_comes_to_the_same_bytes() {
+    for kind in JobKind::ALL {
+        let world = World::new();
+        let job = world.queue(kind, serde_json::Value::Null);
+        let whole = world.work(job, 100_000, [usize::MAX]);
+        for chunk in [97, 500, 1500, 4096] {
+            let world = World::new();
+            let job = world.queue(kind, serde_json::Value::Null);
+            let result = world.work(job, chunk, std::iter::repeat_n(1, 1000));
+            assert_eq!(result, whole, "{kind:?} in chunks of {chunk}");
+        }
+    }
+}
+
+#[test]
+fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
+    let world = World::new();
+    let parameters = JobKind::Allan.parameters(&serde_json::Value::Null).unwrap();
+    let reader = world.reader();
+    let plan = Plan::read(&reader, world.capture, TOTAL, &Channel::ANALYSED).unwrap();
+    let sums = |group: usize, kill: bool| {
+        let mut summation = sums::Summation::new(plan.clone(), &parameters).unwrap();
+        summation.set_group(group);
+        loop {
+            let mut next = 0;
+            while next < TOTAL {
+                let chunk = reader.read_chunk(world.capture, next, 613, summation.pass_channels()).unwrap();
+                summation.take(&chunk);
+                next = chunk.next_seq();
+                if kill {
+                    let state = summation.save();
+                    summation =
+                        sums::Summation::restore_grouped(plan.clone(), &parameters, &state, next, &reader, group)
+                            .unwrap()
+                            .unwrap();
+                }
+            }
+            if !summation.end_pass() {
+                break;
+            }
+        }
+        summation.finish().1
+    };
+    let whole = sums(3, false);
+    assert_eq!(whole.len(), 3);
+    for group in 1..=3 {
+        assert_eq!(sums(group, false), whole, "{group} at a time");
+        assert_eq!(sums(group, true), whole, "{group} at a time, killed");
+    }
+}
+
+#[test]
+fn the_curve_is_that_of_the_estimator_on_each_stretch_by_itself() {
+    let world = World::new();
+    let job = world.queue(JobKind::Allan, serde_json::json!({"taus": "octave"}));
+    let report: crate::noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    assert_eq!((report.rate_hz, report.complete), (40.0, true));
+    assert_eq!(report.channels.keys().copied().collect::<Vec<_>>(), [Channel::AccelX, Channel::GyroX, Channel::GyroY]);
+    let stretches: [std::ops::Range<u64>; 4] = [0..1500, 1500..3700, 4400..4600, 4610..5500];
+    for (index, m) in [1u64, 2, 4, 8, 16, 32, 64, 128, 256, 512].into_iter().enumerate() {
+        let (mut squares, mut terms) = (0.0, 0u64);
+        for stretch in stretches.clone() {
+            let mut phases = vec![0.0];
+            for seq in stretch {
+                phases.push(phases.last().unwrap() + value(seq, Channel::GyroX));
+            }
+            for newest in 2 * m as usize..phases.len() {
+                let (middle, oldest) = (phases[newest - m as usize], phases[newest - 2 * m as usize]);
+                squares += (phases[newest] - 2.0 * middle + oldest).powi(2);
+                terms += 1;
+            }
+        }
+        let curve = &report.channels[&Channel::GyroX];
+        let expected = (squares / (2.0 * terms as f64)).sqrt() / m as f64;
+        assert_eq!(curve.n[index], terms, "m = {m}");
+        assert!(
+            (curve.deviation[index] / expected - 1.0).abs() < 1e-6,
+            "m = {m}: {} {expected}",
+            curve.deviation[index]
+        );
+    }
+}
+
+#[test]
+fn a_job_sees_the_samples_that_were_there_when_it_was_submitted() {
+    let world = World::new();
+    let before = world.queue(JobKind::Allan, serde_json::Value::Null);
+    let more = (TOTAL..TOTAL + 900).map(|seq| sample(4, seq)).collect();
+    world.send(more);
+    let body = world.work(before, 1000, [usize::MAX]);
+    let report: crate::noise::allan::AllanReport = serde_json::from_str(&body).unwrap();
+    assert!(!report.complete);
+    // accel_x at m = 1: every segment of n samples gives n − 1 terms.
+    assert_eq!(report.channels[&Channel::AccelX].n[0], 1499 + 2199 + 1099);
+    let after = world.queue(JobKind::Allan, serde_json::Value::Null);
+    assert_ne!(after, before);
+}
+
+#[test]
+fn a_cancelled_job_ends_at_the_next_chunk() {
+    let world = World::new();
+    let job = world.queue(JobKind::Allan, serde_json::Value::Null);
+    let claimed = world.store.claim_job().unwrap().unwrap();
+    let mut chunks = 0;
+    let outcome = run(&world.store, &world.reader(), &claimed, 500, || {
+        chunks += 1;
+        if chunks == 3 {
+            world.store.cancel_job(job).unwrap();
+        }
+        true
+    });
+    assert_eq!((outcome.unwrap(), chunks), (Outcome::Cancelled, 3));
+    assert_eq!(world.reader().job(job).unwrap().state, JobState::Cancelled);
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused() {
+    let world = World::new();
+    let job = world.queue(JobKind::Allan, serde_json::Value::Null);
+    for state in [vec![], vec![9], vec![1, 0, 0, 0, 0], vec![1, 255, 255, 255, 255], vec![1; 64]] {
+        let claimed = world.store.claim_job().unwrap().unwrap();
+        let checkpoint = crate::store::JobCheckpoint { next_seq: 100, state };
+        world.store.checkpoint_job(job, checkpoint, 0.1).unwrap();
+        let error = run(&world.store, &world.reader(), &claimed, 500, || true).unwrap_err();
+        assert!(matches!(error, JobError::Checkpoint { .. }), "{error}");
+        world.store.release_job(job).unwrap();
+    }
+}
+
+fn wait_until(what: &str, condition: impl Fn() -> bool) {
+    let begun = Instant::now();
+    while !condition() {
+        assert!(begun.elapsed() < Duration::from_secs(30), "{what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn workers_do_what_is_queued_and_clear_away_what_is_deleted() {
+    let world = World::new();
+    let jobs = Jobs::start(&world.store, JobsOptions { chunk: 1000, ..JobsOptions::default() }).unwrap();
+    let queued = jobs.submit_all(world.capture).unwrap();
+    assert_eq!(queued.len(), JobKind::ALL.len());
+    let reader = world.reader();
+    wait_until("the jobs", || queued.iter().all(|job| reader.job(job.id).unwrap().state == JobState::Done));
+    assert_eq!(jobs.submit_all(world.capture).unwrap()[0].id, queued[0].id);
+    assert!(reader.latest_result(world.capture, "allan").unwrap().is_some());
+    wait_until("the count", || jobs.status().done == queued.len() as u64 && jobs.status().running == 0);
+    world.store.delete_capture(world.capture).unwrap();
+    jobs.wake();
+    wait_until("the deletion", || !reader.has_deleted().unwrap());
+    jobs.stop();
+    assert!(world.directory.path().exists());
+}
+
+#[test]
+fn a_capture_with_too_little_in_it_fails_the_job_with_the_reason() {
+    let world = World::new();
+    let few = world.store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
+    let sender = world.store.records();
+    sender.blocking_send(few, segment(1, 0, 40.0)).unwrap();
+    for seq in 0..3 {
+        sender.blocking_send(few, sample(1, seq)).unwrap();
+    }
+    world.store.flush_blocking().unwrap();
+    let empty = world.store.create_capture(NewCapture::new("test", CaptureState::Stopped)).unwrap();
+    let jobs = Jobs::start(&world.store, JobsOptions::default()).unwrap();
+    let reader = world.reader();
+    for (capture, reason) in [(few, "3 samples"), (empty, "no samples")] {
+        let job = jobs.submit(JobKind::Allan, capture, &serde_json::Value::Null).unwrap().0.id;
+        wait_until("the end", || reader.job(job).unwrap().state == JobState::Failed);
+        let error = reader.job(job).unwrap().error.unwrap();
+        assert!(error.contains(reason), "{error}");
+    }
+    jobs.stop();
+    assert_eq!(jobs.status().failed, 2);
+}
+
+#[test]
+fn while_a_capture_runs_its_curve_grows_with_it() {
+    let world = World::new();
+    let live = Live::new();
+    let reader = world.reader();
+    let empty = world.store.create_capture(NewCapture::new("test", CaptureState::Capturing)).unwrap();
+    assert!(matches!(live.allan(&reader, empty), Err(JobError::InsufficientData { .. })));
+    let early = live.points(&reader, world.capture).unwrap();
+    assert_eq!((early.rate_hz, early.samples, early.next_seq, early.caught_up), (40.0, 4800, TOTAL, true));
+    let job = world.queue(JobKind::Allan, serde_json::json!({"taus": "octave"}));
+    let exact: crate::noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    let report = live.allan(&reader, world.capture).unwrap();
+    assert!(!report.complete);
+    for (channel, curve) in &report.channels {
+        // Up to m = 16 every term is taken.
+        for index in 0..5 {
+            let expected = exact.channels[channel].deviation[index];
+            assert_eq!(curve.n[index], exact.channels[channel].n[index]);
+            assert!((curve.deviation[index] / expected - 1.0).abs() < 1e-12, "{channel} {index}");
+        }
+    }
+    world.send((TOTAL..TOTAL + 900).map(|seq| sample(4, seq)).collect());
+    assert_eq!(live.points(&reader, world.capture).unwrap().samples, 5700);
+    let noise = live.noise(&reader, world.capture).unwrap();
+    assert_eq!((noise.samples, noise.missing, noise.complete), (TOTAL + 900, 7, false));
+    assert!(noise.channels[&Channel::AccelX].n.identified);
+    let statistics = live.statistics(&reader, world.capture).unwrap();
+    assert_eq!(statistics.channels[&Channel::GyroX].n, TOTAL + 900 - 10);
+}
+
+#[test]
+fn noise_parameters_and_statistics_say_what_they_are_made_of() {
+    let world = World::new();
+    let job = world.queue(JobKind::Noise, serde_json::Value::Null);
+    let noise: crate::noise::NoiseReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    assert_eq!((noise.format.as_str(), noise.rate_hz, noise.complete), ("vn100d-noise-1", 40.0, true));
+    assert_eq!((noise.samples, noise.missing), (TOTAL, 7));
+    // Uniform over 0.01: σ/√rate.
+    let truth = 0.01 / 12f64.sqrt() / 40f64.sqrt();
+    for parameters in noise.channels.values() {
+        assert!((parameters.n.value.unwrap() / truth - 1.0).abs() < 0.05, "{:?}", parameters.n);
+        assert!(parameters.flags.iter().any(|flag| flag.kind == "other_rate" && flag.note.contains("700")));
+    }
+    let job = world.queue(JobKind::Statistics, serde_json::Value::Null);
+    let report: StatisticsReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    assert_eq!(report.format, "vn100d-statistics-1");
+    assert_eq!(report.channels[&Channel::GyroX].n, TOTAL - 10);
+    let values = (0..TOTAL).map(|seq| value(seq, Channel::AccelX));
+    let mean = values.clone().sum::<f64>() / TOTAL as f64;
+    assert!((report.channels[&Channel::AccelX].mean.unwrap() - mean).abs() < 1e-15);
+    assert_eq!(report.channels[&Channel::AccelX].max, values.reduce(f64::max));
+}

@@ -1,0 +1,255 @@
+//! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
+
+use super::runner::{CHUNK, Outcome, run};
+use super::{JobError, JobKind};
+use crate::observe::JobsStatus;
+use crate::store::{JobRow, JobState, NewJob, ReaderPool, Store, StoreError, StoreErrorKind};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// How often an idle worker looks whether there is something to do that nobody told it of.
+const LOOK: Duration = Duration::from_secs(2);
+/// How long a worker waits after the database refused.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// How jobs are worked on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct JobsOptions {
+    /// How many jobs at a time, at least 1: each takes up to a core and [`super::MEMORY`].
+    pub threads: usize,
+    /// Samples of one chunk.
+    pub chunk: usize,
+}
+
+impl Default for JobsOptions {
+    fn default() -> Self {
+        Self { threads: 1, chunk: CHUNK }
+    }
+}
+
+/// The queue and its workers; cheap to clone. Workers end with [`Jobs::stop`].
+#[derive(Debug, Clone)]
+pub struct Jobs {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    store: Store,
+    readers: ReaderPool,
+    options: JobsOptions,
+    stop: AtomicBool,
+    /// Jobs that could not be put back into the queue when their work was interrupted: tried again before anything else.
+    stranded: Mutex<Vec<i64>>,
+    /// Counts calls to work, so that none is missed between looking and waiting.
+    calls: Mutex<u64>,
+    called: Condvar,
+    queued: AtomicU64,
+    running: AtomicU64,
+    done: AtomicU64,
+    failed: AtomicU64,
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+impl Jobs {
+    /// Starts the workers on the store's queue; jobs that ran when the program last ended go on.
+    ///
+    /// # Errors
+    /// [`JobError::Thread`] where a thread cannot be started.
+    pub fn start(store: &Store, options: JobsOptions) -> Result<Self, JobError> {
+        let jobs = Self {
+            inner: Arc::new(Inner {
+                store: store.clone(),
+                readers: ReaderPool::new(store.path()),
+                options,
+                stop: AtomicBool::new(false),
+                stranded: Mutex::default(),
+                calls: Mutex::new(0),
+                called: Condvar::new(),
+                queued: AtomicU64::new(0),
+                running: AtomicU64::new(0),
+                done: AtomicU64::new(0),
+                failed: AtomicU64::new(0),
+                threads: Mutex::default(),
+            }),
+        };
+        for number in 0..options.threads.max(1) {
+            let inner = Arc::clone(&jobs.inner);
+            let thread = std::thread::Builder::new()
+                .name(format!("jobs-{number}"))
+                .spawn(move || inner.work())
+                .map_err(JobError::Thread)?;
+            jobs.inner.threads.lock().unwrap_or_else(PoisonError::into_inner).push(thread);
+        }
+        Ok(jobs)
+    }
+
+    /// Queues a job; answers it and whether it is new. Blocks until it is on disk.
+    ///
+    /// # Errors
+    /// [`JobError::Parameters`], or [`JobError::Store`] (no such capture, …).
+    pub fn submit(
+        &self,
+        kind: JobKind,
+        capture_id: i64,
+        parameters: &serde_json::Value,
+    ) -> Result<(JobRow, bool), JobError> {
+        let params = serde_json::to_value(kind.parameters(parameters)?)?;
+        let submitted = self.inner.store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params })?;
+        if submitted.1 {
+            self.inner.queued.fetch_add(1, Ordering::Relaxed);
+        }
+        self.wake();
+        Ok(submitted)
+    }
+
+    /// Queues all that a complete or imported capture gets without being asked: one job of every kind.
+    ///
+    /// # Errors
+    /// As [`Self::submit`].
+    pub fn submit_all(&self, capture_id: i64) -> Result<Vec<JobRow>, JobError> {
+        JobKind::ALL.into_iter().map(|kind| Ok(self.submit(kind, capture_id, &serde_json::Value::Null)?.0)).collect()
+    }
+
+    /// Calls a job off.
+    ///
+    /// # Errors
+    /// [`JobError::Store`]: no such job, or it has ended.
+    pub fn cancel(&self, id: i64) -> Result<(), JobError> {
+        Ok(self.inner.store.cancel_job(id)?)
+    }
+
+    /// Tells the workers that there is something to do: a job was queued or a capture deleted.
+    pub fn wake(&self) {
+        *self.inner.calls.lock().unwrap_or_else(PoisonError::into_inner) += 1;
+        self.inner.called.notify_all();
+    }
+
+    /// The jobs in numbers; from memory.
+    #[must_use]
+    pub fn status(&self) -> JobsStatus {
+        JobsStatus {
+            queued: self.inner.queued.load(Ordering::Relaxed),
+            running: self.inner.running.load(Ordering::Relaxed),
+            done: self.inner.done.load(Ordering::Relaxed),
+            failed: self.inner.failed.load(Ordering::Relaxed),
+        }
+    }
+
+    /// Ends the workers; a running job is queued again at its next chunk and goes on at the next start.
+    pub fn stop(&self) {
+        self.inner.stop.store(true, Ordering::Release);
+        self.wake();
+        let threads = std::mem::take(&mut *self.inner.threads.lock().unwrap_or_else(PoisonError::into_inner));
+        for thread in threads {
+            if thread.join().is_err() {
+                tracing::error!(message = "A worker thread had ended by itself.");
+            }
+        }
+    }
+}
+
+/// As [`Jobs::submit_all`], where no worker runs: the daemon does the work when it runs next.
+///
+/// # Errors
+/// As [`Jobs::submit`].
+pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> {
+    for kind in JobKind::ALL {
+        let params = serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?;
+        store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params })?;
+    }
+    Ok(())
+}
+
+impl Inner {
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+    }
+
+    fn work(&self) {
+        while !self.stopped() {
+            let seen = *self.calls.lock().unwrap_or_else(PoisonError::into_inner);
+            match self.step() {
+                Ok(true) => {}
+                Ok(false) => self.wait(seen, LOOK),
+                Err(JobError::Store(StoreError::Closed)) => return,
+                Err(error) => {
+                    tracing::warn!(message = "Background work waits for the database.", %error);
+                    self.wait(seen, PAUSE);
+                }
+            }
+        }
+    }
+
+    fn wait(&self, seen: u64, time: Duration) {
+        let calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
+        // Whoever called meanwhile is served at once.
+        let waited = self.called.wait_timeout_while(calls, time, |calls| *calls == seen && !self.stopped());
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// Does one job, or a step of clearing away; false where there is nothing to do.
+    fn step(&self) -> Result<bool, JobError> {
+        let stranded = self.stranded.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        if let Some(id) = stranded {
+            self.release(id)?;
+        }
+        let reader = self.readers.get()?;
+        let queued = reader.count_jobs(JobState::Queued)?;
+        self.queued.store(queued, Ordering::Relaxed);
+        if queued == 0 {
+            return if reader.has_deleted()? { Ok(self.store.purge_step()?) } else { Ok(false) };
+        }
+        let Some(job) = self.store.claim_job()? else { return Ok(true) };
+        self.queued.store(queued.saturating_sub(1), Ordering::Relaxed);
+        self.running.fetch_add(1, Ordering::Relaxed);
+        let outcome = run(&self.store, &reader, &job, self.options.chunk, || !self.stopped());
+        self.running.fetch_sub(1, Ordering::Relaxed);
+        self.settle(&job, outcome)?;
+        Ok(true)
+    }
+
+    /// Puts a job back into the queue, now or when the disk takes it.
+    fn release(&self, id: i64) -> Result<(), JobError> {
+        let released = self.store.release_job(id);
+        if released.is_err() {
+            self.stranded.lock().unwrap_or_else(PoisonError::into_inner).push(id);
+        }
+        Ok(released?)
+    }
+
+    fn settle(&self, job: &JobRow, outcome: Result<Outcome, JobError>) -> Result<(), JobError> {
+        match outcome {
+            Ok(Outcome::Done(result_id)) => {
+                self.done.fetch_add(1, Ordering::Relaxed);
+                tracing::info!(
+                    message = "A job is done.",
+                    job = job.id,
+                    kind = job.kind,
+                    capture = job.capture,
+                    result_id
+                );
+                Ok(())
+            }
+            Ok(Outcome::Cancelled | Outcome::Stopped) => Ok(()),
+            Err(JobError::Store(error)) if is_passing(&error) => {
+                self.release(job.id)?;
+                Err(error.into())
+            }
+            Err(error) => {
+                self.failed.fetch_add(1, Ordering::Relaxed);
+                tracing::warn!(message = "A job failed.", job = job.id, kind = job.kind, capture = job.capture, %error);
+                Ok(self.store.fail_job(job.id, &error.to_string())?)
+            }
+        }
+    }
+}
+
+/// Whether the same job may succeed later without anything about it being changed.
+fn is_passing(error: &StoreError) -> bool {
+    // A disk that reports an error now may be well later; a damaged database will not.
+    let passing = matches!(error.kind(), StoreErrorKind::Unavailable | StoreErrorKind::Io);
+    (passing && !matches!(error, StoreError::Damaged { .. })) || error.is_interrupted()
+}
