@@ -1,0 +1,128 @@
+//! Range checks: pure, over the typed configuration. Whether a rate fits a baud rate is the capture's to say, which
+//! knows the length of a frame.
+
+use super::sections::Config;
+use super::values::{Baud, Output};
+use crate::units::{IMU_RATE_HZ, format_duration};
+use std::time::Duration;
+
+/// Baud rates of register 5 that Linux has too (termios knows no 128000).
+pub const BAUDS: [u32; 8] = [9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600];
+/// Rates of register 7 in Hz.
+pub const ASCII_RATES_HZ: [f64; 11] = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
+/// Fewest characters of a token: 128 bits as hexadecimal digits would be 32, a passphrase of 16 resists guessing by HTTP.
+pub const TOKEN_LENGTH_MIN: usize = 16;
+
+const DURATION: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(366 * 86_400));
+const QUEUE: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(600));
+const RESERVE_MIB: (u64, u64) = (16, 1 << 20);
+
+/// A value outside its range.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// The key with its section.
+    pub key: &'static str,
+    /// The value.
+    pub found: String,
+    /// What is allowed.
+    pub allowed: String,
+}
+
+/// The first value of `config` that is outside its range.
+///
+/// # Errors
+/// The [`Refusal`].
+pub fn check(config: &Config) -> Result<(), Refusal> {
+    let sensor = &config.sensor;
+    if let Baud::Fixed(baud) = sensor.baud {
+        check_baud("sensor.baud", baud)?;
+    }
+    if sensor.bauds.is_empty() {
+        return Err(Refusal { key: "sensor.bauds", found: "[]".to_owned(), allowed: allowed_bauds() });
+    }
+    sensor.bauds.iter().try_for_each(|baud| check_baud("sensor.bauds", *baud))?;
+    check_rate(config)?;
+    between("capture.duration", config.capture.duration, DURATION)?;
+    between("storage.queue", config.storage.queue, QUEUE)?;
+    let reserve = config.storage.reserve_mib;
+    if !(RESERVE_MIB.0..=RESERVE_MIB.1).contains(&reserve) {
+        return Err(Refusal {
+            key: "storage.reserve-mib",
+            found: reserve.to_string(),
+            allowed: format!("allowed is {} to {} MiB", RESERVE_MIB.0, RESERVE_MIB.1),
+        });
+    }
+    check_token(config)?;
+    check_level(config)
+}
+
+fn allowed_bauds() -> String {
+    format!("allowed are {}", BAUDS.map(|baud| baud.to_string()).join(", "))
+}
+
+fn check_baud(key: &'static str, baud: u32) -> Result<(), Refusal> {
+    if BAUDS.contains(&baud) {
+        return Ok(());
+    }
+    Err(Refusal { key, found: baud.to_string(), allowed: allowed_bauds() })
+}
+
+fn check_rate(config: &Config) -> Result<(), Refusal> {
+    let sensor = &config.sensor;
+    let (allowed, fits) = match sensor.output {
+        Output::Keep => ("any rate from 1 to 800 Hz (with output = \"keep\" it is not used)".to_owned(), {
+            (1.0..=IMU_RATE_HZ).contains(&sensor.rate_hz)
+        }),
+        Output::Binary => (
+            format!(
+                "binary output has {IMU_RATE_HZ} Hz divided by a whole number, down to 1 Hz: 800, 400, 200, 100, 50, 40…"
+            ),
+            sensor.rate_divisor().is_some(),
+        ),
+        Output::Ascii(_) => (
+            format!("ASCII output has {} Hz", ASCII_RATES_HZ.map(|rate| rate.to_string()).join(", ")),
+            ASCII_RATES_HZ.contains(&sensor.rate_hz),
+        ),
+    };
+    if fits { Ok(()) } else { Err(Refusal { key: "sensor.rate-hz", found: format!("{} Hz", sensor.rate_hz), allowed }) }
+}
+
+fn between(key: &'static str, value: Duration, (low, high): (Duration, Duration)) -> Result<(), Refusal> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(Refusal {
+        key,
+        found: format_duration(value),
+        allowed: format!("allowed is {} to {}", format_duration(low), format_duration(high)),
+    })
+}
+
+fn check_token(config: &Config) -> Result<(), Refusal> {
+    let token = config.http.token.secret();
+    let fits =
+        token.is_empty() || (token.len() >= TOKEN_LENGTH_MIN && token.bytes().all(|byte| byte.is_ascii_graphic()));
+    if fits {
+        return Ok(());
+    }
+    Err(Refusal {
+        key: "http.token",
+        found: format!("a text of {} characters", token.chars().count()),
+        allowed: format!(
+            "allowed are at least {TOKEN_LENGTH_MIN} visible ASCII characters without spaces, or \"\" for none"
+        ),
+    })
+}
+
+fn check_level(config: &Config) -> Result<(), Refusal> {
+    let level = config.log.level.trim();
+    if !level.is_empty() && tracing_subscriber::EnvFilter::try_new(level).is_ok() {
+        return Ok(());
+    }
+    Err(Refusal {
+        key: "log.level",
+        found: format!("`{}`", config.log.level),
+        allowed: "allowed are error, warn, info, debug, trace, off, or directives such as info,vn100d::capture=debug"
+            .to_owned(),
+    })
+}

@@ -1,0 +1,103 @@
+//! Why a configuration was refused. All of these are exit code 78.
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Where a value came from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// A line of a file, from 1.
+    Line {
+        /// The file.
+        file: PathBuf,
+        /// The line.
+        line: usize,
+    },
+    /// The command line or the environment.
+    Given,
+    /// A built-in default, made unfit by another value.
+    Default,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line { file, line } => write!(formatter, "{}:{line}", file.display()),
+            Self::Given => formatter.write_str("command line or environment"),
+            Self::Default => formatter.write_str("built-in default"),
+        }
+    }
+}
+
+/// Why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A file that was asked for by name cannot be read.
+    #[error("cannot read the configuration {file}: {source}")]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The text is not TOML.
+    #[error("{file}:{line}: this is not TOML: {problem}", file = file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What the parser expected.
+        problem: String,
+    },
+    /// A key that does not exist.
+    #[error("{place}: there is no key `{key}`: allowed here are {}", allowed.join(", "))]
+    UnknownKey {
+        /// Where it stands.
+        place: Place,
+        /// The key with its section.
+        key: String,
+        /// The keys of that section.
+        allowed: Vec<String>,
+    },
+    /// A value that the key does not take.
+    #[error("{place}: `{key}` is {found}: {allowed}")]
+    Value {
+        /// Where it stands.
+        place: Place,
+        /// The key with its section.
+        key: String,
+        /// The value as written.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// The interface would be open to everybody.
+    #[error(
+        "{place}: `http.listen` is {listen}, which others can reach: set `http.token` or `http.token-file`, or listen \
+         on 127.0.0.1"
+    )]
+    TokenNeeded {
+        /// Where the address stands.
+        place: Place,
+        /// The address.
+        listen: SocketAddr,
+    },
+    /// The token cannot be read.
+    #[error("{place}: `http.token-file`: cannot read {file}: {source}")]
+    TokenFile {
+        /// Where the name of the file stands.
+        place: Place,
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Nothing says where the data shall be.
+    #[error(
+        "there is no place for the data: give --data-dir, or set VN100D_DATA_DIR, STATE_DIRECTORY, XDG_STATE_HOME or HOME"
+    )]
+    NoDataDirectory,
+}

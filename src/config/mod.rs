@@ -1,0 +1,134 @@
+//! Configuration: a TOML file over built-in defaults, flags over the file.
+//!
+//! Enters: the text of one file, the flags of the command line, a few environment variables. Leaves: a [`Config`] in
+//! which every value is in its range. Promises: an unknown key, a value of the wrong kind or out of range, and a
+//! listening address that others can reach without a token are refused with file, line, key and what is allowed.
+//! Refuses to merge several files: the first that exists counts alone. The data directory is not a key: it decides
+//! which database a command means, and must be the same for every command (contract, section 1).
+
+mod check;
+mod error;
+mod place;
+mod sections;
+mod source;
+mod values;
+
+pub use check::{ASCII_RATES_HZ, BAUDS, Refusal, TOKEN_LENGTH_MIN, check};
+pub use error::{ConfigError, Place};
+pub use place::Environment;
+pub use sections::{CaptureConfig, Config, HttpConfig, LogConfig, SensorConfig, StorageConfig};
+pub use values::{ASCII_TYPES, Baud, BinaryFields, Device, LogFormat, Output, Token};
+
+use source::Source;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// What the command line says over the file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Overrides {
+    /// `--device`
+    pub device: Option<String>,
+    /// `--listen`
+    pub listen: Option<SocketAddr>,
+}
+
+/// A configuration and the file it came from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Loaded {
+    /// The effective configuration.
+    pub config: Config,
+    /// The file; `None` where there was none and the defaults count.
+    pub file: Option<PathBuf>,
+}
+
+/// Finds, reads and checks the configuration: `--config`, `VN100D_CONFIG`, `$XDG_CONFIG_HOME/vn100d/vn100d.toml`,
+/// `/etc/vn100d/vn100d.toml`, else the defaults.
+///
+/// # Errors
+/// [`ConfigError`]: exit code 78.
+pub fn load(flag: Option<&Path>, environment: &Environment, overrides: &Overrides) -> Result<Loaded, ConfigError> {
+    if let Some(file) = environment.named_config(flag) {
+        let text = std::fs::read_to_string(&file).map_err(|source| ConfigError::Read { file: file.clone(), source })?;
+        return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) });
+    }
+    for file in environment.searched_configs() {
+        match std::fs::read_to_string(&file) {
+            Ok(text) => return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) if error.kind() == std::io::ErrorKind::NotADirectory => {}
+            Err(source) => return Err(ConfigError::Read { file, source }),
+        }
+    }
+    Ok(Loaded { config: finish(&Source::new(Path::new(""), ""), overrides)?, file: None })
+}
+
+/// Reads and checks the text of a file.
+///
+/// # Errors
+/// [`ConfigError`] that names `file`, the line, the key and what is allowed.
+pub fn parse(file: &Path, text: &str) -> Result<Config, ConfigError> {
+    finish(&Source::new(file, text), &Overrides::default())
+}
+
+fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigError> {
+    let mut config = source.read()?;
+    if let Some(device) = &overrides.device {
+        config.sensor.device = Device::parse(device).map_err(|allowed| ConfigError::Value {
+            place: Place::Given,
+            key: "sensor.device".to_owned(),
+            found: format!("`{device}`"),
+            allowed: format!("expected {allowed}"),
+        })?;
+    }
+    if let Some(listen) = overrides.listen {
+        config.http.listen = listen;
+    }
+    read_token(source, &mut config)?;
+    check(&config).map_err(|refusal| ConfigError::Value {
+        place: source.place(refusal.key),
+        key: refusal.key.to_owned(),
+        found: refusal.found,
+        allowed: refusal.allowed,
+    })?;
+    if !config.http.listen.ip().is_loopback() && config.http.token.is_empty() {
+        let place = if overrides.listen.is_some() { Place::Given } else { source.place("http.listen") };
+        return Err(ConfigError::TokenNeeded { place, listen: config.http.listen });
+    }
+    Ok(config)
+}
+
+/// The token lies in a file of its own so that the configuration may be readable by everybody.
+fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigError> {
+    if config.http.token_file.as_os_str().is_empty() {
+        return Ok(());
+    }
+    let place = source.place("http.token-file");
+    if !config.http.token.is_empty() {
+        return Err(ConfigError::Value {
+            place,
+            key: "http.token-file".to_owned(),
+            found: format!("{}", config.http.token_file.display()),
+            allowed: "`http.token` is set too: give one of them".to_owned(),
+        });
+    }
+    let file = &config.http.token_file;
+    let text = std::fs::read_to_string(file).map_err(|source| ConfigError::TokenFile {
+        place: place.clone(),
+        file: file.clone(),
+        source,
+    })?;
+    let first = text.lines().next().unwrap_or_default().trim();
+    if first.is_empty() {
+        return Err(ConfigError::Value {
+            place,
+            key: "http.token-file".to_owned(),
+            found: format!("{}, whose first line is empty", file.display()),
+            allowed: "expected a file whose first line is the token".to_owned(),
+        });
+    }
+    config.http.token = Token::new(first);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,157 @@
+//! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every key;
+//! a test holds the latter against these defaults.
+
+use super::values::{Baud, BinaryFields, Device, LogFormat, Output, Token};
+use crate::units::{IMU_RATE_HZ, duration_text};
+use serde::{Deserialize, Serialize};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The effective configuration.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// `[sensor]`
+    pub sensor: SensorConfig,
+    /// `[capture]`
+    pub capture: CaptureConfig,
+    /// `[storage]`
+    pub storage: StorageConfig,
+    /// `[http]`
+    pub http: HttpConfig,
+    /// `[log]`
+    pub log: LogConfig,
+}
+
+/// The sensor: where it is and what it shall send.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct SensorConfig {
+    /// Where it is looked for.
+    pub device: Device,
+    /// Its baud rate.
+    pub baud: Baud,
+    /// Baud rates that `baud = "auto"` tries, in this order.
+    pub bauds: Vec<u32>,
+    /// What it is told to send.
+    pub output: Output,
+    /// Output rate in Hz; not used with `output = "keep"`.
+    pub rate_hz: f64,
+    /// What binary output consists of.
+    pub binary_fields: BinaryFields,
+}
+
+impl SensorConfig {
+    /// The divisor of the internal rate of 800 Hz that gives `rate_hz` in binary output; `None` where none does.
+    ///
+    /// # Source
+    /// VN-100 user manual, register 75: `RateDivisor`. A rate may be written with the decimals a person writes: 33.33
+    /// means 800/24.
+    #[must_use]
+    pub fn rate_divisor(&self) -> Option<u16> {
+        let exact = IMU_RATE_HZ / self.rate_hz;
+        let divisor = exact.round();
+        let fits = (exact - divisor).abs() <= 0.01 && (1.0..=IMU_RATE_HZ).contains(&divisor);
+        fits.then_some(divisor as u16)
+    }
+}
+
+impl Default for SensorConfig {
+    fn default() -> Self {
+        Self {
+            device: Device::Auto,
+            baud: Baud::Auto,
+            bauds: vec![115_200, 921_600, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600],
+            output: Output::Binary,
+            rate_hz: 40.0,
+            binary_fields: BinaryFields { groups: 0x01, masks: vec![0x0609] },
+        }
+    }
+}
+
+/// Captures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct CaptureConfig {
+    /// Sample time of a capture that is asked for without a duration.
+    #[serde(with = "duration_text")]
+    pub duration: Duration,
+}
+
+impl Default for CaptureConfig {
+    fn default() -> Self {
+        Self { duration: Duration::from_secs(5 * 3600) }
+    }
+}
+
+/// The way to the disk.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct StorageConfig {
+    /// How long the disk may stand still before samples are lost.
+    #[serde(with = "duration_text")]
+    pub queue: Duration,
+    /// Free space in MiB below which the daemon reports itself not ready.
+    pub reserve_mib: u64,
+}
+
+impl StorageConfig {
+    /// Fewest samples that the queue holds, whatever the rate (issue: 30 s of data, at least 24,000 samples).
+    pub const QUEUE_SAMPLES_MIN: usize = 24_000;
+
+    /// How many samples the queue between reader and writer holds at the highest rate of a sensor.
+    #[must_use]
+    pub fn queue_samples(&self) -> usize {
+        ((self.queue.as_secs_f64() * IMU_RATE_HZ).ceil() as usize).max(Self::QUEUE_SAMPLES_MIN)
+    }
+    /// The reserve in bytes.
+    #[must_use]
+    pub fn reserve_bytes(&self) -> u64 {
+        self.reserve_mib << 20
+    }
+}
+
+impl Default for StorageConfig {
+    fn default() -> Self {
+        Self { queue: Duration::from_secs(30), reserve_mib: 512 }
+    }
+}
+
+/// The HTTP interface.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct HttpConfig {
+    /// Where it listens.
+    pub listen: SocketAddr,
+    /// The bearer token that requests need which change something, once `listen` is beyond loopback.
+    pub token: Token,
+    /// A file that holds the token (its first line); empty where there is none.
+    pub token_file: PathBuf,
+}
+
+impl Default for HttpConfig {
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8100)),
+            token: Token::default(),
+            token_file: PathBuf::new(),
+        }
+    }
+}
+
+/// The log.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct LogConfig {
+    /// `error`, `warn`, `info`, `debug`, `trace`, or directives such as `info,vn100d::capture=debug`.
+    pub level: String,
+    /// The form of its lines.
+    pub format: LogFormat,
+}
+
+impl Default for LogConfig {
+    fn default() -> Self {
+        Self { level: "info".to_owned(), format: LogFormat::Text }
+    }
+}

@@ -1,0 +1,252 @@
+//! Tests of the configuration.
+
+use super::*;
+use std::time::Duration;
+
+const SHIPPED: &str = include_str!("../../systemd/vn100d.toml");
+
+fn refused(text: &str) -> String {
+    parse(Path::new("x.toml"), text).unwrap_err().to_string()
+}
+
+#[test]
+fn an_empty_file_is_the_default() {
+    assert_eq!(parse(Path::new("x.toml"), "").unwrap(), Config::default());
+}
+
+#[test]
+fn the_shipped_file_as_it_is_is_the_default() {
+    assert_eq!(parse(Path::new("vn100d.toml"), SHIPPED).unwrap(), Config::default());
+}
+
+/// `#key = value` without a space is a key, `# text` is prose.
+fn uncommented() -> String {
+    SHIPPED
+        .lines()
+        .map(|line| match line.strip_prefix('#') {
+            Some(rest) if rest.starts_with(|letter: char| letter.is_ascii_lowercase()) => format!("{rest}\n"),
+            _ => format!("{line}\n"),
+        })
+        .collect()
+}
+
+#[test]
+fn the_shipped_file_with_every_key_uncommented_is_the_default() {
+    let text = uncommented();
+    assert_eq!(parse(Path::new("vn100d.toml"), &text).unwrap(), Config::default(), "{text}");
+}
+
+#[test]
+fn the_shipped_file_names_every_key() {
+    let shipped: serde_json::Value = toml::from_str(&uncommented()).unwrap();
+    let known = serde_json::to_value(Config::default()).unwrap();
+    for (section, keys) in known.as_object().unwrap() {
+        for key in keys.as_object().unwrap().keys() {
+            assert!(shipped[section].get(key).is_some(), "{section}.{key} is missing");
+        }
+    }
+}
+
+#[test]
+fn every_key_of_the_documentation_exists_and_every_key_is_documented() {
+    let documentation = include_str!("../../docs/config.md");
+    let known = serde_json::to_value(Config::default()).unwrap();
+    for (section, keys) in known.as_object().unwrap() {
+        let (_, rest) = documentation.split_once(&format!("## `[{section}]`")).expect(section);
+        let part = rest.split("\n## ").next().unwrap();
+        for key in keys.as_object().unwrap().keys() {
+            assert!(part.contains(&format!("| `{key}` |")), "{section}.{key}");
+        }
+        assert_eq!(part.matches("\n| `").count(), keys.as_object().unwrap().len(), "{section}");
+    }
+}
+
+#[test]
+fn values_of_a_file_count() {
+    let config = parse(
+        Path::new("x.toml"),
+        "[sensor]\ndevice = \"/dev/ttyUSB*\"\nbaud = 921600\noutput = \"VNIMU\"\nrate-hz = 200\n\
+         [capture]\nduration = \"90m\"\n[storage]\nqueue = \"1m\"\n[http]\nlisten = \"[::1]:9000\"\n[log]\nformat = \"json\"",
+    )
+    .unwrap();
+    assert_eq!(config.sensor.device, Device::Glob("/dev/ttyUSB*".to_owned()));
+    assert_eq!(config.sensor.baud, Baud::Fixed(921_600));
+    assert_eq!(config.sensor.output, Output::Ascii("VNIMU".to_owned()));
+    assert!((config.sensor.rate_hz - 200.0).abs() < f64::EPSILON);
+    assert_eq!(config.capture.duration, Duration::from_secs(5400));
+    assert_eq!(config.storage.queue_samples(), 48_000);
+    assert_eq!(config.http.listen, "[::1]:9000".parse().unwrap());
+    assert_eq!(config.log.format, LogFormat::Json);
+}
+
+#[test]
+fn a_capture_may_keep_what_the_sensor_sends() {
+    let config = parse(Path::new("x.toml"), "[sensor]\noutput = \"keep\"").unwrap();
+    assert_eq!(config.sensor.output, Output::Keep);
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_file_line_and_what_is_allowed() {
+    assert_eq!(
+        refused("[sensor]\nbaud = 9600\nrate = 40"),
+        "x.toml:3: there is no key `sensor.rate`: allowed here are baud, bauds, binary-fields, device, output, rate-hz"
+    );
+    assert_eq!(
+        refused("output = \"keep\""),
+        "x.toml:1: there is no key `output`: allowed here are capture, http, log, sensor, storage"
+    );
+    assert!(refused("\n[sensors]\nbaud = 1").starts_with("x.toml:2: there is no key `sensors`"));
+    assert!(refused("sensor.x.y = 1").starts_with("x.toml:1: there is no key `sensor.x`"));
+}
+
+#[test]
+fn a_value_out_of_range_is_refused_with_file_line_key_and_what_is_allowed() {
+    for (text, expected) in [
+        ("\n[sensor]\nbaud = 128000", "x.toml:3: `sensor.baud` is 128000: allowed are 9600, 19200, 38400"),
+        ("[sensor]\nbauds = []", "x.toml:2: `sensor.bauds` is []: allowed are 9600"),
+        ("[sensor]\nrate-hz = 300", "x.toml:2: `sensor.rate-hz` is 300 Hz: binary output has 800 Hz divided by"),
+        ("[sensor]\nrate-hz = 0", "x.toml:2: `sensor.rate-hz` is 0 Hz"),
+        ("[sensor]\nrate-hz = nan", "x.toml:2: `sensor.rate-hz` is NaN Hz"),
+        ("[sensor]\nrate-hz = -inf", "x.toml:2: `sensor.rate-hz` is -inf Hz"),
+        (
+            "[sensor]\noutput = \"VNYMR\"\nrate-hz = 80",
+            "x.toml:3: `sensor.rate-hz` is 80 Hz: ASCII output has 1, 2, 4,",
+        ),
+        ("[sensor]\noutput = \"keep\"\nrate-hz = 0.5", "x.toml:3: `sensor.rate-hz` is 0.5 Hz: any rate"),
+        ("[capture]\nduration = \"0s\"", "x.toml:2: `capture.duration` is 0ms: allowed is 1s to 8784h"),
+        ("[storage]\nqueue = \"1s\"", "x.toml:2: `storage.queue` is 1s: allowed is 30s to 10m"),
+        ("[storage]\nreserve-mib = 1", "x.toml:2: `storage.reserve-mib` is 1: allowed is 16 to 1048576 MiB"),
+        ("[http]\ntoken = \"short\"", "x.toml:2: `http.token` is a text of 5 characters: allowed are at least 16"),
+        ("[log]\nlevel = \"loud,=\"", "x.toml:2: `log.level` is `loud,=`: allowed are error, warn"),
+    ] {
+        let message = refused(text);
+        assert!(message.starts_with(expected), "{text:?} gave {message:?}");
+    }
+}
+
+#[test]
+fn a_value_of_the_wrong_kind_is_refused_with_file_line_key_and_what_is_allowed() {
+    for (text, expected) in [
+        (
+            "[sensor]\nbaud = \"fast\"",
+            "x.toml:2: `sensor.baud` is \"fast\": invalid value: string \"fast\", expected `\"auto\"` or a baud rate such as 115200",
+        ),
+        ("[sensor]\nbaud = -1", "x.toml:2: `sensor.baud` is -1: "),
+        ("[sensor]\nbaud = 9999999999", "x.toml:2: `sensor.baud` is 9999999999: "),
+        (
+            "[sensor]\noutput = \"VNABC\"",
+            "x.toml:2: `sensor.output` is \"VNABC\": expected `\"binary\"`, `\"keep\"` or one of VNYPR,",
+        ),
+        (
+            "[sensor]\noutput = 3",
+            "x.toml:2: `sensor.output` is 3: invalid type: integer `3`, expected `\"binary\"`, `\"keep\"`",
+        ),
+        (
+            "[sensor]\nbinary-fields = \"01\"",
+            "x.toml:2: `sensor.binary-fields` is \"01\": expected groups and one mask",
+        ),
+        ("[sensor]\ndevice = \"\"", "x.toml:2: `sensor.device` is \"\": expected `\"auto\"`, a path"),
+        (
+            "[sensor]\nrate-hz = \"40\"",
+            "x.toml:2: `sensor.rate-hz` is \"40\": invalid type: string \"40\", expected f64",
+        ),
+        (
+            "[sensor]\nbauds = [\n9600,\n\"x\"]",
+            "x.toml:2: `sensor.bauds` is [\n9600,\n\"x\"]: invalid type: string \"x\", expected u32",
+        ),
+        ("[capture]\nduration = \"5\"", "x.toml:2: `capture.duration` is \"5\": `5` is not a duration"),
+        ("[http]\nlisten = \"8100\"", "x.toml:2: `http.listen` is \"8100\": "),
+        ("sensor = 3", "x.toml:1: `sensor` is 3: invalid type: integer `3`"),
+        (
+            "[log]\nformat = \"xml\"",
+            "x.toml:2: `log.format` is \"xml\": unknown variant `xml`, expected `text` or `json`",
+        ),
+        ("[storage]\nreserve-mib = 1.5", "x.toml:2: `storage.reserve-mib` is 1.5: "),
+        ("[log.level]\nx = 1", "x.toml:1: `log.level` is "),
+    ] {
+        let message = refused(text);
+        assert!(message.starts_with(expected), "{text:?} gave {message:?}");
+    }
+}
+
+#[test]
+fn what_is_not_toml_is_refused_with_its_line() {
+    assert!(refused("[sensor]\nbaud = ").starts_with("x.toml:2: this is not TOML: "));
+    assert!(refused("[sensor\n").starts_with("x.toml:1: this is not TOML: "));
+    assert!(refused("[http]\n[http]").contains("x.toml:2: this is not TOML: "));
+}
+
+#[test]
+fn listening_beyond_loopback_needs_a_token() {
+    let message = refused("[http]\nlisten = \"0.0.0.0:8100\"");
+    assert!(
+        message.starts_with("x.toml:2: `http.listen` is 0.0.0.0:8100, which others can reach: set `http.token`"),
+        "{message}"
+    );
+    let config = parse(Path::new("x.toml"), "[http]\nlisten = \"0.0.0.0:8100\"\ntoken = \"0123456789abcdef\"").unwrap();
+    assert_eq!(config.http.token.secret(), "0123456789abcdef");
+    let overrides = Overrides { listen: Some("[::]:80".parse().unwrap()), ..Overrides::default() };
+    let error = finish(&Source::new(Path::new(""), ""), &overrides).unwrap_err();
+    assert!(matches!(error, ConfigError::TokenNeeded { place: Place::Given, .. }), "{error}");
+}
+
+#[test]
+fn a_token_may_lie_in_a_file_of_its_own() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("token");
+    let text = format!("[http]\nlisten = \"0.0.0.0:1\"\ntoken-file = {file:?}");
+    assert!(refused(&text).starts_with("x.toml:3: `http.token-file`: cannot read "));
+    std::fs::write(&file, "\n").unwrap();
+    assert!(refused(&text).contains("whose first line is empty"));
+    std::fs::write(&file, "0123456789abcdef\n").unwrap();
+    assert_eq!(parse(Path::new("x.toml"), &text).unwrap().http.token.secret(), "0123456789abcdef");
+    let both = format!("{text}\ntoken = \"0123456789abcdef\"");
+    assert!(refused(&both).contains("give one of them"));
+}
+
+#[test]
+fn flags_count_more_than_the_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("a.toml");
+    std::fs::write(&file, "[sensor]\ndevice = \"/dev/a\"\nrate-hz = 100").unwrap();
+    let overrides = Overrides { device: Some("/dev/b".to_owned()), listen: Some("127.0.0.1:1".parse().unwrap()) };
+    let loaded = load(Some(&file), &Environment::default(), &overrides).unwrap();
+    assert_eq!(loaded.file, Some(file));
+    assert_eq!(loaded.config.sensor.device, Device::Path("/dev/b".into()));
+    assert_eq!(loaded.config.http.listen.port(), 1);
+    assert!((loaded.config.sensor.rate_hz - 100.0).abs() < f64::EPSILON);
+}
+
+#[test]
+fn a_file_that_was_named_must_be_there_and_one_that_is_searched_need_not() {
+    let nowhere = Path::new("/nonexistent/vn100d.toml");
+    let overrides = Overrides::default();
+    assert!(matches!(load(Some(nowhere), &Environment::default(), &overrides), Err(ConfigError::Read { .. })));
+    let environment = Environment::of([("VN100D_CONFIG", "/nonexistent/vn100d.toml")]);
+    assert!(matches!(load(None, &environment, &overrides), Err(ConfigError::Read { .. })));
+    let directory = tempfile::tempdir().unwrap();
+    let environment = Environment::of([("XDG_CONFIG_HOME", directory.path().to_str().unwrap())]);
+    std::fs::create_dir(directory.path().join("vn100d")).unwrap();
+    let file = directory.path().join("vn100d/vn100d.toml");
+    std::fs::write(&file, "[log]\nlevel = \"debug\"").unwrap();
+    let loaded = load(None, &environment, &overrides).unwrap();
+    assert_eq!((loaded.file, loaded.config.log.level.as_str()), (Some(file), "debug"));
+}
+
+#[test]
+fn a_rate_is_800_hz_divided_by_a_whole_number() {
+    let divisor = |rate_hz| SensorConfig { rate_hz, ..SensorConfig::default() }.rate_divisor();
+    for (rate_hz, expected) in [(800.0, 1), (40.0, 20), (50.0, 16), (33.33, 24), (1.0, 800), (114.2857, 7)] {
+        assert_eq!(divisor(rate_hz), Some(expected), "{rate_hz}");
+    }
+    for rate_hz in [0.0, -40.0, 0.5, 300.0, 900.0, 1600.0, f64::NAN, f64::INFINITY] {
+        assert_eq!(divisor(rate_hz), None, "{rate_hz}");
+    }
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in "(\\[(sensor|http|log|x)\\]\n)?[a-z-]{0,8} ?=? ?[\\PC\n]{0,20}") {
+        let _ = parse(Path::new("x.toml"), &text);
+    }
+}

@@ -1,0 +1,66 @@
+//! The systemd unit, judged by systemd itself: `systemd-analyze verify` has nothing to say and `security` scores it 2.0
+//! or better. Skipped, with a note, where there is no `systemd-analyze`.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The worst exposure level that passes: 2.0, in tenths.
+const THRESHOLD: &str = "--threshold=20";
+
+fn analyze(arguments: &[&str], unit: &Path) -> Option<Output> {
+    match Command::new("systemd-analyze").args(arguments).arg(unit).output() {
+        Ok(output) => Some(output),
+        Err(error) => {
+            println!("skipped: systemd-analyze cannot be run: {error}");
+            None
+        }
+    }
+}
+
+/// The shipped unit with the program just built in place of the installed one, which `verify` would not find.
+fn unit_with_the_built_binary(directory: &Path) -> std::io::Result<PathBuf> {
+    let shipped = include_str!("../systemd/vn100d.service");
+    let text = shipped.replace("ExecStart=/usr/bin/vn100d", concat!("ExecStart=", env!("CARGO_BIN_EXE_vn100d")));
+    assert_ne!(text, shipped, "the unit starts /usr/bin/vn100d");
+    let unit = directory.join("vn100d.service");
+    std::fs::write(&unit, text)?;
+    Ok(unit)
+}
+
+fn said(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+#[test]
+fn systemd_finds_nothing_to_say_about_the_unit() {
+    let directory = tempfile::tempdir().unwrap();
+    let unit = unit_with_the_built_binary(directory.path()).unwrap();
+    let Some(output) = analyze(&["verify"], &unit) else { return };
+    // What it says about other units of this machine is not ours.
+    let ours: Vec<String> = said(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
+    assert!(ours.is_empty() && output.status.success(), "{}", said(&output));
+}
+
+#[test]
+fn the_unit_s_exposure_is_two_or_better() {
+    let directory = tempfile::tempdir().unwrap();
+    let unit = unit_with_the_built_binary(directory.path()).unwrap();
+    let Some(output) = analyze(&["security", "--offline=true", THRESHOLD], &unit) else { return };
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+fn the_udev_rule_sets_the_low_latency_of_the_adapter_and_keeps_modemmanager_away() {
+    let rules = include_str!("../systemd/70-vn100.rules");
+    for needed in ["ATTR{latency_timer}=\"1\"", "ENV{ID_MM_DEVICE_IGNORE}=\"1\"", "ATTRS{idVendor}==\"0403\""] {
+        assert!(rules.contains(needed), "{needed}");
+    }
+    // Each rule is comma-separated `KEY op "value"`; a label that is jumped to exists.
+    for line in rules.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+        for part in line.split(", ") {
+            let value = part.split_once('=').map(|(_, value)| value.trim_start_matches('='));
+            assert!(value.is_some_and(|value| value.starts_with('"') && value.ends_with('"')), "{part}");
+        }
+    }
+    assert!(rules.contains("GOTO=\"vn100_end\"") && rules.contains("LABEL=\"vn100_end\""));
+}
