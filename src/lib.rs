@@ -23,6 +23,7 @@ pub mod noise;
 pub mod protocol;
 pub mod simulator;
 
+pub mod api;
 pub mod config;
 pub mod jobs;
 pub mod recording;

@@ -1,0 +1,247 @@
+//! Captures: started, stopped, listed, shown, kept, deleted; and their accounting.
+
+use super::extract::{J, P, Q};
+use super::page::{self, PageQuery};
+use super::problem::{ApiError, Problem};
+use super::state::ApiState;
+use crate::control::CaptureRequest;
+use crate::store::{CaptureFilter, CaptureRow, CaptureState, EventRow, GapRow, SegmentRow, StoreError};
+use crate::units::{format_duration, parse_duration};
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use chrono::{DateTime, Utc};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Shortest and longest sample time of a capture.
+const DURATION: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(366 * 86_400));
+
+/// A page of captures, the latest first.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Captures {
+    captures: Vec<CaptureRow>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// Which captures are wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct CapturesQuery {
+    /// Only those in this state.
+    #[param(inline)]
+    state: Option<CaptureState>,
+    /// How many rows at most.
+    #[param(minimum = 1, maximum = 1000, default = 100)]
+    limit: Option<u32>,
+    /// `next` of the page before.
+    cursor: Option<String>,
+}
+
+/// A capture that shall be started.
+#[derive(Debug, Default, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StartBody {
+    /// Sample time it shall hold, `5h`, `90m`, `1h30m`; the configuration's where absent.
+    #[schema(example = "5h")]
+    duration: Option<String>,
+    /// Its name; date and time where absent.
+    name: Option<String>,
+    /// When to begin; at once where absent.
+    start_at: Option<DateTime<Utc>>,
+}
+
+/// Whether a capture shall be kept.
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PinBody {
+    /// True (also without a body): it is not deleted, by nobody.
+    pinned: bool,
+}
+
+/// A page of gaps.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Gaps {
+    gaps: Vec<GapRow>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// A page of segments.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Segments {
+    segments: Vec<SegmentRow>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// A page of events.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Events {
+    events: Vec<EventRow>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// Captures, the latest first.
+#[utoipa::path(get, path = "/v1/captures", tag = "captures", params(CapturesQuery), responses(
+    (status = 200, body = Captures),
+    (status = 400, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn list(
+    State(state): State<ApiState>,
+    uri: Uri,
+    Q(query): Q<CapturesQuery>,
+) -> Result<Response, ApiError> {
+    let request = page::request(query.limit, query.cursor)?;
+    let filter = CaptureFilter { state: query.state };
+    let found = state.read(move |reader| reader.captures(&filter, &request)).await?;
+    Ok(page::answer(&uri, found, |captures, next| Captures { captures, next }))
+}
+
+/// Starts a capture, or lets one wait for its time.
+#[utoipa::path(post, path = "/v1/captures", tag = "captures", request_body = StartBody, responses(
+    (status = 201, body = CaptureRow, headers(("Location" = String, description = "The capture"))),
+    (status = 400, body = Problem, content_type = "application/problem+json"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "One runs already, or the name is taken")))]
+pub(super) async fn start(State(state): State<ApiState>, J(body): J<StartBody>) -> Result<Response, ApiError> {
+    let body = body.unwrap_or_default();
+    let duration = match &body.duration {
+        Some(text) => parse_duration(text).map_err(|error| ApiError::bad_request(format!("`duration`: {error}")))?,
+        None => state.parts.default_duration,
+    };
+    if !(DURATION.0..=DURATION.1).contains(&duration) {
+        return Err(ApiError::bad_request(format!(
+            "`duration` is {}: allowed is {} to {}",
+            format_duration(duration),
+            format_duration(DURATION.0),
+            format_duration(DURATION.1)
+        )));
+    }
+    let start_at_utc_ns = body
+        .start_at
+        .map(|at| {
+            at.timestamp_nanos_opt().ok_or_else(|| ApiError::bad_request("`start_at` is before 1678 or after 2261"))
+        })
+        .transpose()?;
+    let id = state.parts.control.start(CaptureRequest { duration, name: body.name, start_at_utc_ns }).await?;
+    let capture = state.read(move |reader| reader.capture(id)).await?;
+    let mut response = (StatusCode::CREATED, Json(capture)).into_response();
+    if let Ok(location) = HeaderValue::from_str(&format!("/v1/captures/{id}")) {
+        response.headers_mut().insert(header::LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// One capture with its counts.
+#[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
+    (status = 200, body = CaptureRow),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureRow>, ApiError> {
+    let capture = state
+        .read(move |reader| {
+            let id = reader.resolve(&name)?;
+            reader.capture(id)
+        })
+        .await?;
+    Ok(Json(capture))
+}
+
+/// Deletes a capture with all its samples. One that runs, waits or is pinned stays.
+#[utoipa::path(delete, path = "/v1/captures/{id}", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
+    (status = 204, description = "It is gone"),
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "It runs, waits or is pinned")))]
+pub(super) async fn delete(State(state): State<ApiState>, P(name): P) -> Result<StatusCode, ApiError> {
+    let id = state.resolve(name).await?;
+    state
+        .change(move |parts| {
+            parts.store.delete_capture(id)?;
+            // The workers take its rows away by and by.
+            parts.jobs.wake();
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Stops the capture that runs or waits; answers once its last sample is on disk.
+#[utoipa::path(post, path = "/v1/captures/{id}/stop", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
+    (status = 200, body = CaptureRow),
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "It is not running")))]
+pub(super) async fn stop(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureRow>, ApiError> {
+    let id = state.resolve(name).await?;
+    state.parts.control.stop(id).await?;
+    Ok(Json(state.read(move |reader| reader.capture(id)).await?))
+}
+
+/// Keeps a capture from deletion, or no longer.
+#[utoipa::path(post, path = "/v1/captures/{id}/pin", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`")),
+    request_body(content = Option<PinBody>, description = "Without a body: pinned"), responses(
+    (status = 200, body = CaptureRow),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn pin(
+    State(state): State<ApiState>,
+    P(name): P,
+    J(body): J<PinBody>,
+) -> Result<Json<CaptureRow>, ApiError> {
+    let pinned = body.is_none_or(|body| body.pinned);
+    let id = state.resolve(name).await?;
+    state.change(move |parts| parts.store.pin(id, pinned)).await?;
+    Ok(Json(state.read(move |reader| reader.capture(id)).await?))
+}
+
+/// A capture's gaps: when, how many samples, why.
+#[utoipa::path(get, path = "/v1/captures/{id}/gaps", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
+    (status = 200, body = Gaps),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn gaps(
+    State(state): State<ApiState>,
+    uri: Uri,
+    P(name): P,
+    Q(query): Q<PageQuery>,
+) -> Result<Response, ApiError> {
+    let request = query.request()?;
+    let found = state.read(move |reader| reader.gaps(reader.resolve(&name)?, &request)).await?;
+    Ok(page::answer(&uri, found, |gaps, next| Gaps { gaps, next }))
+}
+
+/// A capture's segments: the longest stretches without a gap, at one rate and one configuration.
+#[utoipa::path(get, path = "/v1/captures/{id}/segments", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
+    (status = 200, body = Segments),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn segments(
+    State(state): State<ApiState>,
+    uri: Uri,
+    P(name): P,
+    Q(query): Q<PageQuery>,
+) -> Result<Response, ApiError> {
+    let request = query.request()?;
+    let found = state.read(move |reader| reader.segments(reader.resolve(&name)?, &request)).await?;
+    Ok(page::answer(&uri, found, |segments, next| Segments { segments, next }))
+}
+
+/// What happened during a capture.
+#[utoipa::path(get, path = "/v1/captures/{id}/events", tag = "captures",
+    params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
+    (status = 200, body = Events),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn events(
+    State(state): State<ApiState>,
+    uri: Uri,
+    P(name): P,
+    Q(query): Q<PageQuery>,
+) -> Result<Response, ApiError> {
+    let request = query.request()?;
+    let found = state.read(move |reader| reader.events(reader.resolve(&name)?, &request)).await?;
+    Ok(page::answer(&uri, found, |events, next| Events { events, next }))
+}

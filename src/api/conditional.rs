@@ -1,0 +1,63 @@
+//! Conditional answers: a finished result never changes, so whoever has it need not fetch it again.
+
+use crate::store::ResultRow;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+/// The strong entity tag of a result: its id and what made it.
+pub(super) fn entity_tag(result: &ResultRow) -> String {
+    let software: String = result
+        .software
+        .chars()
+        .map(|letter| if letter.is_ascii_alphanumeric() || letter == '.' { letter } else { '-' })
+        .collect();
+    format!("\"{}-{software}\"", result.id)
+}
+
+/// Whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).
+fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok()).any(|value| {
+        value.split(',').map(str::trim).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
+    })
+}
+
+/// `body` with its tag, or 304 without it where the tag is known.
+pub(super) fn answer(headers: &HeaderMap, tag: &str, body: impl IntoResponse) -> Response {
+    let mut response =
+        if is_known(headers, tag) { StatusCode::NOT_MODIFIED.into_response() } else { body.into_response() };
+    if let Ok(tag) = HeaderValue::from_str(tag) {
+        response.headers_mut().insert(header::ETAG, tag);
+    }
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(values: &[&str]) -> HeaderMap {
+        values.iter().map(|value| (header::IF_NONE_MATCH, HeaderValue::from_str(value).unwrap())).collect()
+    }
+
+    #[test]
+    fn a_known_tag_is_answered_without_body() {
+        for known in [&["\"1-x\""][..], &["W/\"1-x\""], &["*"], &["\"0-x\", \"1-x\""], &["\"a\"", "\"1-x\""]] {
+            let response = answer(&asked(known), "\"1-x\"", "body");
+            assert_eq!(response.status(), StatusCode::NOT_MODIFIED, "{known:?}");
+            assert_eq!(response.headers()[header::ETAG], "\"1-x\"");
+        }
+    }
+
+    #[test]
+    fn an_unknown_tag_gets_the_body() {
+        for unknown in [&[][..], &["\"2-x\""], &["1-x"], &["\"\u{e9}\""]] {
+            let headers = if unknown.iter().any(|value| !value.is_ascii()) {
+                HeaderMap::from_iter([(header::IF_NONE_MATCH, HeaderValue::from_bytes(b"\"\xff\"").unwrap())])
+            } else {
+                asked(unknown)
+            };
+            assert_eq!(answer(&headers, "\"1-x\"", "body").status(), StatusCode::OK, "{unknown:?}");
+        }
+    }
+}

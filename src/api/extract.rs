@@ -1,0 +1,70 @@
+//! What a request says, read with errors of our own.
+
+use super::problem::{ApiError, ProblemType};
+use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
+use axum::http::{header, request::Parts};
+use serde::de::DeserializeOwned;
+
+/// The query, of which every parameter must be known.
+#[derive(Debug, Clone)]
+pub(super) struct Q<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Q<T> {
+    type Rejection = ApiError;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let Query(query) = Query::<T>::from_request_parts(parts, state)
+            .await
+            .map_err(|rejection| ApiError::bad_request(rejection.body_text()))?;
+        Ok(Self(query))
+    }
+}
+
+/// The part of the path in braces.
+#[derive(Debug, Clone)]
+pub(super) struct P(pub String);
+
+impl<S: Send + Sync> FromRequestParts<S> for P {
+    type Rejection = ApiError;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let Path(name) = Path::<String>::from_request_parts(parts, state)
+            .await
+            .map_err(|rejection| ApiError::bad_request(rejection.body_text()))?;
+        Ok(Self(name))
+    }
+}
+
+/// A JSON body, `None` where the request has no body.
+#[derive(Debug, Clone)]
+pub(super) struct J<T>(pub Option<T>);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for J<T> {
+    type Rejection = ApiError;
+    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+        let media_type = request.headers().get(header::CONTENT_TYPE).cloned();
+        let bytes = axum::body::Bytes::from_request(request, state).await.map_err(|rejection| match rejection {
+            BytesRejection::FailedToBufferBody(FailedToBufferBody::LengthLimitError(_)) => {
+                ApiError::new(ProblemType::TooLarge, "a body holds at most 64 KiB")
+            }
+            rejection => ApiError::bad_request(rejection.body_text()),
+        })?;
+        if bytes.is_empty() {
+            return Ok(Self(None));
+        }
+        // Only a media type that an HTML form cannot send: a page of another site then has to ask first.
+        let is_json = media_type
+            .as_ref()
+            .and_then(|value| value.to_str().ok())
+            .and_then(|value| value.split(';').next())
+            .is_some_and(|value| value.trim().eq_ignore_ascii_case("application/json"));
+        if !is_json {
+            return Err(ApiError::new(
+                ProblemType::UnsupportedMediaType,
+                "the body must be JSON with `Content-Type: application/json` (with curl: --json '{…}')",
+            ));
+        }
+        serde_json::from_slice(&bytes)
+            .map(|body| Self(Some(body)))
+            .map_err(|error| ApiError::bad_request(format!("the body: {error}")))
+    }
+}

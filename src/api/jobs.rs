@@ -1,0 +1,176 @@
+//! Background work: submitted, listed, shown, called off.
+
+use super::extract::{J, P, Q};
+use super::page;
+use super::problem::{ApiError, Problem};
+use super::state::ApiState;
+use crate::jobs::{JobError, JobKind};
+use crate::store::{JobRow, JobState};
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+
+/// When to ask again for a job that is not done, s.
+pub(super) const RETRY_AFTER_S: u32 = 2;
+
+/// A job, and where its result is.
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
+pub(super) struct Job {
+    #[serde(flatten)]
+    row: JobRow,
+    /// Path of the result; null until it is done.
+    result: Option<String>,
+}
+
+impl From<JobRow> for Job {
+    fn from(row: JobRow) -> Self {
+        let result = row.result_id.map(|_| format!("/v1/captures/{}/{}?job={}", row.capture, row.kind, row.id));
+        Self { row, result }
+    }
+}
+
+/// A page of jobs, the latest first.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct JobList {
+    jobs: Vec<Job>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// Which jobs are wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct JobsQuery {
+    /// Only those of this capture: id, name, or `latest`.
+    capture: Option<String>,
+    /// Only those in this state.
+    #[param(inline)]
+    state: Option<JobState>,
+    /// How many rows at most.
+    #[param(minimum = 1, maximum = 1000, default = 100)]
+    limit: Option<u32>,
+    /// `next` of the page before.
+    cursor: Option<String>,
+}
+
+/// A capture as a body names it.
+#[derive(Debug, Clone, Deserialize, utoipa::ToSchema)]
+#[serde(untagged, expecting = "`capture` must be an id, a name, or `latest`")]
+pub(super) enum CaptureName {
+    /// Its id.
+    Id(i64),
+    /// Its name, or `latest`.
+    Name(String),
+}
+
+impl CaptureName {
+    fn text(self) -> String {
+        match self {
+            Self::Id(id) => id.to_string(),
+            Self::Name(name) => name,
+        }
+    }
+}
+
+/// Work that is asked for. Further members are the parameters of the kind.
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
+pub(super) struct SubmitBody {
+    /// Which computation.
+    #[schema(example = "allan")]
+    kind: String,
+    /// The capture it reads.
+    #[schema(inline)]
+    capture: CaptureName,
+    #[serde(flatten)]
+    #[schema(value_type = Object)]
+    parameters: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Jobs, the latest first.
+#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(JobsQuery), responses(
+    (status = 200, body = JobList),
+    (status = 400, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn list(
+    State(state): State<ApiState>,
+    uri: Uri,
+    Q(query): Q<JobsQuery>,
+) -> Result<Response, ApiError> {
+    let request = page::request(query.limit, query.cursor)?;
+    let found = state
+        .read(move |reader| {
+            let capture_id = query.capture.as_deref().map(|name| reader.resolve(name)).transpose()?;
+            reader.jobs(capture_id, query.state, &request)
+        })
+        .await?;
+    Ok(page::answer(&uri, found, |jobs, next| JobList { jobs: jobs.into_iter().map(Job::from).collect(), next }))
+}
+
+/// Queues a job over the samples that the capture has now. The same again is the same job.
+#[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = SubmitBody, responses(
+    (status = 202, body = Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
+    (status = 200, body = Job, description = "It was submitted before"),
+    (status = 400, body = Problem, content_type = "application/problem+json"),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>) -> Result<Response, ApiError> {
+    let body =
+        body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"kind\": …, \"capture\": …}"))?;
+    let kind = JobKind::from_name(&body.kind)?;
+    let capture_id = state.resolve(body.capture.text()).await?;
+    let parameters = serde_json::Value::Object(body.parameters);
+    let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
+    let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
+    Ok(answer(status, row))
+}
+
+/// One job.
+#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = i64, Path, description = "Id")), responses(
+    (status = 200, body = Job, headers(("Retry-After" = u32, description = "While it is queued or runs"))),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
+    let id = job_id(&id)?;
+    Ok(answer(StatusCode::OK, state.read(move |reader| reader.job(id)).await?))
+}
+
+/// Calls a queued or running job off.
+#[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = i64, Path, description = "Id")), responses(
+    (status = 200, body = Job, description = "It is cancelled"),
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "It has ended already")))]
+pub(super) async fn cancel(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
+    let id = job_id(&id)?;
+    state.change(move |parts| parts.jobs.cancel(id)).await?;
+    Ok(answer(StatusCode::OK, state.read(move |reader| reader.job(id)).await?))
+}
+
+fn job_id(text: &str) -> Result<i64, ApiError> {
+    text.parse().map_err(|_| ApiError::bad_request("a job's id is a whole number: GET /v1/jobs lists them"))
+}
+
+/// A job's answer: where it is, and while it is not done when to ask again.
+pub(super) fn answer(status: StatusCode, row: JobRow) -> Response {
+    let (id, open) = (row.id, matches!(row.state, JobState::Queued | JobState::Running));
+    let mut response = (status, Json(Job::from(row))).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
+        headers.insert(header::LOCATION, location);
+    }
+    if open {
+        headers.insert(header::RETRY_AFTER, HeaderValue::from(RETRY_AFTER_S));
+    }
+    response
+}
+
+/// Queues the job that a capture gets without being asked, because somebody wants its result.
+pub(super) async fn submit_default(state: &ApiState, kind: JobKind, capture_id: i64) -> Result<JobRow, ApiError> {
+    let (row, _) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &serde_json::Value::Null)).await?;
+    Ok(row)
+}
+
+/// The parameters of the job that a capture gets without being asked, as a job's row has them.
+pub(super) fn default_parameters(kind: JobKind) -> Result<serde_json::Value, JobError> {
+    Ok(serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?)
+}

@@ -1,0 +1,130 @@
+//! What every request goes through, around its handler.
+
+use super::problem::{self, ApiError, ProblemType};
+use super::state::ApiState;
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::any::Any;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+static REQUESTS: AtomicU64 = AtomicU64::new(0);
+
+/// Marks an answer that is made while it is sent; it is not compressed, because that would take a core from the capture.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Streamed;
+
+/// Outermost: the request's id, its line in the log, its count, and the form of errors.
+pub(super) async fn observe(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    let started = Instant::now();
+    let number = REQUESTS.fetch_add(1, Ordering::Relaxed);
+    // The process id tells requests of one start from those of the next.
+    let id = format!("{:x}-{number:x}", std::process::id());
+    let (method, path) = (request.method().clone(), request.uri().path().to_owned());
+    let response = next.run(request).await;
+    let mut response = problem::finish(response, &id, &path);
+    let status = response.status().as_u16();
+    state.parts.metrics.request(status);
+    tracing::debug!(request = id, %method, path, status, took_ms = started.elapsed().as_millis() as u64, "Answered.");
+    if let Ok(id) = HeaderValue::from_str(&id) {
+        response.headers_mut().insert(REQUEST_ID, id);
+    }
+    response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
+}
+
+/// Requests that change something need the token beyond loopback, and may not come from another site's page.
+pub(super) async fn authorize(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    if request.method().is_safe() || request.method() == Method::OPTIONS {
+        return next.run(request).await;
+    }
+    if from_foreign_site(request.headers()) {
+        return ApiError::foreign_site().into_response();
+    }
+    match &state.parts.token {
+        Some(token) if !bears(request.headers(), token) => ApiError::new(
+            ProblemType::NotAuthorized,
+            "requests that change something need `Authorization: Bearer TOKEN` with the token of the configuration",
+        )
+        .into_response(),
+        _ => next.run(request).await,
+    }
+}
+
+/// A browser names the page's origin in requests that change something; ours has the host that is asked.
+fn from_foreign_site(headers: &HeaderMap) -> bool {
+    let Some(origin) = headers.get(header::ORIGIN) else { return false };
+    let origin_host = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    origin_host.is_none() || origin_host != host
+}
+
+fn bears(headers: &HeaderMap, token: &str) -> bool {
+    let Some(value) = headers.get(header::AUTHORIZATION).map(HeaderValue::as_bytes) else { return false };
+    let Some((scheme, given)) = value.split_at_checked(7) else { return false };
+    scheme.eq_ignore_ascii_case(b"bearer ") && same(given, token.as_bytes())
+}
+
+/// Compares without telling by its duration where the first difference is.
+fn same(given: &[u8], expected: &[u8]) -> bool {
+    let differences = given.iter().zip(expected).fold(0, |seen, (a, b)| seen | (a ^ b));
+    given.len() == expected.len() && differences == 0
+}
+
+/// An answer's head must be sent within the time; a stream goes on as long as it is read.
+pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    let limit = state.parts.limits.answer;
+    tokio::time::timeout(limit, next.run(request)).await.unwrap_or_else(|_| {
+        ApiError::new(
+            ProblemType::Timeout,
+            format!("no answer within {} s; what was asked for may still happen: see /v1/status", limit.as_secs_f64()),
+        )
+        .into_response()
+    })
+}
+
+/// In builds that unwind a panic ends its request alone.
+pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response<Body> {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    ApiError::internal(format!("panic: {}", text.unwrap_or("without a message"))).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(pairs: &[(HeaderName, &str)]) -> HeaderMap {
+        pairs.iter().map(|(name, value)| (name.clone(), HeaderValue::from_str(value).unwrap())).collect()
+    }
+
+    #[test]
+    fn only_the_whole_token_is_the_token() {
+        let authorized = |value: &str| bears(&headers(&[(header::AUTHORIZATION, value)]), "0123456789abcdef");
+        assert!(authorized("Bearer 0123456789abcdef"));
+        assert!(authorized("bearer 0123456789abcdef"));
+        for wrong in
+            ["", "Bearer", "Bearer ", "Bearer 0123456789abcde", "Bearer 0123456789abcdef0", "Basic 0123456789abcdef"]
+        {
+            assert!(!authorized(wrong), "{wrong}");
+        }
+        assert!(!bears(&HeaderMap::new(), "0123456789abcdef"));
+    }
+
+    #[test]
+    fn a_page_of_another_site_is_told_from_our_own_and_from_curl() {
+        let foreign = |origin: Option<&str>| {
+            let mut pairs = vec![(header::HOST, "127.0.0.1:8100")];
+            pairs.extend(origin.map(|origin| (header::ORIGIN, origin)));
+            from_foreign_site(&headers(&pairs))
+        };
+        assert!(!foreign(None));
+        assert!(!foreign(Some("http://127.0.0.1:8100")));
+        for other in ["http://evil.example", "null", "http://127.0.0.1:81"] {
+            assert!(foreign(Some(other)), "{other}");
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! HTTP: what the daemon answers to `curl`.
+//!
+//! Enters: requests. Leaves: JSON, text, streams of samples, problem documents. What is known from memory (status,
+//! health, metrics) is answered from memory, also while the disk hangs; what lies in the database is read on threads for
+//! blocking work, a bounded number at a time. Promises: every error is a problem document (RFC 9457), no number is NaN,
+//! no request makes the capture wait. Refuses: heads that take longer than 5 s, bodies above 64 KiB, more than 1024
+//! connections, more than 16 large queries at once, readers that stop reading for 30 s, changes without the token beyond
+//! loopback. Knows neither the serial port nor SQL. `docs/api.md` describes each route, `docs/openapi.json` is the
+//! machine's description.
+
+mod analysis;
+mod captures;
+mod conditional;
+mod connection;
+mod extract;
+mod health;
+mod jobs;
+mod layers;
+mod openapi;
+mod page;
+mod problem;
+mod router;
+mod rows;
+mod samples;
+mod server;
+mod state;
+mod status;
+mod stream;
+
+#[cfg(test)]
+mod tests;
+
+pub use openapi::document;
+pub use problem::{ApiError, PROBLEM_JSON, Problem, ProblemType};
+pub use router::router;
+pub use server::{Limits, serve};
+pub use state::ApiParts;

@@ -1,0 +1,355 @@
+//! Errors as RFC 9457 problem documents: the only place that says which error has which status code.
+//!
+//! A handler returns an [`ApiError`]. Its response carries a [`Problem`] as an extension and no body; [`finish`], which
+//! sees every answer last, writes the body with the request's id, and does so too for whatever else ended with an error
+//! status (an unknown path, a method that is not allowed), so that no error leaves in another form.
+
+use crate::control::ControlError;
+use crate::jobs::JobError;
+use crate::store::{StoreError, StoreErrorKind};
+use axum::body::Body;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+/// Media type of every error's body.
+pub const PROBLEM_JSON: &str = "application/problem+json";
+
+/// What can be wrong; few, so that a program can treat each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[expect(missing_docs, reason = "title() says it")]
+pub enum ProblemType {
+    BadRequest,
+    NotAuthorized,
+    NotFound,
+    MethodNotAllowed,
+    NotAcceptable,
+    Conflict,
+    TooLarge,
+    UnsupportedMediaType,
+    AnalysisFailed,
+    Internal,
+    Unavailable,
+    Timeout,
+}
+
+impl ProblemType {
+    /// All of them.
+    pub const ALL: [Self; 12] = [
+        Self::BadRequest,
+        Self::NotAuthorized,
+        Self::NotFound,
+        Self::MethodNotAllowed,
+        Self::NotAcceptable,
+        Self::Conflict,
+        Self::TooLarge,
+        Self::UnsupportedMediaType,
+        Self::AnalysisFailed,
+        Self::Internal,
+        Self::Unavailable,
+        Self::Timeout,
+    ];
+
+    /// The member `type` (docs/api.md lists them).
+    #[must_use]
+    pub fn uri(self) -> &'static str {
+        match self {
+            Self::BadRequest => "urn:vn100d:problem:bad-request",
+            Self::NotAuthorized => "urn:vn100d:problem:not-authorized",
+            Self::NotFound => "urn:vn100d:problem:not-found",
+            Self::MethodNotAllowed => "urn:vn100d:problem:method-not-allowed",
+            Self::NotAcceptable => "urn:vn100d:problem:not-acceptable",
+            Self::Conflict => "urn:vn100d:problem:conflict",
+            Self::TooLarge => "urn:vn100d:problem:too-large",
+            Self::UnsupportedMediaType => "urn:vn100d:problem:unsupported-media-type",
+            Self::AnalysisFailed => "urn:vn100d:problem:analysis-failed",
+            Self::Internal => "urn:vn100d:problem:internal",
+            Self::Unavailable => "urn:vn100d:problem:unavailable",
+            Self::Timeout => "urn:vn100d:problem:timeout",
+        }
+    }
+
+    /// The member `title`: the same for every problem of this type.
+    #[must_use]
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::BadRequest => "The request cannot be understood",
+            Self::NotAuthorized => "The request is not authorized",
+            Self::NotFound => "There is nothing here",
+            Self::MethodNotAllowed => "The method is not allowed here",
+            Self::NotAcceptable => "The answer does not exist in the form that is accepted",
+            Self::Conflict => "The request contradicts what is there",
+            Self::TooLarge => "The request is too large",
+            Self::UnsupportedMediaType => "The body's media type is not understood",
+            Self::AnalysisFailed => "The analysis failed",
+            Self::Internal => "The program failed",
+            Self::Unavailable => "This cannot be answered now",
+            Self::Timeout => "The answer took too long",
+        }
+    }
+
+    /// The status code that goes with it.
+    #[must_use]
+    pub fn status(self) -> StatusCode {
+        match self {
+            Self::BadRequest => StatusCode::BAD_REQUEST,
+            Self::NotAuthorized => StatusCode::UNAUTHORIZED,
+            Self::NotFound => StatusCode::NOT_FOUND,
+            Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            Self::NotAcceptable => StatusCode::NOT_ACCEPTABLE,
+            Self::Conflict => StatusCode::CONFLICT,
+            Self::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            Self::AnalysisFailed => StatusCode::UNPROCESSABLE_ENTITY,
+            Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            Self::Unavailable | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
+        }
+    }
+
+    /// The type for a status code that something else than a handler chose.
+    fn of(status: StatusCode) -> Self {
+        match status {
+            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Self::NotAuthorized,
+            StatusCode::NOT_FOUND => Self::NotFound,
+            StatusCode::METHOD_NOT_ALLOWED => Self::MethodNotAllowed,
+            StatusCode::NOT_ACCEPTABLE => Self::NotAcceptable,
+            StatusCode::CONFLICT => Self::Conflict,
+            StatusCode::PAYLOAD_TOO_LARGE | StatusCode::URI_TOO_LONG => Self::TooLarge,
+            StatusCode::UNSUPPORTED_MEDIA_TYPE => Self::UnsupportedMediaType,
+            StatusCode::SERVICE_UNAVAILABLE => Self::Unavailable,
+            status if status.is_client_error() => Self::BadRequest,
+            _ => Self::Internal,
+        }
+    }
+}
+
+/// A problem document.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct Problem {
+    /// `urn:vn100d:problem:…`
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// The same for every problem of this type.
+    pub title: &'static str,
+    /// The status code.
+    pub status: u16,
+    /// What is wrong with this request and what to do.
+    pub detail: String,
+    /// `/requests/<id>`: the log names the same id.
+    pub instance: String,
+    /// Several reasons, where there are any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub reasons: Vec<String>,
+    /// When to ask again, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retry_after_s: Option<u32>,
+}
+
+/// An error of a handler.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{detail}")]
+pub struct ApiError {
+    kind: ProblemType,
+    status: StatusCode,
+    detail: String,
+    reasons: Vec<String>,
+    retry_after_s: Option<u32>,
+    /// For the log alone.
+    cause: Option<String>,
+}
+
+impl ApiError {
+    /// An error of this type. `detail` is for whoever asked.
+    #[must_use]
+    pub fn new(kind: ProblemType, detail: impl Into<String>) -> Self {
+        Self {
+            kind,
+            status: kind.status(),
+            detail: detail.into(),
+            reasons: Vec::new(),
+            retry_after_s: None,
+            cause: None,
+        }
+    }
+    /// The request cannot be understood.
+    #[must_use]
+    pub fn bad_request(detail: impl Into<String>) -> Self {
+        Self::new(ProblemType::BadRequest, detail)
+    }
+    /// The request comes from another site's page in a browser.
+    #[must_use]
+    pub fn foreign_site() -> Self {
+        let error = Self::new(
+            ProblemType::NotAuthorized,
+            "requests that change something are not taken from another site's page (header `Origin`)",
+        );
+        Self { status: StatusCode::FORBIDDEN, ..error }
+    }
+    /// This cannot be answered now.
+    #[must_use]
+    pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
+        Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Unavailable, detail) }
+    }
+    /// The daemon is not ready, for these reasons.
+    #[must_use]
+    pub fn not_ready(reasons: Vec<String>) -> Self {
+        Self { reasons, ..Self::unavailable("the daemon is not ready", 5) }
+    }
+    /// A fault of this program; `cause` goes to the log.
+    #[must_use]
+    pub fn internal(cause: impl Into<String>) -> Self {
+        Self {
+            cause: Some(cause.into()),
+            ..Self::new(ProblemType::Internal, "this is a fault of the program: the log has more under this instance")
+        }
+    }
+    /// The status code.
+    #[must_use]
+    pub fn status(&self) -> StatusCode {
+        self.status
+    }
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let detail = error.to_string();
+        match error.kind() {
+            StoreErrorKind::NotFound => Self::new(ProblemType::NotFound, detail),
+            StoreErrorKind::Conflict => Self::new(ProblemType::Conflict, detail),
+            StoreErrorKind::Invalid => Self::bad_request(detail),
+            // A lock, a full disk, a failing one: the state of the machine, not of this program.
+            StoreErrorKind::Unavailable | StoreErrorKind::CannotCreate | StoreErrorKind::Io => {
+                let cause = Some(detail.clone());
+                Self { cause, ..Self::unavailable(format!("the database cannot be read now: {detail}"), 5) }
+            }
+            _ => Self::internal(detail),
+        }
+    }
+}
+
+impl From<JobError> for ApiError {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::Store(error) => error.into(),
+            error @ (JobError::UnknownKind { .. } | JobError::Parameters { .. }) => {
+                Self::bad_request(error.to_string())
+            }
+            error @ (JobError::InsufficientData { .. } | JobError::Allan(_)) => {
+                Self::new(ProblemType::AnalysisFailed, error.to_string())
+            }
+            error => Self::internal(error.to_string()),
+        }
+    }
+}
+
+impl From<ControlError> for ApiError {
+    fn from(error: ControlError) -> Self {
+        let detail = error.to_string();
+        match error {
+            ControlError::Busy { .. } | ControlError::NotRunning { .. } | ControlError::NameTaken { .. } => {
+                Self::new(ProblemType::Conflict, detail)
+            }
+            ControlError::Store { .. } | ControlError::Stopping => Self::unavailable(detail, 5),
+        }
+    }
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let mut response = Response::new(Body::empty());
+        *response.status_mut() = self.status;
+        let headers = response.headers_mut();
+        if let Some(seconds) = self.retry_after_s {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+        }
+        if self.status == StatusCode::UNAUTHORIZED {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"vn100d\""));
+        }
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+/// Gives an error answer its body; others pass.
+pub(super) fn finish(mut response: Response, request_id: &str, path: &str) -> Response {
+    let status = response.status();
+    if !(status.is_client_error() || status.is_server_error()) {
+        return response;
+    }
+    let error = response.extensions_mut().remove::<ApiError>().unwrap_or_else(|| unexplained(status, path));
+    if status.is_server_error() {
+        let cause = error.cause.as_deref().unwrap_or(&error.detail);
+        tracing::warn!(request = request_id, path, status = status.as_u16(), cause, "A request could not be answered.");
+    }
+    let problem = Problem {
+        kind: error.kind.uri(),
+        title: error.kind.title(),
+        status: status.as_u16(),
+        detail: error.detail,
+        instance: format!("/requests/{request_id}"),
+        reasons: error.reasons,
+        retry_after_s: error.retry_after_s,
+    };
+    let body = serde_json::to_vec(&problem).unwrap_or_default();
+    let headers = response.headers_mut();
+    headers.remove(header::CONTENT_LENGTH);
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    *response.body_mut() = Body::from(body);
+    response
+}
+
+fn unexplained(status: StatusCode, path: &str) -> ApiError {
+    let kind = ProblemType::of(status);
+    let detail = match kind {
+        ProblemType::NotFound => {
+            let path: String = path.chars().take(200).collect();
+            format!("there is no `{path}`: /openapi.json lists all paths (a slash at the end makes another path)")
+        }
+        ProblemType::MethodNotAllowed => "the header `Allow` lists the methods of this path".to_owned(),
+        _ => status.canonical_reason().unwrap_or("no more is known").to_owned(),
+    };
+    ApiError { status, ..ApiError::new(kind, detail) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_type_has_its_own_name_and_title_and_is_documented() {
+        let documentation = include_str!("../../docs/api.md");
+        for (index, kind) in ProblemType::ALL.into_iter().enumerate() {
+            for other in &ProblemType::ALL[index + 1..] {
+                assert_ne!(kind.uri(), other.uri());
+                assert_ne!(kind.title(), other.title());
+            }
+            assert!(kind.status().is_client_error() || kind.status().is_server_error());
+            let row = format!("| `{}` | {}", kind.uri(), kind.status().as_u16());
+            assert!(documentation.contains(&row), "{row}");
+        }
+    }
+
+    #[test]
+    fn what_a_handler_did_not_explain_is_explained_by_its_status() {
+        for (status, kind) in [
+            (StatusCode::FORBIDDEN, ProblemType::NotAuthorized),
+            (StatusCode::URI_TOO_LONG, ProblemType::TooLarge),
+            (StatusCode::IM_A_TEAPOT, ProblemType::BadRequest),
+            (StatusCode::BAD_GATEWAY, ProblemType::Internal),
+        ] {
+            assert_eq!(ProblemType::of(status), kind);
+            assert_eq!(unexplained(status, "/x").status, status);
+        }
+    }
+
+    #[test]
+    fn the_store_s_refusals_get_the_status_of_their_kind() {
+        let status = |error: StoreError| ApiError::from(error).status().as_u16();
+        assert_eq!(status(StoreError::NoSuchCapture { asked: "x".to_owned() }), 404);
+        assert_eq!(status(StoreError::NameTaken { name: "x".to_owned() }), 409);
+        assert_eq!(status(StoreError::BadCursor { found: "x".to_owned() }), 400);
+        assert_eq!(status(StoreError::Closed), 503);
+        assert_eq!(status(StoreError::Unknown { column: "x", found: "y".to_owned() }), 500);
+    }
+}

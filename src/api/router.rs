@@ -1,0 +1,69 @@
+//! The routes, one line each, and the layers around them.
+
+use super::layers::{self, Streamed};
+use super::state::{ApiParts, ApiState};
+use super::{analysis, captures, health, jobs, openapi, samples, status};
+use axum::extract::{DefaultBodyLimit, Request};
+use axum::http::{HeaderMap, StatusCode, Version, header};
+use axum::{Router, middleware};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{Predicate, SizeAbove};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+/// Bytes of a request's body at most.
+const BODY_BYTES: usize = 64 * 1024;
+/// Answers smaller than this are not worth compressing.
+const COMPRESS_BYTES: u64 = 1024;
+
+/// All documented routes.
+pub(super) fn documented() -> OpenApiRouter<ApiState> {
+    OpenApiRouter::with_openapi(openapi::head())
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(health::metrics))
+        .routes(routes!(status::status))
+        .routes(routes!(captures::list, captures::start))
+        .routes(routes!(captures::show, captures::delete))
+        .routes(routes!(captures::stop))
+        .routes(routes!(captures::pin))
+        .routes(routes!(captures::gaps))
+        .routes(routes!(captures::segments))
+        .routes(routes!(captures::events))
+        .routes(routes!(samples::samples))
+        .routes(routes!(analysis::statistics))
+        .routes(routes!(analysis::allan))
+        .routes(routes!(analysis::noise))
+        .routes(routes!(jobs::list, jobs::submit))
+        .routes(routes!(jobs::show, jobs::cancel))
+}
+
+/// The whole interface as a service.
+pub fn router(parts: ApiParts) -> Router {
+    let state = ApiState::new(parts);
+    let (routes, document) = documented().split_for_parts();
+    let compress =
+        CompressionLayer::new().gzip(true).compress_when(SizeAbove::new(COMPRESS_BYTES).and(worth_compressing));
+    // The last layer is the outermost.
+    routes
+        .merge(openapi::route(&document))
+        .route("/", axum::routing::get(status::page))
+        .fallback(nothing_here)
+        .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))
+        .layer(middleware::from_fn_with_state(state.clone(), layers::authorize))
+        .layer(DefaultBodyLimit::max(BODY_BYTES))
+        .layer(CatchPanicLayer::custom(layers::panicked))
+        .layer(middleware::from_fn_with_state(state.clone(), layers::observe))
+        .layer(compress)
+        .with_state(state)
+}
+
+fn worth_compressing(_: StatusCode, _: Version, headers: &HeaderMap, extensions: &axum::http::Extensions) -> bool {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    extensions.get::<Streamed>().is_none() && (media_type.contains("json") || media_type.starts_with("text/"))
+}
+
+async fn nothing_here(_: Request) -> StatusCode {
+    StatusCode::NOT_FOUND
+}

@@ -1,0 +1,203 @@
+//! What handlers share, and how they read the database: on threads for blocking work, a bounded number at a time, and
+//! ended when nobody waits for the answer any more.
+
+use super::problem::ApiError;
+use super::server::Limits;
+use crate::control::CaptureControl;
+use crate::jobs::{JobError, Jobs, Live};
+use crate::observe::{Metrics, Status};
+use crate::store::{Interrupt, PooledReader, Reader, ReaderPool, Store, StoreError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+/// Changes at once; the writer takes one after the other anyway.
+const CHANGES: usize = 4;
+
+/// What the interface is given; the daemon makes it.
+#[derive(Debug, Clone)]
+pub struct ApiParts {
+    /// The status, from memory.
+    pub status: watch::Receiver<Status>,
+    /// Starting and stopping captures.
+    pub control: CaptureControl,
+    /// The database: pinning and deleting; its path for readers.
+    pub store: Store,
+    /// Background work.
+    pub jobs: Jobs,
+    /// The analysis of the capture that runs.
+    pub live: Arc<Live>,
+    /// Counters.
+    pub metrics: Arc<Metrics>,
+    /// The secret that requests need which change something; `None` on loopback.
+    pub token: Option<String>,
+    /// Sample time of a capture that is asked for without a duration.
+    pub default_duration: Duration,
+    /// Free space in bytes below which the daemon is not ready.
+    pub reserve_bytes: u64,
+    /// Limits of the server.
+    pub limits: Limits,
+}
+
+/// What handlers share; cheap to clone.
+#[derive(Debug, Clone)]
+pub(super) struct ApiState(Arc<Inner>);
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub(super) parts: ApiParts,
+    pub(super) started: Instant,
+    readers: ReaderPool,
+    heavy: Arc<Semaphore>,
+    light: Arc<Semaphore>,
+    changes: Arc<Semaphore>,
+}
+
+impl std::ops::Deref for ApiState {
+    type Target = Inner;
+    fn deref(&self) -> &Inner {
+        &self.0
+    }
+}
+
+impl ApiState {
+    pub(super) fn new(parts: ApiParts) -> Self {
+        let (heavy, light) = (parts.limits.heavy_queries, parts.limits.light_queries);
+        Self(Arc::new(Inner {
+            readers: ReaderPool::new(parts.store.path()),
+            started: Instant::now(),
+            heavy: Arc::new(Semaphore::new(heavy)),
+            light: Arc::new(Semaphore::new(light)),
+            changes: Arc::new(Semaphore::new(CHANGES)),
+            parts,
+        }))
+    }
+
+    /// The status of now.
+    pub(super) fn status(&self) -> Status {
+        self.parts.status.borrow().clone()
+    }
+
+    /// A query of a few rows. Waits for its turn, as long as the request may take.
+    pub(super) async fn read<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let permit = Arc::clone(&self.light).acquire_owned().await.map_err(|_| stopping())?;
+        self.query(permit, work).await
+    }
+
+    /// A permit to read many rows, or 503 at once.
+    pub(super) fn heavy_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Arc::clone(&self.heavy).try_acquire_owned().map_err(|_| {
+            self.parts.metrics.query_refused();
+            ApiError::unavailable(
+                format!(
+                    "{} large queries are running, which is all that may: ask again",
+                    self.parts.limits.heavy_queries
+                ),
+                1,
+            )
+        })
+    }
+
+    /// A query of many rows, or a computation over them.
+    pub(super) async fn read_heavy<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Reader, &ApiParts) -> Result<T, JobError> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let permit = self.heavy_permit()?;
+        let state = self.clone();
+        self.query(permit, move |reader| work(reader, &state.parts)).await
+    }
+
+    async fn query<T: Send + 'static, E: From<StoreError> + Into<ApiError> + Send + 'static>(
+        &self,
+        permit: OwnedSemaphorePermit,
+        work: impl FnOnce(&Reader) -> Result<T, E> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let readers = self.readers.clone();
+        let ending = Arc::new(Mutex::new(Ending::Waiting));
+        let abandoned = Abandon(Arc::clone(&ending));
+        let outcome = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            let reader = readers.get()?;
+            if !enter(&ending, &reader) {
+                return Err(StoreError::Closed.into());
+            }
+            let outcome = work(&reader);
+            // From here on the reader may be somebody else's: nobody may end its query any more.
+            *ending.lock().unwrap_or_else(PoisonError::into_inner) = Ending::Waiting;
+            outcome
+        })
+        .await;
+        drop(abandoned);
+        finished(outcome)
+    }
+
+    /// A reader for a thread of the caller's own.
+    pub(super) fn reader(&self) -> Result<PooledReader, StoreError> {
+        self.readers.get()
+    }
+
+    /// A command that changes something; waits for its turn, then for the disk.
+    pub(super) async fn change<T: Send + 'static, E: Into<ApiError> + Send + 'static>(
+        &self,
+        work: impl FnOnce(&ApiParts) -> Result<T, E> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let permit = Arc::clone(&self.changes).acquire_owned().await.map_err(|_| stopping())?;
+        let state = self.clone();
+        let outcome = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            work(&state.parts)
+        })
+        .await;
+        finished(outcome)
+    }
+
+    /// The id of the capture that the path names: an id, a name, or `latest`.
+    pub(super) async fn resolve(&self, name: String) -> Result<i64, ApiError> {
+        self.read(move |reader| reader.resolve(&name)).await
+    }
+}
+
+fn finished<T, E: Into<ApiError>>(outcome: Result<Result<T, E>, tokio::task::JoinError>) -> Result<T, ApiError> {
+    match outcome {
+        Ok(outcome) => outcome.map_err(Into::into),
+        Err(error) => Err(ApiError::internal(format!("a query ended abnormally: {error}"))),
+    }
+}
+
+fn stopping() -> ApiError {
+    ApiError::unavailable("the daemon is stopping", 5)
+}
+
+/// How far a query has come, shared by its thread and whoever waits for it.
+enum Ending {
+    Waiting,
+    Running(Interrupt),
+    Abandoned,
+}
+
+/// Whether the query may begin: somebody still waits.
+fn enter(ending: &Mutex<Ending>, reader: &Reader) -> bool {
+    let mut ending = ending.lock().unwrap_or_else(PoisonError::into_inner);
+    if matches!(*ending, Ending::Abandoned) {
+        return false;
+    }
+    *ending = Ending::Running(reader.interrupt());
+    true
+}
+
+/// Ends the query when dropped before it is done: the client has gone or the time is up.
+struct Abandon(Arc<Mutex<Ending>>);
+
+impl Drop for Abandon {
+    fn drop(&mut self) {
+        let mut ending = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Ending::Running(interrupt) = &*ending {
+            interrupt.interrupt();
+        }
+        *ending = Ending::Abandoned;
+    }
+}

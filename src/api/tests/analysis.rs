@@ -1,0 +1,162 @@
+//! Analyses and the jobs that make them.
+
+use super::*;
+
+#[test]
+fn an_analysis_is_202_until_its_job_is_done_and_then_has_a_tag() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 2000);
+    let first = world.get("/v1/captures/a/allan");
+    if first.status == 202 {
+        assert!(first.header("location").starts_with("/v1/jobs/"), "{first:?}");
+        assert_eq!(first.header("retry-after"), "2");
+        assert_eq!(first.json()["kind"], "allan");
+        assert_eq!(first.header("location"), format!("/v1/jobs/{}", first.json()["id"]));
+    }
+    let done = eventually("the job", || world.get("/v1/captures/a/allan"), |answer| answer.status == 200);
+    let report = done.json();
+    assert_eq!((report["format"].as_str(), report["complete"].as_bool()), (Some("vn100d-allan-1"), Some(true)));
+    assert_eq!(report["channels"]["gyro_x"]["unit"], "rad/s");
+    let tag = done.header("etag");
+    assert!(tag.starts_with('"') && tag.ends_with('"'), "{tag}");
+    let again = world.get_with("/v1/captures/a/allan", "if-none-match", tag);
+    assert_eq!((again.status, again.text.as_str(), again.header("etag")), (304, "", tag));
+    assert_eq!(world.get_with("/v1/captures/a/allan", "if-none-match", "\"other\"").text, done.text);
+    assert_eq!(world.get("/v1/jobs").json()["jobs"].as_array().unwrap().len(), 1, "asking makes one job");
+}
+
+#[test]
+fn noise_parameters_and_statistics_are_answered_for_finished_and_for_running_captures() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 4000);
+    world.capture("b", CaptureState::Capturing, 4000);
+    for (capture, complete) in [("a", true), ("b", false)] {
+        let ask = |kind: &str| {
+            let path = format!("/v1/captures/{capture}/{kind}");
+            eventually("the job", || world.get(&path), |answer| answer.status == 200).json()
+        };
+        let noise = ask("noise");
+        assert_eq!(noise["format"], "vn100d-noise-1");
+        assert_eq!((noise["capture"].as_str(), noise["complete"].as_bool()), (Some(capture), Some(complete)));
+        assert_eq!((noise["samples"].as_u64(), noise["missing"].as_u64()), (Some(4000), Some(4)), "{capture}");
+        assert_eq!(noise["channels"]["gyro_x"]["N"]["unit"], "rad/s/√Hz");
+        let statistics = ask("statistics");
+        assert_eq!(statistics["complete"], complete);
+        let temperature = &statistics["channels"]["temperature"];
+        assert_eq!((temperature["n"].as_u64(), temperature["mean"].as_f64()), (Some(3999), Some(21.5)), "{capture}");
+        assert_eq!(ask("allan")["complete"], complete);
+    }
+}
+
+#[test]
+fn while_a_capture_runs_there_is_an_answer_for_what_it_has() {
+    let world = World::new();
+    world.capture("a", CaptureState::Capturing, 2000);
+    let report = world.get("/v1/captures/a/allan");
+    assert_eq!((report.status, report.header("etag")), (200, ""));
+    assert_eq!(report.json()["complete"], false);
+    assert!(!report.json()["channels"]["gyro_x"]["tau_s"].as_array().unwrap().is_empty());
+    assert_eq!(world.get("/v1/jobs").json()["jobs"], serde_json::json!([]), "no job for a capture that runs");
+    world.store.set_state(1, CaptureState::Stopped, START_NS).unwrap();
+    world.capture("b", CaptureState::Waiting, 0);
+    world.get("/v1/captures/b/allan").problem(422, "analysis-failed");
+}
+
+#[test]
+fn an_analysis_that_cannot_be_made_says_why() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 0);
+    let failed = eventually("the job", || world.get("/v1/captures/a/allan"), |answer| answer.status != 202);
+    assert!(failed.problem(422, "analysis-failed").contains("no samples"), "{failed:?}");
+    world.get("/v1/captures/z/allan").problem(404, "not-found");
+    let kalibr = world.get("/v1/captures/a/allan?format=kalibr").problem(400, "bad-request");
+    assert!(kalibr.contains("allowed is json"), "{kalibr}");
+    world.get("/v1/captures/a/allan?estimator=adev").problem(400, "bad-request");
+}
+
+#[test]
+fn the_same_job_is_made_once() {
+    let world = World::new();
+    let id = world.capture("a", CaptureState::Complete, 2000);
+    let submit = |body: &str| world.post("/v1/jobs", body);
+    let first = submit(&format!(r#"{{"kind": "allan", "capture": {id}}}"#));
+    assert_eq!(first.status, 202, "{first:?}");
+    let location = first.header("location").to_owned();
+    assert_eq!(location, format!("/v1/jobs/{}", first.json()["id"]));
+    for same in [r#"{"kind": "allan", "capture": "latest"}"#, r#"{"capture": "a", "taus": "log", "kind": "allan"}"#] {
+        let again = submit(same);
+        assert_eq!((again.status, again.header("location")), (200, location.as_str()), "{same}");
+    }
+    let other = submit(r#"{"kind": "allan", "capture": "a", "channels": ["gyro_x"], "taus": "octave"}"#);
+    assert_eq!(other.status, 202);
+    assert_ne!(other.header("location"), location);
+    let done = eventually("the job", || world.get(other.header("location")).json(), |job| job["state"] == "done");
+    assert_eq!(done["progress"], 1.0);
+    let result = world.get(done["result"].as_str().unwrap());
+    assert_eq!((result.status, result.json()["format"].as_str()), (200, Some("vn100d-allan-1")));
+    let usual = eventually("the job", || world.get("/v1/captures/a/allan"), |answer| answer.status == 200);
+    assert_ne!(usual.text, result.text, "a job with other parameters is not the capture's analysis");
+}
+
+#[test]
+fn fifty_identical_submissions_at_once_make_one_job() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 2000);
+    let statuses: Vec<u16> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..50)
+            .map(|_| scope.spawn(|| world.post("/v1/jobs", r#"{"kind": "allan", "capture": "a"}"#).status))
+            .collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    assert_eq!(statuses.iter().filter(|status| **status == 202).count(), 1, "{statuses:?}");
+    assert_eq!(statuses.iter().filter(|status| **status == 200).count(), 49, "{statuses:?}");
+    assert_eq!(world.get("/v1/jobs").json()["jobs"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn a_job_that_makes_no_sense_is_refused() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 120);
+    for (body, detail) in [
+        ("", "the body is empty"),
+        ("{}", "missing field `kind`"),
+        (r#"{"kind": "alan", "capture": 1}"#, "allan"),
+        (r#"{"kind": "allan"}"#, "missing field `capture`"),
+        (r#"{"kind": "allan", "capture": 1, "tau": 1}"#, "unknown field `tau`"),
+        (r#"{"kind": "allan", "capture": 1, "taus": "all"}"#, "taus"),
+        (r#"{"kind": "allan", "capture": null}"#, "capture"),
+    ] {
+        let found = world.post("/v1/jobs", body).problem(400, "bad-request");
+        assert!(found.contains(detail), "{body}: {found}");
+    }
+    world.post("/v1/jobs", r#"{"kind": "allan", "capture": 9}"#).problem(404, "not-found");
+    world.get("/v1/jobs/9").problem(404, "not-found");
+    world.get("/v1/jobs/x").problem(400, "bad-request");
+    world.get("/v1/jobs?capture=nobody").problem(404, "not-found");
+    world.delete("/v1/jobs/9").problem(404, "not-found");
+    world.get("/v1/captures/a/allan?job=9").problem(404, "not-found");
+}
+
+#[test]
+fn a_job_that_has_ended_is_not_cancelled() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 2000);
+    world.post("/v1/jobs", r#"{"kind": "allan", "capture": "a"}"#);
+    eventually("the job", || world.get("/v1/jobs/1").json(), |job| job["state"] == "done");
+    assert_eq!(world.get("/v1/jobs?state=done&capture=a").json()["jobs"][0]["id"], 1);
+    assert!(world.delete("/v1/jobs/1").problem(409, "conflict").contains("done"));
+}
+
+#[test]
+fn a_queued_job_is_cancelled() {
+    let world = World::new();
+    world.jobs.stop();
+    world.capture("a", CaptureState::Complete, 2000);
+    let submitted = world.post("/v1/jobs", r#"{"kind": "allan", "capture": "a"}"#);
+    assert_eq!((submitted.status, submitted.header("retry-after")), (202, "2"));
+    let cancelled = world.delete(submitted.header("location"));
+    assert_eq!((cancelled.status, cancelled.json()["state"].as_str()), (200, Some("cancelled")));
+    let anew = world.get("/v1/captures/a/allan");
+    assert_eq!(anew.status, 202, "whoever asks for the result gets a new job");
+    assert_ne!(anew.header("location"), submitted.header("location"));
+}
