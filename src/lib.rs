@@ -25,6 +25,7 @@ pub mod simulator;
 
 pub mod api;
 pub mod config;
+pub mod emulator;
 pub mod jobs;
 pub mod recording;
 pub mod store;
