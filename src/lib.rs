@@ -24,6 +24,7 @@ pub mod protocol;
 pub mod simulator;
 
 pub mod api;
+pub mod capture;
 pub mod config;
 pub mod emulator;
 pub mod jobs;

@@ -1,0 +1,15 @@
+//! Capture: from a serial port to [`crate::sample::Record`]s, unattended.
+//!
+//! [`session`] (with [`action`], [`script`], [`output`] and [`backoff`]) decides about the connection, [`recorder`] about the capture; both are
+//! pure. [`port`] is the serial port, [`task`] drives the decisions against it.
+
+pub mod action;
+pub mod backoff;
+pub mod description;
+pub mod output;
+pub mod port;
+mod rate_meter;
+pub mod recorder;
+pub mod script;
+pub mod session;
+pub mod task;

@@ -1,0 +1,228 @@
+//! Ports: finds the sensor's serial port, opens it for this process alone, sets baud rate and latency.
+//! The only user of `tokio_serial`.
+
+use std::path::{Path, PathBuf};
+use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
+
+/// Where to look when no device is configured: stable names first, then whatever the kernel numbered.
+const SEARCH: [&str; 3] = ["/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*"];
+/// FTDI's default of 16 ms bunches messages; 1 ms is the least the chip takes.
+const LATENCY_TIMER_MS: u32 = 1;
+
+/// Why a port could not be opened.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// Nothing of that name (any more).
+    #[error("{path} is not there")]
+    Gone {
+        /// The port.
+        path: String,
+    },
+    /// Another process holds it.
+    #[error("{path} is in use by {holder}: stop that program, or choose another port with --device")]
+    Busy {
+        /// The port.
+        path: String,
+        /// Who, as far as /proc tells.
+        holder: String,
+    },
+    /// Not this user's.
+    #[error(
+        "{path} may not be opened by this user: add the user to the group that owns it (`ls -l {path}`; on Debian `sudo adduser $USER dialout`) and log in again"
+    )]
+    Permission {
+        /// The port.
+        path: String,
+    },
+    /// The system said something else.
+    #[error("{path} cannot be opened as a serial port: {reason}")]
+    Other {
+        /// The port.
+        path: String,
+        /// The system's words.
+        reason: String,
+    },
+}
+
+/// How the port delivers: what was done about the adapter's latency timer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Latency {
+    /// The adapter has no such timer (a UART, a pseudo-terminal).
+    NotApplicable,
+    /// The timer stands at this many milliseconds, as wanted.
+    Low(u32),
+    /// The timer stands at this many milliseconds and could not be changed.
+    High(u32),
+}
+
+impl Latency {
+    /// The sentence for a person, where something is left to do.
+    #[must_use]
+    pub fn hint(self) -> Option<String> {
+        match self {
+            Self::High(ms) => Some(format!(
+                "the USB adapter's latency timer is {ms} ms and may not be changed by this user, so samples arrive in bunches: install systemd/70-vn100.rules into /etc/udev/rules.d and plug the adapter in again"
+            )),
+            _ => None,
+        }
+    }
+    /// The timer in milliseconds, where there is one.
+    #[must_use]
+    pub fn timer_ms(self) -> Option<u32> {
+        match self {
+            Self::NotApplicable => None,
+            Self::Low(ms) | Self::High(ms) => Some(ms),
+        }
+    }
+}
+
+/// The ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual places.
+/// A pattern that is none matches nothing.
+#[must_use]
+pub fn find(device: Option<&str>) -> Vec<PathBuf> {
+    let patterns: &[&str] = match &device {
+        Some(device) => std::slice::from_ref(device),
+        None => &SEARCH,
+    };
+    let mut found = Vec::new();
+    let mut targets = Vec::new();
+    for pattern in patterns {
+        let matches: Vec<PathBuf> = if Path::new(pattern).exists() {
+            vec![PathBuf::from(pattern)]
+        } else {
+            glob::glob(pattern).map(|paths| paths.flatten().collect()).unwrap_or_default()
+        };
+        for path in matches {
+            // One adapter has a name by its id and one by its number: take it once.
+            let target = std::fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            if !targets.contains(&target) {
+                targets.push(target);
+                found.push(path);
+            }
+        }
+    }
+    found
+}
+
+/// Opens the port for this process alone (TIOCEXCL and `flock`), raw, 8N1, at `baud`.
+///
+/// # Errors
+/// [`OpenError`], one variant per thing a person would do about it.
+pub fn open(path: &Path, baud: u32) -> Result<SerialStream, OpenError> {
+    let name = path.display().to_string();
+    // The name may be a link that moves (by-id); what the kernel calls it now is what is opened and locked.
+    let target = std::fs::canonicalize(path).map_err(|_| OpenError::Gone { path: name.clone() })?;
+    SerialStream::open(&tokio_serial::new(target.to_string_lossy(), baud)).map_err(|error| {
+        let reason = error.to_string();
+        match error.kind() {
+            ErrorKind::Io(std::io::ErrorKind::NotFound) => OpenError::Gone { path: name },
+            ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => OpenError::Permission { path: name },
+            ErrorKind::NoDevice => OpenError::Busy { holder: holder(&target), path: name },
+            _ if reason.contains("lock") => OpenError::Busy { holder: holder(&target), path: name },
+            _ => OpenError::Other { path: name, reason },
+        }
+    })
+}
+
+/// Changes the baud rate of an open port.
+///
+/// # Errors
+/// [`OpenError::Other`] where the port does not do that rate.
+pub fn set_baud(stream: &mut SerialStream, path: &Path, baud: u32) -> Result<(), OpenError> {
+    stream
+        .set_baud_rate(baud)
+        .map_err(|error| OpenError::Other { path: path.display().to_string(), reason: format!("{baud} baud: {error}") })
+}
+
+/// Sets the USB adapter's latency timer through sysfs, where there is one and it may be written.
+#[must_use]
+pub fn lower_latency(path: &Path) -> Latency {
+    let Ok(target) = std::fs::canonicalize(path) else { return Latency::NotApplicable };
+    let Some(name) = target.file_name() else { return Latency::NotApplicable };
+    lower_latency_at(&Path::new("/sys/class/tty").join(name).join("device/latency_timer"))
+}
+
+fn lower_latency_at(timer: &Path) -> Latency {
+    let read = || std::fs::read_to_string(timer).ok().and_then(|text| text.trim().parse::<u32>().ok());
+    let Some(before) = read() else { return Latency::NotApplicable };
+    if before <= LATENCY_TIMER_MS {
+        return Latency::Low(before);
+    }
+    // Whether it took effect is read back: writing may succeed and do nothing.
+    match std::fs::write(timer, LATENCY_TIMER_MS.to_string()).ok().and_then(|()| read()) {
+        Some(after) if after <= LATENCY_TIMER_MS => Latency::Low(after),
+        after => Latency::High(after.unwrap_or(before)),
+    }
+}
+
+/// Who has the port, as far as /proc lets this user see: the one that locked it, else any that has it open.
+fn holder(target: &Path) -> String {
+    let of = |pid: &str| {
+        let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+        format!("process {pid} ({})", name.trim())
+    };
+    if let Some(pid) = lock_holder(target) {
+        return of(&pid);
+    }
+    let own = std::process::id().to_string();
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    for process in processes {
+        let pid = process.file_name().to_string_lossy().into_owned();
+        if !pid.bytes().all(|byte| byte.is_ascii_digit()) || pid == own {
+            continue;
+        }
+        let Ok(descriptors) = std::fs::read_dir(process.path().join("fd")) else { continue };
+        if descriptors.flatten().any(|fd| std::fs::read_link(fd.path()).is_ok_and(|link| link == target)) {
+            return of(&pid);
+        }
+    }
+    "another program".to_owned()
+}
+
+/// The process that `flock`ed the file, from /proc/locks: `1: FLOCK ADVISORY WRITE 4711 00:1a:9 0 EOF`.
+fn lock_holder(target: &Path) -> Option<String> {
+    use std::os::unix::fs::MetadataExt as _;
+    let inode = std::fs::metadata(target).ok()?.ino().to_string();
+    let device = rustix::fs::stat(target).ok()?.st_dev;
+    let file = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    locks.lines().find_map(|line| {
+        let fields: Vec<&str> = line.split_whitespace().collect();
+        (fields.get(1) == Some(&"FLOCK") && fields.get(5) == Some(&file.as_str())).then(|| fields[4].to_owned())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pattern_finds_each_port_once_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let port = folder.path().join("ttyUSB7");
+        std::fs::write(&port, "").unwrap();
+        std::os::unix::fs::symlink(&port, folder.path().join("usb-FTDI-if00")).unwrap();
+        let pattern = folder.path().join("*").display().to_string();
+        assert_eq!(find(Some(&pattern)).len(), 1);
+        assert_eq!(find(Some(port.to_str().unwrap())), [port]);
+        assert!(find(Some("/nowhere/tty*")).is_empty());
+    }
+
+    #[test]
+    fn a_missing_port_and_a_file_that_is_none_are_told_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(matches!(open(&folder.path().join("none"), 115_200), Err(OpenError::Gone { .. })));
+    }
+
+    #[test]
+    fn the_latency_timer_is_lowered_where_it_may_be_and_reported_where_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let timer = folder.path().join("latency_timer");
+        assert_eq!(lower_latency_at(&timer), Latency::NotApplicable);
+        std::fs::write(&timer, "16\n").unwrap();
+        assert_eq!(lower_latency_at(&timer), Latency::Low(1));
+        assert_eq!(lower_latency_at(&timer), Latency::Low(1));
+        assert!(Latency::High(16).hint().unwrap().contains("70-vn100.rules"));
+    }
+}

@@ -1,0 +1,460 @@
+//! Recorder: one capture from its first sample to its planned end. Pure.
+//!
+//! A capture runs on sample time: it is complete when received + missing = duration × rate, however long that took
+//! (contract, section 2). A gap that reaches beyond the planned end is cut there; what arrives later is no part of the
+//! capture.
+
+use crate::sample::accounting::Position;
+use crate::sample::record::CaptureEnd;
+use crate::sample::{
+    Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, Record, Sample, Timebase,
+};
+use crate::units::period_ns;
+use std::collections::BTreeMap;
+
+/// Silence after which an absent sensor is held to be absent until the planned end, ns.
+const PATIENCE_NS: u64 = 5_000_000_000;
+
+/// What a capture shall become.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// The capture's id.
+    pub id: i64,
+    /// Its name.
+    pub name: String,
+    /// Sample time it shall hold, ns.
+    pub duration_ns: u64,
+    /// When it shall begin, UTC ns; at once where absent.
+    pub start_at_utc_ns: Option<i64>,
+}
+
+/// Where an earlier run of the daemon left a capture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ResumePoint {
+    /// Segments so far.
+    pub segments: u32,
+    /// Epoch of the last segment.
+    pub epoch: u32,
+    /// Samples received and committed.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Gaps.
+    pub gaps: u64,
+    /// Sample time held so far, received and missing, ns.
+    pub elapsed_ns: u64,
+    /// The last sample; `None` where the capture had none.
+    pub last: Option<Position>,
+    /// Output rate of the last segment in Hz.
+    pub rate_hz: Option<f64>,
+    /// Serial number of the capture's sensor.
+    pub serial_number: Option<String>,
+    /// What the sensor's output registers held before the capture changed them, by number.
+    pub previous_output: BTreeMap<u16, String>,
+}
+
+/// Counts of a running capture.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Counts {
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Gaps.
+    pub gaps: u64,
+    /// Sample time held, ns.
+    pub elapsed_ns: f64,
+    /// When the last sample arrived, host monotonic ns.
+    pub last_mono_ns: Option<u64>,
+    /// A gap is open since this UTC time, ns.
+    pub gap_open_since_utc_ns: Option<i64>,
+}
+
+/// Writes one capture.
+#[derive(Debug)]
+pub struct Recorder {
+    plan: Plan,
+    accountant: Option<Accountant>,
+    resume: Option<ResumePoint>,
+    counts: Counts,
+    discarded: BTreeMap<DiscardCause, u64>,
+    ended: bool,
+    host_jitter_ns: f64,
+    scratch: Vec<Record>,
+}
+
+impl Recorder {
+    /// A recorder of a new capture, or of one that an earlier run of the daemon left; `host_jitter_ns` as
+    /// [`Accountant::with_host_jitter`] takes it.
+    #[must_use]
+    pub fn new(plan: Plan, resume: Option<ResumePoint>, host_jitter_ns: f64) -> Self {
+        let counts = resume.as_ref().map_or_else(Counts::default, |point| Counts {
+            samples: point.samples,
+            missing: point.missing,
+            gaps: point.gaps,
+            elapsed_ns: point.elapsed_ns as f64,
+            last_mono_ns: None,
+            gap_open_since_utc_ns: point.last.map(|last| last.host_utc_ns),
+        });
+        Self {
+            plan,
+            accountant: None,
+            resume,
+            counts,
+            discarded: BTreeMap::new(),
+            ended: false,
+            host_jitter_ns,
+            scratch: Vec::new(),
+        }
+    }
+
+    /// The plan.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+    /// The counts so far.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+    /// Whether the capture has come to its end.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Samples of this rate follow; with the sensor's clock or without.
+    pub fn accept(&mut self, rate_hz: f64, device_time: bool, out: &mut Vec<Record>) {
+        let timebase = if device_time { Timebase::Device } else { Timebase::Arrival };
+        match &mut self.accountant {
+            Some(accountant) => {
+                accountant.change(rate_hz, timebase, &mut self.scratch);
+                self.forward(out);
+            }
+            None => {
+                let accountant = match self.resume.take() {
+                    Some(point) => Accountant::resume(
+                        rate_hz,
+                        timebase,
+                        (point.segments, point.epoch, point.samples, point.missing, point.gaps),
+                        point.last,
+                        GapCause::DaemonStopped,
+                    ),
+                    None => Accountant::new(rate_hz, timebase),
+                };
+                self.accountant = Some(accountant.with_host_jitter(self.host_jitter_ns));
+            }
+        }
+    }
+
+    /// No samples until further notice.
+    pub fn interrupt(&mut self, cause: GapCause, out: &mut Vec<Record>) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.interrupt(cause, &mut self.scratch);
+            self.counts.gap_open_since_utc_ns = accountant.last().map(|last| last.host_utc_ns);
+            self.forward(out);
+        }
+    }
+
+    /// Something that may explain the next gap.
+    pub fn suspect(&mut self, cause: GapCause) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.suspect(cause);
+        }
+    }
+
+    /// Something arrived that is no sample.
+    pub fn discard(&mut self, cause: DiscardCause, count: u64) {
+        if count > 0 {
+            *self.discarded.entry(cause).or_insert(0) += count;
+        }
+    }
+
+    /// Takes a sample.
+    pub fn sample(&mut self, sample: Sample, out: &mut Vec<Record>) {
+        if self.ended {
+            return;
+        }
+        let Some(accountant) = &mut self.accountant else { return };
+        if self.counts.last_mono_ns.is_none() {
+            let (kind, message) = match self.counts.samples {
+                0 => (EventKind::CaptureStarted, format!("capture `{}` has its first sample", self.plan.name)),
+                samples => {
+                    (EventKind::CaptureStarted, format!("capture `{}` goes on after {samples} samples", self.plan.name))
+                }
+            };
+            out.push(Record::Event(EventRecord { utc_ns: sample.host_utc_ns, kind, message, detail: None }));
+        }
+        self.counts.last_mono_ns = Some(sample.host_mono_ns);
+        let utc_ns = sample.host_utc_ns;
+        match accountant.observe(sample, &mut self.scratch) {
+            Observation::Taken => {}
+            Observation::Duplicate => self.discard(DiscardCause::Duplicate, 1),
+            Observation::AfterReset => out.push(Record::Event(EventRecord {
+                utc_ns,
+                kind: EventKind::SensorReset,
+                message: "the sensor's clock started again".to_owned(),
+                detail: None,
+            })),
+        }
+        self.forward(out);
+    }
+
+    /// Time passed: discards are written down, and a sensor that is away past the planned end ends the capture.
+    pub fn tick(&mut self, now_mono_ns: u64, now_utc_ns: i64, out: &mut Vec<Record>) {
+        self.write_discards(out);
+        if self.ended {
+            return;
+        }
+        // Since this run of the daemon has heard a sample its own clock tells how long ago that was; before, only civil
+        // time does.
+        let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
+        let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
+        let Some((last, rate_hz)) = known.or(resumed) else { return };
+        let silence_ns = match self.counts.last_mono_ns {
+            Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
+            None => (now_utc_ns - last.host_utc_ns) as f64,
+        };
+        let period = period_ns(rate_hz);
+        let left_ns = self.plan.duration_ns as f64 - self.counts.elapsed_ns;
+        if silence_ns > left_ns + (PATIENCE_NS as f64).max(self.host_jitter_ns) + 2.0 * period {
+            if self.accountant.is_none() {
+                self.accept(rate_hz, last.device_time_ns.is_some(), out);
+            }
+            let missing = (left_ns / period).round() as u64;
+            let to_utc_ns = last.host_utc_ns + (left_ns + period) as i64;
+            if let Some(accountant) = &mut self.accountant {
+                accountant.close_with_gap(missing, to_utc_ns, &mut self.scratch);
+            }
+            self.forward(out);
+        }
+    }
+
+    /// Ends the capture before its time, at its last sample.
+    pub fn stop(&mut self, utc_ns: i64, out: &mut Vec<Record>) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.settle(&mut self.scratch);
+            self.forward(out);
+        }
+        if !self.ended {
+            self.end(CaptureEnd::Stopped, utc_ns, out);
+        }
+    }
+
+    /// Writes down what the accountant still holds; the capture goes on later.
+    pub fn pause(&mut self, out: &mut Vec<Record>) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.settle(&mut self.scratch);
+        }
+        self.forward(out);
+        self.write_discards(out);
+    }
+
+    fn write_discards(&mut self, out: &mut Vec<Record>) {
+        for (cause, count) in std::mem::take(&mut self.discarded) {
+            out.push(Record::Discarded { cause, count });
+        }
+    }
+
+    fn end(&mut self, how: CaptureEnd, utc_ns: i64, out: &mut Vec<Record>) {
+        self.ended = true;
+        self.write_discards(out);
+        let words = match how {
+            CaptureEnd::Complete => "is complete",
+            CaptureEnd::Stopped => "was stopped",
+        };
+        let Counts { samples, missing, gaps, .. } = self.counts;
+        out.push(Record::Event(EventRecord {
+            utc_ns,
+            kind: EventKind::CaptureEnded,
+            message: format!(
+                "capture `{}` {words}: {samples} samples, {missing} missing in {gaps} gaps",
+                self.plan.name
+            ),
+            detail: None,
+        }));
+        out.push(Record::Ended { how, utc_ns });
+    }
+
+    /// Passes on what the accountant wrote, up to the planned end.
+    fn forward(&mut self, out: &mut Vec<Record>) {
+        let records = std::mem::take(&mut self.scratch);
+        let Some(rate_hz) = self.accountant.as_ref().map(Accountant::rate_hz) else { return };
+        let period = period_ns(rate_hz);
+        for record in records {
+            if self.ended {
+                // What comes after the end is no part of the capture.
+                continue;
+            }
+            match record {
+                Record::Sample { ref sample, .. } => {
+                    let utc_ns = sample.host_utc_ns;
+                    self.counts.samples += 1;
+                    self.counts.elapsed_ns += period;
+                    self.counts.gap_open_since_utc_ns = None;
+                    out.push(record);
+                    self.end_if_full(period, utc_ns, out);
+                }
+                Record::Gap(mut gap) => {
+                    let left =
+                        ((self.plan.duration_ns as f64 - self.counts.elapsed_ns) / period).round().max(0.0) as u64;
+                    if gap.missing > left {
+                        gap.to_utc_ns = gap.to_utc_ns.min(gap.from_utc_ns + ((left + 1) as f64 * period) as i64);
+                        gap.missing = left;
+                        gap.device_ns =
+                            gap.device_ns.map(|(from, _)| (from, from + ((left + 1) as f64 * period) as u64));
+                    }
+                    self.counts.missing += gap.missing;
+                    self.counts.gaps += 1;
+                    self.counts.elapsed_ns += gap.missing as f64 * period;
+                    let utc_ns = gap.to_utc_ns;
+                    out.push(Record::Gap(gap));
+                    self.end_if_full(period, utc_ns, out);
+                }
+                other => out.push(other),
+            }
+        }
+    }
+
+    fn end_if_full(&mut self, period: f64, utc_ns: i64, out: &mut Vec<Record>) {
+        if self.counts.elapsed_ns + 0.5 * period > self.plan.duration_ns as f64 {
+            self.end(CaptureEnd::Complete, utc_ns, out);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::Channel;
+
+    const PERIOD_NS: u64 = 25_000_000;
+
+    fn sample(tick: u64) -> Sample {
+        let host = 1_000_000_000 + tick * PERIOD_NS;
+        let mut sample = Sample::at(host, 1_700_000_000_000_000_000 + host as i64);
+        sample.device_time_ns = Some(3_000_000_000 + tick * PERIOD_NS);
+        sample.set(Channel::GyroX, 0.0);
+        sample
+    }
+
+    fn recorder(seconds: u64) -> Recorder {
+        let plan = Plan { id: 1, name: "night".into(), duration_ns: seconds * 1_000_000_000, start_at_utc_ns: None };
+        let mut recorder = Recorder::new(plan, None, 0.0);
+        recorder.accept(40.0, true, &mut Vec::new());
+        recorder
+    }
+
+    #[test]
+    fn a_capture_is_complete_with_duration_times_rate_samples() {
+        let (mut recorder, mut out) = (recorder(10), Vec::new());
+        for tick in 0..500 {
+            recorder.sample(sample(tick), &mut out);
+        }
+        assert!(recorder.has_ended());
+        assert_eq!(recorder.counts().samples, 400);
+        assert_eq!(out.iter().filter(|record| matches!(record, Record::Sample { .. })).count(), 400);
+        assert!(matches!(out.last(), Some(Record::Ended { how: CaptureEnd::Complete, .. })));
+    }
+
+    #[test]
+    fn missing_samples_count_and_a_gap_is_cut_at_the_planned_end() {
+        let (mut recorder, mut out) = (recorder(10), Vec::new());
+        for tick in 0..100 {
+            recorder.sample(sample(tick), &mut out);
+        }
+        recorder.interrupt(GapCause::Unplugged, &mut out);
+        recorder.sample(sample(5000), &mut out);
+        assert!(recorder.has_ended());
+        assert_eq!((recorder.counts().samples, recorder.counts().missing), (100, 300));
+    }
+
+    #[test]
+    fn a_sensor_that_stays_away_does_not_keep_the_capture_open() {
+        let (mut recorder, mut out) = (recorder(10), Vec::new());
+        for tick in 0..100 {
+            recorder.sample(sample(tick), &mut out);
+        }
+        recorder.interrupt(GapCause::Unplugged, &mut out);
+        recorder.tick(1_000_000_000 + 300 * PERIOD_NS, 0, &mut out);
+        assert!(!recorder.has_ended());
+        recorder.tick(1_000_000_000 + 800 * PERIOD_NS, 0, &mut out);
+        assert!(recorder.has_ended());
+        assert_eq!((recorder.counts().samples, recorder.counts().missing), (100, 300));
+        let cause = out.iter().find_map(|record| if let Record::Gap(gap) = record { Some(gap.cause) } else { None });
+        assert_eq!(cause, Some(GapCause::Unplugged));
+    }
+
+    #[test]
+    fn a_stopped_capture_ends_at_its_last_sample_and_discards_are_written_down() {
+        let (mut recorder, mut out) = (recorder(10), Vec::new());
+        recorder.sample(sample(0), &mut out);
+        recorder.sample(sample(0), &mut out);
+        recorder.discard(DiscardCause::Checksum, 2);
+        recorder.stop(5, &mut out);
+        assert!(out.contains(&Record::Discarded { cause: DiscardCause::Duplicate, count: 1 }));
+        assert!(out.contains(&Record::Discarded { cause: DiscardCause::Checksum, count: 2 }));
+        assert_eq!(out.last(), Some(&Record::Ended { how: CaptureEnd::Stopped, utc_ns: 5 }));
+    }
+
+    #[test]
+    fn a_resumed_capture_whose_sensor_never_returns_ends_with_a_gap() {
+        let plan = Plan { id: 1, name: "night".into(), duration_ns: 10_000_000_000, start_at_utc_ns: None };
+        let last = sample(99);
+        let point = ResumePoint {
+            segments: 1,
+            epoch: 1,
+            samples: 100,
+            missing: 0,
+            gaps: 0,
+            elapsed_ns: 100 * PERIOD_NS,
+            last: Some(Position {
+                device_time_ns: last.device_time_ns,
+                host_mono_ns: 0,
+                host_utc_ns: last.host_utc_ns,
+            }),
+            rate_hz: Some(40.0),
+            serial_number: None,
+            previous_output: BTreeMap::new(),
+        };
+        let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
+        recorder.tick(0, last.host_utc_ns + 5_000_000_000, &mut out);
+        assert!(!recorder.has_ended());
+        recorder.tick(0, last.host_utc_ns + 60_000_000_000, &mut out);
+        assert!(recorder.has_ended());
+        assert_eq!((recorder.counts().samples, recorder.counts().missing), (100, 300));
+    }
+
+    #[test]
+    fn a_resumed_capture_needs_only_what_is_left() {
+        let plan = Plan { id: 1, name: "night".into(), duration_ns: 10_000_000_000, start_at_utc_ns: None };
+        let last = sample(299);
+        let point = ResumePoint {
+            segments: 1,
+            epoch: 1,
+            samples: 300,
+            missing: 0,
+            gaps: 0,
+            elapsed_ns: 300 * PERIOD_NS,
+            last: Some(Position {
+                device_time_ns: last.device_time_ns,
+                host_mono_ns: 0,
+                host_utc_ns: last.host_utc_ns,
+            }),
+            rate_hz: Some(40.0),
+            serial_number: None,
+            previous_output: BTreeMap::new(),
+        };
+        let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
+        recorder.accept(40.0, true, &mut out);
+        for tick in 320..500 {
+            recorder.sample(sample(tick), &mut out);
+        }
+        assert_eq!((recorder.counts().samples, recorder.counts().missing), (380, 20));
+        let segment = out
+            .iter()
+            .find_map(|record| if let Record::Segment(segment) = record { Some(segment.number) } else { None });
+        assert_eq!(segment, Some(2));
+    }
+}

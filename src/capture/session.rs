@@ -1,0 +1,1104 @@
+//! Session: the connection to one sensor as a state machine. Pure: it neither reads the clock nor touches the port; it
+//! says what is to be done and is told what came of it. The only owner of retrying.
+//!
+//! ```text
+//! Absent ─► Opening ─► Scanning (bauds) ─► Probing (identity, registers) ─► Configuring ─► Streaming ─► Restoring
+//!    ▲          │            │                   │                              │            │   │
+//!    └──────────┴── Backoff ◄┴───────────────────┴──────────────────────────────┴────────────┘   └► Stalled
+//! ```
+//!
+//! Promises: an absent port is looked for every [`LOOK_NS`]; a wait in `Backoff` never exceeds [`super::backoff::LONGEST`];
+//! the sensor's flash is never written; every state ends by itself.
+
+use super::action::{Action, Input};
+use super::backoff::Backoff;
+use super::description::{Registers, describe};
+use super::output::{Output, ascii_kind, binary_output, check_fit, is_binary};
+use super::port::{Latency, OpenError};
+use super::rate_meter::RateMeter;
+use super::script::{Script, Step};
+use crate::observe::{SensorState, SensorStatus};
+use crate::protocol::{ChecksumKind, Command, MeasurementKind};
+use crate::sample::{EventKind, GapCause};
+use crate::units::period_ns;
+use rand_chacha::ChaCha8Rng;
+use std::path::PathBuf;
+
+/// How often an absent port is looked for, ns.
+pub const LOOK_NS: u64 = 500_000_000;
+/// How long a baud rate is listened to before the next one is tried, ns.
+const SCAN_NS: u64 = 600_000_000;
+/// Silence that means `stalled`: this long, but at least [`STALL_PERIODS`] periods.
+const STALL_NS: f64 = 1e9;
+const STALL_PERIODS: f64 = 20.0;
+/// Silence after which the port is closed and opened again, ns (but at least 100 periods).
+const REOPEN_NS: f64 = 5e9;
+/// How long frames of another kind are tolerated before the output is configured again, ns.
+const FOREIGN_NS: u64 = 300_000_000;
+/// How long a sensor of unknown rate is listened to, ns.
+const MEASURE_NS: u64 = 2_000_000_000;
+/// Registers that describe the measurement; a sensor that refuses one loses nothing but the description.
+/// 0 user tag, 2 hardware, 5 baud, 6 and 7 ASCII output, 21 references, 23 magnetic, 25 acceleration, 26 frame rotation,
+/// 30 communication, 32 synchronisation, 35 VPE, 44 hard/soft iron, 75–77 binary outputs, 82 delta, 83 reference model,
+/// 84 gyro compensation, 85 filter windows.
+const DESCRIPTIVE: [u16; 20] = [5, 6, 7, 75, 76, 77, 85, 30, 0, 2, 21, 23, 25, 26, 32, 35, 44, 82, 83, 84];
+
+/// What a session wants to know.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionOptions {
+    /// What the sensor shall send.
+    pub output: Output,
+    /// Baud rates to try, best first; not empty.
+    pub bauds: Vec<u32>,
+    /// How late the host may hear for reasons of its own, ns: no silence below it means anything. 0 at real time; where
+    /// time runs faster the host's own lateness is magnified by the speed.
+    pub host_jitter_ns: u64,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Phase {
+    Absent,
+    Opening,
+    Scanning { index: usize, until_ns: u64, heard: bool, valid: bool },
+    Identifying,
+    Describing,
+    Configuring,
+    Measuring { until_ns: u64, meter: RateMeter },
+    Streaming,
+    Restoring,
+    Backoff { until_ns: u64 },
+    Ended,
+}
+
+/// The connection to one sensor.
+#[derive(Debug)]
+pub struct Session {
+    options: SessionOptions,
+    phase: Phase,
+    script: Script,
+    backoff: Backoff,
+    random: ChaCha8Rng,
+    status: SensorStatus,
+    next_look_ns: u64,
+    /// Ports of the last look and which of them is tried.
+    ports: Vec<PathBuf>,
+    port_index: usize,
+    /// Ports that failed in succession since the last success.
+    failed_ports: usize,
+    last_good_baud: Option<u32>,
+    /// Register contents as read, by number.
+    registers: Registers,
+    /// What the output registers held before they were changed, to be put back.
+    previous: Registers,
+    /// Serial number of the sensor that `previous` belongs to.
+    previous_of: Option<String>,
+    expected_serial: Option<String>,
+    latency: Latency,
+    accepted: Option<(MeasurementKind, f64)>,
+    last_sample_ns: u64,
+    bytes_since_sample: usize,
+    foreign_since_ns: Option<u64>,
+    /// A sample has come since streaming began.
+    flowing: bool,
+    heard_any: bool,
+    stopping: bool,
+}
+
+impl Session {
+    /// A session that has not begun; `seed` feeds the jitter of its waits.
+    #[must_use]
+    pub fn new(options: SessionOptions, random: ChaCha8Rng) -> Self {
+        Self {
+            phase: Phase::Absent,
+            script: Script::patient(options.host_jitter_ns),
+            options,
+            backoff: Backoff::default(),
+            random,
+            status: SensorStatus::default(),
+            next_look_ns: 0,
+            ports: Vec::new(),
+            port_index: 0,
+            failed_ports: 0,
+            last_good_baud: None,
+            registers: Registers::new(),
+            previous: Registers::new(),
+            previous_of: None,
+            expected_serial: None,
+            latency: Latency::NotApplicable,
+            accepted: None,
+            last_sample_ns: 0,
+            bytes_since_sample: 0,
+            foreign_since_ns: None,
+            flowing: false,
+            heard_any: false,
+            stopping: false,
+        }
+    }
+
+    /// The sensor as a person would describe it now.
+    #[must_use]
+    pub fn status(&self) -> &SensorStatus {
+        &self.status
+    }
+
+    /// When [`Input::Tick`] is due at the latest, ns.
+    #[must_use]
+    pub fn deadline_ns(&self) -> u64 {
+        match &self.phase {
+            Phase::Absent => self.next_look_ns,
+            Phase::Opening | Phase::Ended => u64::MAX,
+            Phase::Scanning { until_ns, .. } => (*until_ns).min(self.script.deadline_ns()),
+            Phase::Identifying | Phase::Describing | Phase::Configuring | Phase::Restoring => self.script.deadline_ns(),
+            Phase::Measuring { until_ns, .. } | Phase::Backoff { until_ns } => *until_ns,
+            Phase::Streaming => {
+                let warned = matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames);
+                let silence = if warned { self.reopen_ns() } else { self.stall_ns() };
+                (self.last_sample_ns + silence).min(self.script.deadline_ns())
+            }
+        }
+    }
+
+    /// Takes note of a valid measurement frame and says whether it is a sample of the stream.
+    pub fn measured(
+        &mut self,
+        now_ns: u64,
+        kind: MeasurementKind,
+        device_ns: Option<u64>,
+        actions: &mut Vec<Action>,
+    ) -> bool {
+        match &mut self.phase {
+            Phase::Streaming => {}
+            // A valid frame tells the baud rate even where the sensor does not answer.
+            Phase::Scanning { valid, .. } => {
+                *valid = true;
+                return false;
+            }
+            Phase::Measuring { meter, .. } => {
+                meter.note(now_ns, kind, device_ns);
+                return false;
+            }
+            _ => return false,
+        }
+        if self.accepted.is_none_or(|(accepted, _)| accepted != kind) && !self.adopt(kind, actions) {
+            self.foreign(now_ns, kind, actions);
+            return false;
+        }
+        self.last_sample_ns = now_ns;
+        self.bytes_since_sample = 0;
+        self.foreign_since_ns = None;
+        if !self.flowing {
+            self.flowing = true;
+            self.failed_ports = 0;
+            self.backoff.reset();
+        }
+        if self.status.state != SensorState::Streaming {
+            self.set_state(SensorState::Streaming, None);
+        }
+        true
+    }
+
+    /// While the output is kept and nothing has come yet, an ASCII message of another type than register 6 says is
+    /// taken for the stream at once: no sample of a recording that is played is lost.
+    fn adopt(&mut self, kind: MeasurementKind, actions: &mut Vec<Action>) -> bool {
+        let binary_on = [75, 76, 77].into_iter().any(|register| self.binary_output(register).is_some());
+        if self.options.output != Output::Keep || self.flowing || is_binary(kind) || binary_on {
+            return false;
+        }
+        let Some((_, rate_hz)) = self.accepted else { return false };
+        self.accept(kind, rate_hz, actions);
+        true
+    }
+
+    /// A sensor that was reset sends what its flash says: after a moment without samples its output is configured again.
+    fn foreign(&mut self, now_ns: u64, kind: MeasurementKind, actions: &mut Vec<Action>) {
+        let since_ns = *self.foreign_since_ns.get_or_insert(now_ns);
+        if now_ns - since_ns < FOREIGN_NS || now_ns.saturating_sub(self.last_sample_ns) < FOREIGN_NS {
+            return;
+        }
+        self.foreign_since_ns = None;
+        let wanted = self.accepted.map_or_else(String::new, |(accepted, _)| format!(" instead of {accepted}"));
+        let message = format!("the sensor sends {kind}{wanted}");
+        self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
+        actions.push(Action::Interrupt(GapCause::FormatChange));
+        if self.options.output == Output::Keep {
+            actions.push(Action::Event(EventKind::Reconfigured, message));
+            self.measure(now_ns);
+        } else {
+            actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
+            self.identify(now_ns, actions);
+        }
+    }
+
+    /// Takes one input; what is to be done is pushed to `actions`.
+    pub fn handle(&mut self, now_ns: u64, input: Input<'_>, actions: &mut Vec<Action>) {
+        match input {
+            Input::Tick => self.tick(now_ns, actions),
+            Input::Ports(ports) => self.found(ports, actions),
+            Input::Opened { latency } => self.opened(now_ns, latency, actions),
+            Input::OpenFailed(error) => self.open_failed(now_ns, &error, actions),
+            Input::Disconnected(reason) => self.disconnected(now_ns, &reason, actions),
+            Input::Bytes(count) => {
+                self.bytes_since_sample = self.bytes_since_sample.saturating_add(count);
+                self.heard_any |= count > 0;
+                if let Phase::Scanning { heard, .. } = &mut self.phase {
+                    *heard |= count > 0;
+                }
+            }
+            Input::Reply(reply) => {
+                if self.script.answer(now_ns, reply, actions) {
+                    self.advance(now_ns, actions);
+                }
+            }
+            Input::DeviceError(error) => {
+                if self.script.refuse(now_ns, error, actions) {
+                    self.advance(now_ns, actions);
+                } else {
+                    actions.push(Action::Event(EventKind::SensorError, format!("the sensor reports: {error}")));
+                }
+            }
+            Input::Expect(serial) => self.expected_serial = serial,
+            Input::Previous(registers) => {
+                if !registers.is_empty() {
+                    self.previous = registers;
+                    self.previous_of.clone_from(&self.expected_serial);
+                }
+            }
+            Input::Stop => self.stop(now_ns, actions),
+        }
+    }
+
+    fn set_state(&mut self, state: SensorState, hint: Option<String>) {
+        self.status.state = state;
+        self.status.hint = hint;
+    }
+
+    /// Silence in ns after which the state is `stalled`.
+    fn stall_ns(&self) -> u64 {
+        let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
+        (STALL_NS.max(STALL_PERIODS * period) as u64).max(self.options.host_jitter_ns)
+    }
+
+    /// Silence in ns after which the port is closed and opened again.
+    fn reopen_ns(&self) -> u64 {
+        let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
+        (REOPEN_NS.max(5.0 * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
+    }
+
+    fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        match &self.phase {
+            Phase::Absent if now_ns >= self.next_look_ns => {
+                self.next_look_ns = now_ns + LOOK_NS;
+                actions.push(Action::Look);
+            }
+            Phase::Backoff { until_ns } if now_ns >= *until_ns => {
+                self.phase = Phase::Absent;
+                self.next_look_ns = now_ns + LOOK_NS;
+                actions.push(Action::Look);
+            }
+            Phase::Scanning { until_ns, .. } => {
+                if now_ns >= *until_ns {
+                    self.scan_next(now_ns, actions);
+                } else {
+                    self.script.tick(now_ns, actions);
+                }
+            }
+            Phase::Identifying | Phase::Describing | Phase::Configuring | Phase::Restoring => {
+                self.script.tick(now_ns, actions);
+                self.advance(now_ns, actions);
+            }
+            Phase::Measuring { until_ns, .. } if now_ns >= *until_ns => self.rate_measured(now_ns, actions),
+            Phase::Streaming => self.listen(now_ns, actions),
+            _ => {}
+        }
+    }
+
+    fn found(&mut self, ports: Vec<PathBuf>, actions: &mut Vec<Action>) {
+        if self.phase != Phase::Absent || self.stopping {
+            return;
+        }
+        if ports != self.ports {
+            self.ports = ports;
+            self.port_index = 0;
+            self.failed_ports = 0;
+            self.backoff.reset();
+        }
+        let Some(path) = self.ports.get(self.port_index % self.ports.len().max(1)).cloned() else {
+            let hint = "no serial port is there: plug the sensor in, it is looked for all the time";
+            self.set_state(SensorState::Absent, Some(hint.to_owned()));
+            return;
+        };
+        self.status.port = Some(path.display().to_string());
+        if self.failed_ports == 0 {
+            self.set_state(SensorState::Opening, None);
+        }
+        self.phase = Phase::Opening;
+        let baud = self.bauds().first().copied().unwrap_or(115_200);
+        actions.push(Action::Open(path, baud));
+    }
+
+    /// Baud rates in the order to try: the one that worked last comes first.
+    fn bauds(&self) -> Vec<u32> {
+        let mut bauds = self.options.bauds.clone();
+        if let Some(good) = self.last_good_baud {
+            bauds.retain(|baud| *baud != good);
+            bauds.insert(0, good);
+        }
+        bauds
+    }
+
+    fn opened(&mut self, now_ns: u64, latency: Latency, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        self.latency = latency;
+        self.registers.clear();
+        self.heard_any = false;
+        if self.failed_ports == 0 {
+            self.set_state(SensorState::Probing, None);
+        }
+        self.scan(now_ns, 0, actions);
+    }
+
+    fn scan(&mut self, now_ns: u64, index: usize, actions: &mut Vec<Action>) {
+        self.status.baud = self.bauds().get(index).copied();
+        self.phase = Phase::Scanning {
+            index,
+            until_ns: now_ns + SCAN_NS.max(2 * self.options.host_jitter_ns),
+            heard: false,
+            valid: false,
+        };
+        self.script.begin(now_ns, vec![Step::optional(Command::read(1))], actions);
+    }
+
+    /// Nobody answered at this baud rate.
+    fn scan_next(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let Phase::Scanning { index, valid, .. } = self.phase else { return };
+        if valid {
+            if self.options.output == Output::Keep {
+                self.last_good_baud = self.status.baud;
+                self.measure(now_ns);
+            } else {
+                let hint = "the sensor sends but does not answer commands: check the line from the host to the sensor, or set `output = \"keep\"` to record what it sends";
+                self.fail(now_ns, SensorState::Backoff, hint.to_owned(), actions);
+            }
+            return;
+        }
+        let bauds = self.bauds();
+        if let Some(baud) = bauds.get(index + 1) {
+            actions.push(Action::SetBaud(*baud));
+            self.scan(now_ns, index + 1, actions);
+        } else if self.heard_any {
+            let tried = bauds.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+            let hint = format!(
+                "bytes arrive, but no valid frame at any of the baud rates {tried}: is this a VN-100, and is its baud rate among these?"
+            );
+            self.fail(now_ns, SensorState::NoValidFrames, hint, actions);
+        } else {
+            let hint = "the port opens, but nothing answers at any baud rate: check power and cable (port 1 of the Rugged is RS-232, port 2 is 3 V TTL)";
+            self.fail(now_ns, SensorState::Stalled, hint.to_owned(), actions);
+        }
+    }
+
+    fn open_failed(&mut self, now_ns: u64, error: &OpenError, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        let state = match error {
+            OpenError::Gone { .. } => SensorState::Absent,
+            OpenError::Busy { .. } => SensorState::PortBusy,
+            OpenError::Permission { .. } => SensorState::NoPermission,
+            OpenError::Other { .. } => SensorState::Backoff,
+        };
+        self.fail(now_ns, state, error.to_string(), actions);
+    }
+
+    /// This try failed: say so once, close, and wait; with several ports the next one has its turn first.
+    fn fail(&mut self, now_ns: u64, state: SensorState, hint: String, actions: &mut Vec<Action>) {
+        self.script.clear();
+        self.failed_ports += 1;
+        self.port_index += 1;
+        actions.push(Action::Close);
+        if self.status.hint.as_ref() != Some(&hint) {
+            actions.push(Action::Event(EventKind::Warning, hint.clone()));
+        }
+        self.set_state(state, Some(hint));
+        if state == SensorState::Absent {
+            self.phase = Phase::Absent;
+            self.next_look_ns = now_ns + LOOK_NS;
+        } else if !self.failed_ports.is_multiple_of(self.ports.len().max(1)) {
+            self.phase = Phase::Absent;
+            self.next_look_ns = now_ns;
+        } else {
+            let wait = self.backoff.next(&mut self.random);
+            self.phase = Phase::Backoff { until_ns: now_ns + wait.as_nanos() as u64 };
+        }
+    }
+
+    fn disconnected(&mut self, now_ns: u64, reason: &str, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        actions.push(Action::Interrupt(GapCause::Unplugged));
+        if !self.flowing {
+            // Gone before a sample came: a port that only ever says so must not cost a core.
+            self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
+            return;
+        }
+        self.flowing = false;
+        self.script.clear();
+        let port = self.status.port.clone().unwrap_or_default();
+        actions.push(Action::Event(EventKind::SensorLost, format!("{port} is gone: {reason}")));
+        actions.push(Action::Close);
+        self.set_state(
+            SensorState::Absent,
+            Some(format!("{port} is gone: plug the sensor in, it is looked for all the time")),
+        );
+        self.phase = Phase::Absent;
+        // The kernel gives the name free only once the port is closed.
+        self.next_look_ns = now_ns + LOOK_NS / 5;
+    }
+
+    /// The script under way has moved: go on to the next phase where it is done.
+    fn advance(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if let Some(failure) = self.script.failure() {
+            let failure = failure.to_owned();
+            if self.phase == Phase::Restoring {
+                self.end(actions);
+            } else if self.phase != Phase::Streaming {
+                self.fail(now_ns, SensorState::Backoff, failure, actions);
+            }
+            return;
+        }
+        if !self.script.is_done() {
+            return;
+        }
+        match self.phase {
+            Phase::Scanning { .. } => {
+                if let Some(model) = self.script.read().get(&1) {
+                    self.status.model = Some(model.clone());
+                    self.last_good_baud = self.status.baud;
+                    self.identify(now_ns, actions);
+                }
+            }
+            Phase::Identifying => self.identified(now_ns, actions),
+            Phase::Describing => {
+                let read = self.script.read().clone();
+                self.registers.extend(read);
+                self.configure(now_ns, actions);
+            }
+            Phase::Configuring => self.configured(now_ns, actions),
+            Phase::Restoring => self.end(actions),
+            _ => {}
+        }
+    }
+
+    fn identify(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        self.flowing = false;
+        self.phase = Phase::Identifying;
+        let mut steps = Vec::new();
+        if self.options.output != Output::Keep {
+            // Pausing lasts until resumed or reset; the registers stay as they are.
+            steps.push(Step::optional(Command::AsyncOutput(false)));
+        }
+        steps.extend([
+            Step::optional(Command::read(1)),
+            Step::optional(Command::read(3)),
+            Step::optional(Command::read(4)),
+        ]);
+        self.script.begin(now_ns, steps, actions);
+    }
+
+    fn identified(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let read = self.script.read().clone();
+        self.status.model = read.get(&1).cloned().or(self.status.model.take());
+        let serial_number = read.get(&3).cloned();
+        if self.previous_of != serial_number {
+            // Another unit: what the first one sent before is not to be written into it.
+            self.previous.clear();
+            self.previous_of.clone_from(&serial_number);
+        }
+        self.status.serial_number = serial_number;
+        self.status.firmware = read.get(&4).cloned();
+        self.registers.extend(read);
+        if let (Some(expected), Some(found)) = (&self.expected_serial, &self.status.serial_number)
+            && expected != found
+        {
+            let hint = format!(
+                "the capture belongs to the sensor with serial number {expected}, this one is {found}: plug the right one in, or stop the capture"
+            );
+            self.fail(now_ns, SensorState::WrongUnit, hint, actions);
+            return;
+        }
+        self.phase = Phase::Describing;
+        let steps = DESCRIPTIVE.into_iter().map(|register| Step::optional(Command::read(register))).collect();
+        self.script.begin(now_ns, steps, actions);
+    }
+
+    fn configure(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if let Err(misfit) = self.fits() {
+            self.fail(now_ns, SensorState::Backoff, misfit, actions);
+            return;
+        }
+        if self.previous.is_empty() {
+            self.previous = OUTPUT_REGISTERS
+                .into_iter()
+                .filter_map(|register| Some((register, self.registers.get(&register)?.clone())))
+                .collect();
+        }
+        let mut steps = Vec::new();
+        // The previous owner's outputs would share the line.
+        for register in [75, 76, 77] {
+            if self.binary_output(register).is_some() {
+                steps.push(Step::optional(Command::write(register, "0,0,0")));
+            }
+        }
+        match &self.options.output {
+            Output::Keep => {
+                self.begin_keeping(now_ns, actions);
+                return;
+            }
+            Output::Binary { fields, divisor } => {
+                steps.push(Step::required(Command::write(6, 0)));
+                steps.push(Step::required(Command::write(75, format!("1,{divisor},{fields}"))));
+                steps.push(Step::required(Command::read(75)));
+            }
+            Output::Ascii { number, rate_hz } => {
+                steps.push(Step::required(Command::write(7, rate_hz)));
+                steps.push(Step::required(Command::write(6, number)));
+                steps.push(Step::required(Command::read(6)));
+                steps.push(Step::required(Command::read(7)));
+            }
+        }
+        steps.push(Step::optional(Command::AsyncOutput(true)));
+        self.phase = Phase::Configuring;
+        self.script.begin(now_ns, steps, actions);
+    }
+
+    /// Whether the wanted output fits the line, else the arithmetic.
+    fn fits(&self) -> Result<(), String> {
+        let (Some(baud), Some((kind, rate_hz))) = (self.status.baud, self.options.output.kind_and_rate()) else {
+            return Ok(());
+        };
+        check_fit(kind, rate_hz, baud)
+    }
+
+    fn configured(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let read = self.script.read().clone();
+        self.registers.extend(read);
+        let Some((kind, rate_hz)) = self.options.output.kind_and_rate() else { return };
+        let taken = match &self.options.output {
+            Output::Binary { .. } => self.binary_output(75) == Some((kind, rate_hz)),
+            Output::Ascii { .. } => self.ascii_output() == Some((kind, rate_hz)),
+            Output::Keep => true,
+        };
+        if taken {
+            self.stream(now_ns, kind, rate_hz, actions);
+        } else {
+            let hint = format!(
+                "the sensor was told to send {kind} at {rate_hz} Hz, but its registers say otherwise (75: {}, 6: {}, 7: {})",
+                self.register_text(75),
+                self.register_text(6),
+                self.register_text(7),
+            );
+            self.fail(now_ns, SensorState::Backoff, hint, actions);
+        }
+    }
+
+    fn register_text(&self, register: u16) -> &str {
+        self.registers.get(&register).map_or("unknown", String::as_str)
+    }
+
+    /// What binary output register 75, 76 or 77 sends, where it is on.
+    fn binary_output(&self, register: u16) -> Option<(MeasurementKind, f64)> {
+        binary_output(register, self.registers.get(&register)?)
+    }
+
+    /// What registers 6 and 7 send, where it is on.
+    fn ascii_output(&self) -> Option<(MeasurementKind, f64)> {
+        let first = |register| self.registers.get(&register)?.split(',').next();
+        let kind = ascii_kind(first(6)?.parse().ok()?)?;
+        let rate_hz: f64 = first(7)?.parse().ok()?;
+        (rate_hz > 0.0).then_some((kind, rate_hz))
+    }
+
+    /// Takes what the sensor sends, as its registers describe it; where they do not, listens first.
+    fn begin_keeping(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let outputs = [75, 76, 77].into_iter().find_map(|register| self.binary_output(register));
+        match outputs.or_else(|| self.ascii_output()) {
+            Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
+            None => self.measure(now_ns),
+        }
+    }
+
+    fn measure(&mut self, now_ns: u64) {
+        self.flowing = false;
+        self.script.clear();
+        self.phase = Phase::Measuring {
+            until_ns: now_ns + MEASURE_NS.max(self.options.host_jitter_ns),
+            meter: RateMeter::default(),
+        };
+    }
+
+    fn rate_measured(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let Phase::Measuring { meter, .. } = &self.phase else { return };
+        match meter.result() {
+            Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
+            None => {
+                let hint = "the sensor sends no measurements: its outputs are off, and the configuration says to keep them (`output = \"keep\"`)";
+                self.fail(now_ns, SensorState::Stalled, hint.to_owned(), actions);
+            }
+        }
+    }
+
+    fn stream(&mut self, now_ns: u64, kind: MeasurementKind, rate_hz: f64, actions: &mut Vec<Action>) {
+        self.script.clear();
+        self.phase = Phase::Streaming;
+        self.flowing = false;
+        self.last_sample_ns = now_ns;
+        self.bytes_since_sample = 0;
+        self.foreign_since_ns = None;
+        self.accept(kind, rate_hz, actions);
+        let unit = self.status.serial_number.as_deref().unwrap_or("unknown");
+        let model = self.status.model.as_deref().unwrap_or("sensor of unknown model");
+        let message = format!(
+            "{model}, serial number {unit}, on {} at {} baud sends {kind} at {rate_hz} Hz",
+            self.status.port.as_deref().unwrap_or("?"),
+            self.status.baud.unwrap_or(0),
+        );
+        actions.push(Action::Event(EventKind::SensorFound, message));
+        if let Some(hint) = self.latency.hint() {
+            actions.push(Action::Event(EventKind::Warning, hint));
+        }
+    }
+
+    fn accept(&mut self, kind: MeasurementKind, rate_hz: f64, actions: &mut Vec<Action>) {
+        self.accepted = Some((kind, rate_hz));
+        self.status.rate_hz = Some(rate_hz);
+        self.status.output = Some(kind.to_string());
+        let description = describe(&self.status, &self.registers, &self.previous, self.latency, kind, rate_hz);
+        actions.push(Action::Describe(description));
+        actions.push(Action::Accept(kind, rate_hz));
+    }
+
+    /// While streaming: how long has it been silent?
+    fn listen(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
+        if silence_ns >= self.reopen_ns() {
+            let (cause, message) = if self.bytes_since_sample > 0 {
+                (
+                    GapCause::Checksum,
+                    "bytes arrive, but no valid frame: the port is opened again and its baud rate looked for",
+                )
+            } else {
+                (GapCause::Silent, "the sensor is silent: the port is opened again")
+            };
+            actions.push(Action::Interrupt(cause));
+            actions.push(Action::Event(EventKind::SensorLost, message.to_owned()));
+            self.flowing = false;
+            self.script.clear();
+            actions.push(Action::Close);
+            let wait = self.backoff.next(&mut self.random);
+            self.phase = Phase::Backoff { until_ns: now_ns + wait.as_nanos() as u64 };
+        } else if silence_ns >= self.stall_ns()
+            && !matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames)
+        {
+            if self.bytes_since_sample > 0 {
+                self.set_state(SensorState::NoValidFrames, Some("bytes arrive, but no valid frame".to_owned()));
+                actions.push(Action::AcceptAny);
+            } else {
+                self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
+            }
+            // A sensor that answers is alive; an output that somebody paused resumes.
+            let mut steps = vec![Step::optional(Command::read(1))];
+            if self.options.output != Output::Keep {
+                steps.insert(0, Step::optional(Command::AsyncOutput(true)));
+            }
+            self.script.begin(now_ns, steps, actions);
+        } else {
+            self.script.tick(now_ns, actions);
+        }
+    }
+
+    fn stop(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        self.stopping = true;
+        let changed = self.options.output != Output::Keep && !self.previous.is_empty();
+        match self.phase {
+            Phase::Streaming | Phase::Configuring if changed => {
+                self.phase = Phase::Restoring;
+                let mut steps = vec![Step::optional(Command::AsyncOutput(false))];
+                steps.extend(
+                    self.previous.iter().map(|(register, fields)| Step::optional(Command::write(*register, fields))),
+                );
+                steps.push(Step::optional(Command::AsyncOutput(true)));
+                self.script.begin(now_ns, steps, actions);
+            }
+            // The answer to `Open` is still to come.
+            Phase::Opening | Phase::Restoring => {}
+            Phase::Ended => actions.push(Action::Ended),
+            _ => {
+                if self.options.output != Output::Keep && matches!(self.phase, Phase::Identifying | Phase::Describing) {
+                    actions.push(Action::Send(Command::AsyncOutput(true).to_bytes(ChecksumKind::Xor8)));
+                }
+                self.end(actions);
+            }
+        }
+    }
+
+    fn end(&mut self, actions: &mut Vec<Action>) {
+        self.phase = Phase::Ended;
+        self.script.clear();
+        self.set_state(SensorState::Absent, None);
+        actions.push(Action::Close);
+        actions.push(Action::Ended);
+    }
+}
+
+/// Registers that choose the output; put back in this order.
+const OUTPUT_REGISTERS: [u16; 5] = [6, 7, 75, 76, 77];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::{DeviceError, Reply};
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use std::collections::BTreeMap;
+
+    /// A sensor that answers commands from a register file, as far as it is told to.
+    struct Sensor {
+        registers: BTreeMap<u16, String>,
+        answers: bool,
+        commands: Vec<String>,
+    }
+
+    impl Sensor {
+        fn new() -> Self {
+            let registers = [
+                (1, "VN-100T-CR"),
+                (3, "0100012345"),
+                (4, "3.1.0.0"),
+                (5, "115200"),
+                (6, "14"),
+                (7, "40"),
+                (75, "0,0,0"),
+                (76, "0,0,0"),
+                (77, "0,0,0"),
+                (85, "0,4,4,4,0,0,3,3,3,0"),
+            ];
+            Self {
+                registers: registers.into_iter().map(|(number, text)| (number, text.to_owned())).collect(),
+                answers: true,
+                commands: Vec::new(),
+            }
+        }
+    }
+
+    struct World {
+        session: Session,
+        sensor: Sensor,
+        now_ns: u64,
+        port: bool,
+        open: bool,
+        opens: u32,
+        seen: Vec<Action>,
+        ended: bool,
+    }
+
+    impl World {
+        fn new(output: Output) -> Self {
+            let options = SessionOptions { output, bauds: vec![115_200, 921_600], host_jitter_ns: 0 };
+            Self {
+                session: Session::new(options, ChaCha8Rng::seed_from_u64(7)),
+                sensor: Sensor::new(),
+                now_ns: 0,
+                port: true,
+                open: false,
+                opens: 0,
+                seen: Vec::new(),
+                ended: false,
+            }
+        }
+
+        fn give(&mut self, input: Input<'_>) {
+            let mut actions = Vec::new();
+            self.session.handle(self.now_ns, input, &mut actions);
+            self.perform(actions);
+        }
+
+        fn perform(&mut self, actions: Vec<Action>) {
+            for action in actions {
+                self.seen.push(action.clone());
+                match action {
+                    Action::Look => {
+                        let ports = if self.port { vec![PathBuf::from("/dev/ttyUSB0")] } else { Vec::new() };
+                        self.give(Input::Ports(ports));
+                    }
+                    Action::Open(..) => {
+                        assert!(!self.open, "opened twice");
+                        self.opens += 1;
+                        if self.port {
+                            self.open = true;
+                            self.give(Input::Opened { latency: Latency::NotApplicable });
+                        } else {
+                            self.give(Input::OpenFailed(OpenError::Gone { path: "/dev/ttyUSB0".into() }));
+                        }
+                    }
+                    Action::Close => self.open = false,
+                    Action::Send(bytes) => self.answer(&String::from_utf8(bytes).unwrap()),
+                    Action::Ended => self.ended = true,
+                    _ => {}
+                }
+            }
+        }
+
+        fn answer(&mut self, line: &str) {
+            let body = line.trim_start_matches('$').split('*').next().unwrap().to_owned();
+            self.sensor.commands.push(body.clone());
+            assert!(!body.starts_with("VNWNV") && !body.starts_with("VNFWU"), "flash must not be written: {body}");
+            if !self.sensor.answers {
+                return;
+            }
+            let command = Reply::parse(&body).unwrap();
+            let register = command.register.unwrap_or(0);
+            match command.verb {
+                crate::protocol::Verb::ReadRegister => match self.sensor.registers.get(&register) {
+                    Some(text) => {
+                        let answer = format!("{body},{text}");
+                        self.give(Input::Reply(&Reply::parse(&answer).unwrap()));
+                    }
+                    None => self.give(Input::DeviceError(DeviceError::from_code(8))),
+                },
+                crate::protocol::Verb::WriteRegister => {
+                    self.sensor.registers.insert(register, command.values.to_owned());
+                    self.give(Input::Reply(&command));
+                }
+                _ => self.give(Input::Reply(&command)),
+            }
+        }
+
+        fn pass(&mut self, ns: u64) {
+            let end = self.now_ns + ns;
+            while self.session.deadline_ns() <= end && !self.ended {
+                self.now_ns = self.now_ns.max(self.session.deadline_ns());
+                let before = (self.session.deadline_ns(), self.seen.len());
+                self.give(Input::Tick);
+                if (self.session.deadline_ns(), self.seen.len()) == before {
+                    self.now_ns += 1_000_000;
+                }
+            }
+            self.now_ns = end;
+        }
+
+        fn measured(&mut self, kind: MeasurementKind) -> bool {
+            let mut actions = Vec::new();
+            let taken = self.session.measured(self.now_ns, kind, None, &mut actions);
+            self.perform(actions);
+            taken
+        }
+
+        fn state(&self) -> SensorState {
+            self.session.status().state
+        }
+    }
+
+    fn default_output() -> Output {
+        Output::Binary { fields: "01,0609".to_owned(), divisor: 20 }
+    }
+
+    fn default_kind() -> MeasurementKind {
+        default_output().kind_and_rate().unwrap().0
+    }
+
+    #[test]
+    fn a_sensor_is_found_configured_and_streams() {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)), "{:?}", world.seen);
+        assert!(world.sensor.commands.contains(&"VNWRG,75,1,20,01,0609".to_owned()));
+        assert!(world.measured(default_kind()));
+        assert_eq!(world.state(), SensorState::Streaming);
+        assert_eq!(world.session.status().serial_number.as_deref(), Some("0100012345"));
+        let described = world
+            .seen
+            .iter()
+            .rev()
+            .find_map(|action| if let Action::Describe(value) = action { Some(value) } else { None });
+        assert_eq!(described.unwrap()["filter_window"]["gyro"], 4);
+        assert!(described.unwrap()["registers"].get("44").is_none(), "a refused register is absent");
+    }
+
+    #[test]
+    fn a_clean_stop_puts_the_previous_output_back() {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        world.measured(default_kind());
+        world.give(Input::Stop);
+        world.pass(1_000_000_000);
+        assert!(world.ended && !world.open);
+        assert_eq!(world.sensor.registers[&6], "14");
+        assert_eq!(world.sensor.registers[&75], "0,0,0");
+    }
+
+    #[test]
+    fn kept_output_is_taken_as_the_registers_describe_it_and_nothing_is_written() {
+        let mut world = World::new(Output::Keep);
+        world.pass(1_000_000_000);
+        let ymr = ascii_kind(14).unwrap();
+        assert!(world.seen.contains(&Action::Accept(ymr, 40.0)));
+        assert!(world.measured(ymr));
+        world.give(Input::Stop);
+        assert!(
+            world.sensor.commands.iter().all(|command| command.starts_with("VNRRG")),
+            "{:?}",
+            world.sensor.commands
+        );
+    }
+
+    #[test]
+    fn kept_output_of_another_type_than_the_registers_say_is_taken_from_its_first_line() {
+        let mut world = World::new(Output::Keep);
+        world.pass(1_000_000_000);
+        let imu = ascii_kind(19).unwrap();
+        assert!(world.measured(imu));
+    }
+
+    #[test]
+    fn a_sensor_that_only_sends_is_kept_with_its_rate_measured() {
+        let mut world = World::new(Output::Keep);
+        world.sensor.answers = false;
+        let ymr = ascii_kind(14).unwrap();
+        for _ in 0..400 {
+            world.pass(25_000_000);
+            world.measured(ymr);
+        }
+        assert!(world.seen.contains(&Action::Accept(ymr, 40.0)), "{:?}", world.seen);
+    }
+
+    #[test]
+    fn silence_is_stalled_then_the_port_is_opened_again() {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        world.measured(default_kind());
+        world.pass(1_500_000_000);
+        assert_eq!(world.state(), SensorState::Stalled);
+        assert_eq!(world.opens, 1);
+        world.pass(5_000_000_000);
+        assert!(world.seen.contains(&Action::Interrupt(GapCause::Silent)));
+        assert!(world.opens >= 2);
+    }
+
+    #[test]
+    fn a_sensor_that_was_reset_is_configured_again_within_two_seconds() {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        world.measured(default_kind());
+        world.sensor = Sensor::new();
+        let ymr = ascii_kind(14).unwrap();
+        let begun = world.now_ns;
+        while world.sensor.registers[&75] == "0,0,0" {
+            world.pass(25_000_000);
+            world.measured(ymr);
+            assert!(world.now_ns - begun < 2_000_000_000);
+        }
+        assert!(world.measured(default_kind()));
+        assert_eq!(world.opens, 1);
+    }
+
+    #[test]
+    fn another_unit_is_refused_and_said() {
+        let mut world = World::new(default_output());
+        world.give(Input::Expect(Some("0100099999".to_owned())));
+        world.pass(2_000_000_000);
+        assert_eq!(world.state(), SensorState::WrongUnit);
+        assert!(world.session.status().hint.as_ref().unwrap().contains("0100012345"));
+        assert!(!world.seen.iter().any(|action| matches!(action, Action::Accept(..))));
+    }
+
+    #[test]
+    fn an_output_that_does_not_fit_the_line_is_refused_with_the_arithmetic() {
+        let mut world = World::new(Output::Binary { fields: "01,0609".to_owned(), divisor: 1 });
+        world.pass(2_000_000_000);
+        let hint = world.session.status().hint.clone().unwrap();
+        assert!(hint.contains("70 bytes × 800 Hz × 10 bits = 560000 bit/s"), "{hint}");
+    }
+
+    #[test]
+    fn an_absent_port_is_looked_for_at_least_once_a_second() {
+        let mut world = World::new(default_output());
+        world.port = false;
+        world.pass(60_000_000_000);
+        let looks = world.seen.iter().filter(|action| **action == Action::Look).count();
+        assert!((60..=130).contains(&looks), "{looks}");
+        assert_eq!(world.state(), SensorState::Absent);
+        world.port = true;
+        world.pass(1_500_000_000);
+        assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)));
+    }
+
+    #[derive(Debug, Clone)]
+    enum Happening {
+        Pass(u64),
+        Unplug,
+        Plug,
+        Mute,
+        Speak,
+        Measure,
+        Foreign,
+        Garbage,
+    }
+
+    fn happening() -> impl Strategy<Value = Happening> {
+        prop_oneof![
+            (1_u64..3_000_000_000).prop_map(Happening::Pass),
+            Just(Happening::Unplug),
+            Just(Happening::Plug),
+            Just(Happening::Mute),
+            Just(Happening::Speak),
+            Just(Happening::Measure),
+            Just(Happening::Foreign),
+            Just(Happening::Garbage),
+        ]
+    }
+
+    proptest! {
+        /// Whatever happens: never opened twice (checked in the world), and once all is well again, streaming within 12 s.
+        #[test]
+        fn every_state_ends_by_itself(happenings in proptest::collection::vec(happening(), 0..60)) {
+            let mut world = World::new(default_output());
+            for happening in happenings {
+                match happening {
+                    Happening::Pass(ns) => world.pass(ns),
+                    Happening::Unplug => {
+                        world.port = false;
+                        if world.open {
+                            world.give(Input::Disconnected("gone".to_owned()));
+                        }
+                    }
+                    Happening::Plug => world.port = true,
+                    Happening::Mute => world.sensor.answers = false,
+                    Happening::Speak => world.sensor.answers = true,
+                    Happening::Measure => { world.measured(default_kind()); }
+                    Happening::Foreign => { world.measured(ascii_kind(14).unwrap()); }
+                    Happening::Garbage => world.give(Input::Bytes(100)),
+                }
+            }
+            world.port = true;
+            world.sensor.answers = true;
+            let mut streaming = false;
+            for _ in 0..1200 {
+                world.pass(25_000_000);
+                streaming = world.measured(default_kind());
+                if streaming {
+                    break;
+                }
+            }
+            prop_assert!(streaming, "state {:?}", world.session.status());
+            world.give(Input::Stop);
+            world.pass(10_000_000_000);
+            prop_assert!(world.ended && !world.open);
+        }
+    }
+}

@@ -1,0 +1,561 @@
+//! Task: drives session, decoder and recorder against the real port. A thin shell: every decision is theirs.
+
+use super::action::{Action, Input};
+use super::port;
+use super::recorder::{Counts, Plan, Recorder, ResumePoint};
+use super::session::{Session, SessionOptions};
+use crate::clock::Clock;
+use crate::observe::{SensorState, SensorStatus};
+use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
+use crate::sample::{DiscardCause, EventKind, EventRecord, GapCause, Record, Sample};
+use rand::SeedableRng;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio_serial::SerialStream;
+
+/// How often time-outs, discards and progress are looked at, in real time.
+const TICK: Duration = Duration::from_millis(200);
+/// The loop was not run for this long beyond its tick: the host stalled.
+const STALL: Duration = Duration::from_secs(1);
+/// Places in the queue that samples never take: segments, gaps and events always find room.
+const RESERVE: usize = 256;
+/// How late the host may read for reasons of its own, in real time; counts where time runs faster.
+const HOST_JITTER: Duration = Duration::from_millis(250);
+/// Room that the accelerated reader waits for: more than one read can bring.
+const ROOM: usize = 8192;
+/// At high rates several frames are read at once: a wake for each would cost more than the work it brings.
+const COALESCE: Duration = Duration::from_millis(20);
+/// Rates above which reads are coalesced, Hz; their frames carry the sensor's time.
+const COALESCE_ABOVE_HZ: f64 = 250.0;
+/// One read at most: 0.7 s at 921,600 baud.
+const READ_BYTES: usize = 65_536;
+/// How long a command may take to leave the port.
+const WRITE: Duration = Duration::from_secs(1);
+
+/// What the task needs to know.
+#[derive(Debug, Clone)]
+pub struct TaskOptions {
+    /// Path or pattern of the port; the usual places where absent.
+    pub device: Option<String>,
+    /// The session's own.
+    pub session: SessionOptions,
+    /// Seed of the waits' jitter.
+    pub seed: u64,
+}
+
+/// What may be asked of the task.
+#[derive(Debug)]
+pub enum TaskCommand {
+    /// Record from now (or the plan's start) on.
+    Begin(Plan, Option<ResumePoint>),
+    /// Stop the capture; answered when its last record is in the queue.
+    Stop(oneshot::Sender<bool>),
+    /// Put the sensor's output back, close the port and return; an unfinished capture goes on when the daemon runs again.
+    Shutdown,
+}
+
+/// What the task says about itself.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Progress {
+    /// The sensor.
+    pub sensor: SensorStatus,
+    /// Its registers, once they were read.
+    pub description: Option<serde_json::Value>,
+    /// The capture under way: plan and counts, and whether it still waits for its start.
+    pub capture: Option<(Plan, Counts, bool)>,
+}
+
+/// Where records go: a bounded queue that never makes the reader wait.
+pub trait Sink: Send + Sync + 'static {
+    /// How many records find room now.
+    fn room(&self) -> usize;
+    /// Puts a record of this capture into the queue.
+    ///
+    /// # Errors
+    /// Gives it back where the queue is full.
+    fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>>;
+    /// Nobody takes from the queue any more.
+    fn is_closed(&self) -> bool;
+}
+
+struct Shell {
+    clock: Arc<dyn Clock>,
+    session: Session,
+    decoder: Decoder,
+    book: Book,
+    waiting: Option<(Plan, Option<ResumePoint>)>,
+    /// How late the host may hear for reasons of its own, on the clock.
+    host_jitter_ns: f64,
+    actions: Vec<Action>,
+    /// The session knows which sensor the capture is of.
+    expecting: bool,
+    ended: bool,
+}
+
+/// What is written: the capture under way and the queue to the store.
+struct Book {
+    recorder: Option<Recorder>,
+    accepted: Option<(MeasurementKind, f64)>,
+    description: Option<serde_json::Value>,
+    sink: Box<dyn Sink>,
+    /// Records that found no room: never samples.
+    overflow: VecDeque<(i64, Record)>,
+    out: Vec<Record>,
+    /// The binary frames that the decoder shall believe from the next read on, where that changed.
+    filter: Option<BinaryAcceptance>,
+}
+
+/// Captures until told to shut down.
+///
+/// `sink` is bounded. At speed 1 a full queue costs samples, which become a gap with cause `storage_backpressure`;
+/// the reader never waits. At other speeds the reader waits, so that the terminal holds the emulator back.
+/// `progressed` counts the turns of the loop, for the watchdog.
+pub async fn run(
+    options: TaskOptions,
+    clock: Arc<dyn Clock>,
+    sink: Box<dyn Sink>,
+    mut commands: mpsc::Receiver<TaskCommand>,
+    progress: watch::Sender<Progress>,
+    progressed: Arc<AtomicU64>,
+) {
+    let patient = clock.speed() != 1.0;
+    let host_jitter_ns = if patient { HOST_JITTER.as_nanos() as f64 * clock.speed() } else { 0.0 };
+    let random = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
+    let mut shell = Shell {
+        session: Session::new(SessionOptions { host_jitter_ns: host_jitter_ns as u64, ..options.session }, random),
+        host_jitter_ns,
+        decoder: Decoder::new(DecoderOptions::default()),
+        book: Book {
+            recorder: None,
+            accepted: None,
+            description: None,
+            sink,
+            overflow: VecDeque::new(),
+            out: Vec::new(),
+            filter: None,
+        },
+        waiting: None,
+        actions: Vec::new(),
+        expecting: false,
+        ended: false,
+        clock,
+    };
+    let mut stream: Option<(SerialStream, PathBuf)> = None;
+    let mut buffer = vec![0_u8; READ_BYTES];
+    let mut next_tick = Instant::now();
+    let mut last_turn = Instant::now();
+    while !shell.ended {
+        shell.perform(&options.device, &mut stream).await;
+        let now = Instant::now();
+        if now.duration_since(last_turn) > TICK + STALL {
+            shell.book.suspect(GapCause::HostStall);
+        }
+        last_turn = now;
+        let session_wait = shell.session.deadline_ns().saturating_sub(shell.clock.mono_ns());
+        let wake = (now + shell.clock.real(Duration::from_nanos(session_wait)).min(TICK)).min(next_tick);
+        // What has arrived is read before anybody concludes from the time that nothing came.
+        let happened = tokio::select! {
+            biased;
+            command = commands.recv() => Happened::Command(command.unwrap_or(TaskCommand::Shutdown)),
+            read = read(&mut stream, &mut buffer) => Happened::Read(read),
+            () = tokio::time::sleep_until(wake.into()) => Happened::Nothing,
+        };
+        let read_some = matches!(happened, Happened::Read(_));
+        match happened {
+            Happened::Command(command) => {
+                shell.command(command);
+                shell.publish(&progress);
+            }
+            Happened::Read(read) => {
+                if patient {
+                    shell.book.room().await;
+                }
+                let before = shell.session.status().state;
+                match read {
+                    Ok(0) => shell.input(Input::Disconnected("the line hung up".to_owned())),
+                    Ok(count) => {
+                        shell.received(&buffer[..count]);
+                        if !patient && shell.book.accepted.is_some_and(|(_, rate_hz)| rate_hz > COALESCE_ABOVE_HZ) {
+                            tokio::time::sleep(COALESCE).await;
+                        }
+                    }
+                    Err(error) => shell.input(Input::Disconnected(error.to_string())),
+                }
+                if shell.session.status().state != before {
+                    shell.publish(&progress);
+                }
+            }
+            Happened::Nothing => {
+                // The runtime may not have noticed yet what arrived; the port knows. The time is that of before the
+                // question, so that nothing that comes in between can be taken for silence.
+                let now_ns = shell.clock.mono_ns();
+                let unread = stream.as_mut().map(|(port, _)| port.try_read(&mut buffer));
+                match unread {
+                    Some(Ok(count)) if count > 0 => {
+                        if patient {
+                            shell.book.room().await;
+                        }
+                        shell.received(&buffer[..count]);
+                    }
+                    _ => shell.session.handle(now_ns, Input::Tick, &mut shell.actions),
+                }
+            }
+        }
+        if now >= next_tick {
+            // With bytes always at hand the time-outs of commands would never be looked at.
+            if read_some {
+                shell.input(Input::Tick);
+            }
+            next_tick = now + TICK;
+            shell.tick();
+            progressed.fetch_add(1, Ordering::Relaxed);
+            shell.publish(&progress);
+        }
+    }
+    shell.book.close().await;
+    shell.publish(&progress);
+}
+
+/// What ended a wait.
+enum Happened {
+    Command(TaskCommand),
+    Read(std::io::Result<usize>),
+    Nothing,
+}
+
+async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -> std::io::Result<usize> {
+    match stream {
+        Some((port, _)) => port.read(buffer).await,
+        None => std::future::pending().await,
+    }
+}
+
+impl Shell {
+    fn input(&mut self, input: Input<'_>) {
+        let now_ns = self.clock.mono_ns();
+        self.session.handle(now_ns, input, &mut self.actions);
+    }
+
+    /// Does what the session wants; some of it wants more.
+    async fn perform(&mut self, device: &Option<String>, stream: &mut Option<(SerialStream, PathBuf)>) {
+        while !self.actions.is_empty() {
+            for action in std::mem::take(&mut self.actions) {
+                match action {
+                    Action::Look => self.input(Input::Ports(port::find(device.as_deref()))),
+                    Action::Open(path, baud) => {
+                        self.discard_pending();
+                        match port::open(&path, baud) {
+                            Ok(port) => {
+                                let latency = port::lower_latency(&path);
+                                *stream = Some((port, path));
+                                self.input(Input::Opened { latency });
+                            }
+                            Err(error) => self.input(Input::OpenFailed(error)),
+                        }
+                    }
+                    Action::SetBaud(baud) => {
+                        self.discard_pending();
+                        let set = stream.as_mut().map(|(port, path)| port::set_baud(port, path, baud));
+                        if let Some(Err(error)) = set {
+                            // A rate that this port does not do is one at which nobody answers.
+                            tracing::debug!(%error, "baud rate not available");
+                        }
+                    }
+                    Action::Send(bytes) => {
+                        let Some((port, _)) = stream.as_mut() else { continue };
+                        let sent = tokio::time::timeout(WRITE, port.write_all(&bytes)).await;
+                        if let Ok(Err(error)) = sent {
+                            self.input(Input::Disconnected(error.to_string()));
+                        }
+                    }
+                    Action::Close => {
+                        self.discard_pending();
+                        *stream = None;
+                    }
+                    Action::Ended => self.ended = true,
+                    Action::Accept(..)
+                    | Action::AcceptAny
+                    | Action::Interrupt(_)
+                    | Action::Event(..)
+                    | Action::Describe(_) => {
+                        self.book.apply(action, self.clock.utc_ns());
+                    }
+                }
+            }
+            self.filter();
+        }
+    }
+
+    /// Tells the decoder which binary frames to believe.
+    fn filter(&mut self) {
+        if let Some(binary) = self.book.filter.take() {
+            self.decoder.accept_binary(binary);
+        }
+    }
+
+    /// Bytes of half a frame are void: the connection they belonged to is gone.
+    fn discard_pending(&mut self) {
+        let Self { decoder, book, .. } = self;
+        let recording = book.accepted.is_some();
+        decoder.flush(&mut |event| {
+            if let (Event::Rejected { cause: DiscardCause::GarbageBytes, bytes }, true) = (event, recording) {
+                book.discard(DiscardCause::GarbageBytes, bytes.len() as u64);
+            }
+        });
+    }
+
+    fn received(&mut self, bytes: &[u8]) {
+        let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
+        let Self { session, decoder, book, actions, .. } = self;
+        session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
+        decoder.push(bytes, &mut |event| match event {
+            Event::Measurement(measurement) => {
+                let before = actions.len();
+                let taken = session.measured(mono_ns, measurement.kind, measurement.device_time_ns, actions);
+                if actions.len() > before {
+                    book.note(actions, utc_ns);
+                }
+                if taken {
+                    book.sample(|| measurement.to_sample(mono_ns, utc_ns));
+                } else if matches!(session.status().state, SensorState::Streaming | SensorState::UnexpectedFormat) {
+                    book.discard(DiscardCause::UnexpectedFormat, 1);
+                }
+            }
+            Event::Reply(reply) => {
+                session.handle(mono_ns, Input::Reply(&reply), actions);
+                // The stream may begin within the very bytes that are being decoded.
+                book.note(actions, utc_ns);
+            }
+            Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
+            // What is half received while the sensor is being found out was never part of the capture.
+            Event::Rejected { cause, bytes } if session.status().state == SensorState::Streaming => {
+                let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
+                book.discard(cause, count);
+                book.suspect(GapCause::Checksum);
+            }
+            Event::Rejected { .. } | Event::Other(_) => {}
+        });
+        self.filter();
+        self.settle();
+    }
+
+    /// Passes on what was written; a capture that has all it asked for is closed. A capture is of one sensor: the first
+    /// that it has samples of.
+    fn settle(&mut self) {
+        if self.book.settle() {
+            self.expecting = false;
+            self.input(Input::Expect(None));
+        } else if !self.expecting && self.book.recorder.as_ref().is_some_and(|recorder| recorder.counts().samples > 0) {
+            self.expecting = true;
+            let serial_number = self.session.status().serial_number.clone();
+            self.input(Input::Expect(serial_number));
+        }
+    }
+
+    fn tick(&mut self) {
+        let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
+        if let Some((plan, resume)) =
+            self.waiting.take_if(|(plan, _)| plan.start_at_utc_ns.is_none_or(|start| start <= utc_ns))
+        {
+            if let Some(point) = &resume {
+                self.input(Input::Expect(point.serial_number.clone()));
+                self.expecting = point.serial_number.is_some();
+                self.input(Input::Previous(point.previous_output.clone()));
+            }
+            let recorder = Recorder::new(plan, resume, self.host_jitter_ns);
+            self.book.begin(recorder);
+        }
+        self.book.tick(mono_ns, utc_ns);
+        self.settle();
+    }
+
+    fn command(&mut self, command: TaskCommand) {
+        match command {
+            TaskCommand::Begin(plan, resume) => {
+                self.waiting = Some((plan, resume));
+                self.tick();
+            }
+            TaskCommand::Stop(reply) => {
+                if let Some((plan, resume)) = self.waiting.take() {
+                    // It never began: an empty capture, stopped.
+                    let host_jitter_ns = self.host_jitter_ns;
+                    self.book.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
+                }
+                let running = self.book.stop(self.clock.utc_ns());
+                self.settle();
+                // Whoever stopped it may be gone; the capture is stopped all the same.
+                let _ = reply.send(running);
+            }
+            TaskCommand::Shutdown => self.input(Input::Stop),
+        }
+    }
+
+    fn publish(&self, progress: &watch::Sender<Progress>) {
+        let capture = match (&self.book.recorder, &self.waiting) {
+            (Some(recorder), _) => Some((recorder.plan().clone(), recorder.counts(), false)),
+            (None, Some((plan, _))) => Some((plan.clone(), Counts::default(), true)),
+            (None, None) => None,
+        };
+        let (sensor, description) = (self.session.status().clone(), self.book.description.clone());
+        progress.send_replace(Progress { sensor, description, capture });
+    }
+}
+
+impl Book {
+    /// Does what concerns the capture at once, in order, and leaves what concerns the port.
+    fn note(&mut self, actions: &mut Vec<Action>, utc_ns: i64) {
+        for action in std::mem::take(actions) {
+            match action {
+                Action::Accept(..)
+                | Action::AcceptAny
+                | Action::Interrupt(_)
+                | Action::Event(..)
+                | Action::Describe(_) => {
+                    self.apply(action, utc_ns);
+                }
+                port => actions.push(port),
+            }
+        }
+    }
+
+    fn apply(&mut self, action: Action, utc_ns: i64) {
+        match action {
+            Action::Accept(kind, rate_hz) => {
+                self.accepted = Some((kind, rate_hz));
+                // What random bytes can look like is limited to the one header that is expected.
+                self.filter = Some(match kind {
+                    MeasurementKind::Binary(header) => BinaryAcceptance::Only(header),
+                    MeasurementKind::Ascii(_) => BinaryAcceptance::Any,
+                });
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.accept(rate_hz, kind.has_device_time(), &mut self.out);
+                }
+            }
+            Action::AcceptAny => self.filter = Some(BinaryAcceptance::Any),
+            Action::Interrupt(cause) => {
+                self.filter = Some(BinaryAcceptance::Any);
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.interrupt(cause, &mut self.out);
+                }
+            }
+            Action::Event(kind, message) => {
+                match kind {
+                    EventKind::Warning | EventKind::SensorLost | EventKind::SensorError => {
+                        tracing::warn!(%message, "sensor");
+                    }
+                    _ => tracing::info!(%message, "sensor"),
+                }
+                if self.recorder.is_some() {
+                    self.out.push(Record::Event(EventRecord { utc_ns, kind, message, detail: None }));
+                }
+            }
+            Action::Describe(description) => {
+                if self.recorder.is_some() {
+                    self.out.push(Record::Configuration(description.clone()));
+                }
+                self.description = Some(description);
+            }
+            _ => return,
+        }
+        self.flush();
+    }
+
+    fn begin(&mut self, mut recorder: Recorder) {
+        if let Some((kind, rate_hz)) = self.accepted {
+            recorder.accept(rate_hz, kind.has_device_time(), &mut self.out);
+        }
+        if let Some(description) = &self.description {
+            self.out.push(Record::Configuration(description.clone()));
+        }
+        self.recorder = Some(recorder);
+        self.flush();
+    }
+
+    fn sample(&mut self, sample: impl FnOnce() -> Sample) {
+        let Some(recorder) = &mut self.recorder else { return };
+        if self.sink.room() <= RESERVE + self.out.len() {
+            // The disk is too slow by more than the queue holds: a gap, whose length the sensor's clock will tell.
+            recorder.discard(DiscardCause::StorageBackpressure, 1);
+            recorder.interrupt(GapCause::StorageBackpressure, &mut self.out);
+            return;
+        }
+        recorder.sample(sample(), &mut self.out);
+        if self.overflow.is_empty() {
+            let id = recorder.plan().id;
+            for record in self.out.drain(..) {
+                if let Err(record) = self.sink.put(id, record) {
+                    self.overflow.push_back((id, *record));
+                }
+            }
+        }
+    }
+
+    fn discard(&mut self, cause: DiscardCause, count: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.discard(cause, count);
+        }
+    }
+
+    fn suspect(&mut self, cause: GapCause) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.suspect(cause);
+        }
+    }
+
+    fn tick(&mut self, mono_ns: u64, utc_ns: i64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.tick(mono_ns, utc_ns, &mut self.out);
+        }
+        self.flush();
+    }
+
+    fn stop(&mut self, utc_ns: i64) -> bool {
+        let Some(recorder) = &mut self.recorder else { return false };
+        recorder.stop(utc_ns, &mut self.out);
+        true
+    }
+
+    /// Passes on what was written; `true` where the capture has ended.
+    fn settle(&mut self) -> bool {
+        self.flush();
+        self.recorder.take_if(|recorder| recorder.has_ended()).is_some()
+    }
+
+    /// Writes what is to be written, in order; what finds no room waits (samples made sure of theirs before).
+    fn flush(&mut self) {
+        match self.recorder.as_ref().map(|recorder| recorder.plan().id) {
+            Some(id) => self.overflow.extend(self.out.drain(..).map(|record| (id, record))),
+            None => self.out.clear(),
+        }
+        while let Some((id, record)) = self.overflow.pop_front() {
+            if let Err(record) = self.sink.put(id, record) {
+                self.overflow.push_front((id, *record));
+                break;
+            }
+        }
+    }
+
+    /// Waits until the queue has room for what one read may bring.
+    async fn room(&self) {
+        while self.sink.room() < ROOM && !self.sink.is_closed() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    /// The daemon ends: everything goes into the queue; an unfinished capture stays unfinished.
+    async fn close(&mut self) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.pause(&mut self.out);
+        }
+        self.flush();
+        while !self.overflow.is_empty() && !self.sink.is_closed() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            self.flush();
+        }
+    }
+}
