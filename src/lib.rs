@@ -25,7 +25,9 @@ pub mod simulator;
 
 pub mod api;
 pub mod capture;
+pub mod cli;
 pub mod config;
+pub mod daemon;
 pub mod emulator;
 pub mod jobs;
 pub mod recording;

@@ -1,0 +1,106 @@
+//! `vn100d allan`: deviation curves.
+
+use super::analysis::{self, Material};
+use super::args::{AllanArgs, Estimator as Named, Format, Taus};
+use super::{Context, Outcome, print_json, table};
+use crate::noise::allan::{AllanCurve, AllanReport, Estimator, FixedPoint, Overlapping, Phases, TauGrid, TauSpacing};
+use crate::sample::Channel;
+use std::io::Write as _;
+
+/// Prints the curves.
+pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome> {
+    let material = analysis::open(context, &args.capture, args.rate)?;
+    material.remark();
+    let spacing = match args.taus {
+        Taus::Octave => TauSpacing::Octave,
+        Taus::Log => TauSpacing::Log,
+        Taus::All => TauSpacing::All,
+    };
+    let grid = TauGrid::new(spacing, material.longest())?;
+    let estimator = match args.estimator {
+        Named::Oadev => Estimator::Oadev,
+        Named::Adev => Estimator::Adev,
+        Named::Mdev => Estimator::Mdev,
+        Named::Hdev => Estimator::Hdev,
+        Named::Totdev => Estimator::Totdev,
+    };
+    let curves = material
+        .channels
+        .iter()
+        .map(|(channel, segments)| (*channel, curve(*channel, segments, estimator, &grid, material.rate_hz)));
+    let report = AllanReport::new(estimator, material.rate_hz, material.complete, curves);
+    match (context.json, args.format) {
+        (true, _) | (_, Format::Json) => print_json(&report)?,
+        (_, Format::Csv) => print_csv(&report)?,
+        (_, Format::Table) => print_table(&material, &report)?,
+    }
+    Ok(if material.rejected { Outcome::WithLoss } else { Outcome::Done })
+}
+
+fn curve(channel: Channel, segments: &[Vec<f64>], estimator: Estimator, grid: &TauGrid, rate_hz: f64) -> AllanCurve {
+    if estimator == Estimator::Oadev {
+        let mut overlapping = Overlapping::new(FixedPoint::for_channel(channel), grid.clone());
+        for segment in segments {
+            overlapping.push(segment);
+            overlapping.break_segment();
+        }
+        return AllanCurve::from_sums(overlapping.sums(), rate_hz, channel.unit());
+    }
+    let phases: Vec<Phases> = segments.iter().filter_map(|segment| Phases::integrate(segment)).collect();
+    AllanCurve::from_phases(&phases, estimator, grid, rate_hz, channel.unit())
+}
+
+fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_writer(std::io::stdout().lock());
+    writer.write_record(["channel", "unit", "tau_s", "deviation", "ci68_low", "ci68_high", "edf", "n"])?;
+    for (channel, curve) in &report.channels {
+        for index in 0..curve.tau_s.len() {
+            writer.write_record([
+                channel.name().to_owned(),
+                curve.unit.clone(),
+                curve.tau_s[index].to_string(),
+                curve.deviation[index].to_string(),
+                curve.ci68_low[index].to_string(),
+                curve.ci68_high[index].to_string(),
+                curve.edf[index].to_string(),
+                curve.n[index].to_string(),
+            ])?;
+        }
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+/// Averaging times down, channels across: a person compares channels.
+fn print_table(material: &Material, report: &AllanReport) -> anyhow::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(
+        stdout,
+        "{}: {} of {} samples at {} Hz, {} missing",
+        material.name,
+        report.estimator.name(),
+        material.samples,
+        material.rate_hz,
+        material.missing
+    )?;
+    let header: Vec<String> = std::iter::once("tau s".to_owned())
+        .chain(report.channels.iter().map(|(channel, curve)| format!("{channel} {}", curve.unit)))
+        .collect();
+    let mut rows = table(&header.iter().map(String::as_str).collect::<Vec<_>>());
+    let longest = report.channels.values().max_by_key(|curve| curve.tau_s.len());
+    for (index, tau_s) in longest.map(|curve| curve.tau_s.as_slice()).unwrap_or_default().iter().enumerate() {
+        let cells = report.channels.values().map(|curve| {
+            match (curve.deviation.get(index), curve.ci68_low.get(index), curve.ci68_high.get(index)) {
+                (Some(deviation), Some(low), Some(high)) => {
+                    format!("{deviation:.3e} ± {:.0} %", 50.0 * (high - low) / deviation)
+                }
+                _ => String::new(),
+            }
+        });
+        rows.add_row(
+            std::iter::once(format!("{tau_s:.6}").trim_end_matches('0').trim_end_matches('.').to_owned()).chain(cells),
+        );
+    }
+    writeln!(stdout, "{rows}")?;
+    Ok(())
+}

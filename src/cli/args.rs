@@ -1,0 +1,246 @@
+//! Arguments: the command line as `clap` reads it.
+
+use crate::units::parse_duration;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Captures a VectorNav VN-100 unattended into SQLite and tells its noise parameters.
+#[derive(Debug, Parser)]
+#[command(name = "vn100d", version, max_term_width = 100, arg_required_else_help = true, after_help = AFTER_HELP)]
+pub struct Cli {
+    /// Directory of the database vn100d.db (default: $VN100D_DATA_DIR, else $STATE_DIRECTORY, else $XDG_STATE_HOME/vn100d, else ~/.local/state/vn100d)
+    #[arg(long, global = true, value_name = "DIR")]
+    pub data_dir: Option<PathBuf>,
+    /// Configuration file (default: $VN100D_CONFIG, else $XDG_CONFIG_HOME/vn100d/vn100d.toml, else /etc/vn100d/vn100d.toml, else built-in values)
+    #[arg(long, global = true, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// JSON alone on standard output
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// What to do
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const AFTER_HELP: &str = "\
+Examples:
+  vn100d demo                           no hardware: an emulated sensor, a five-hour capture in a minute
+  vn100d run --capture 5h               record the sensor that is plugged in for five hours
+  vn100d noise latest                   its noise parameters, once recorded
+  curl localhost:8100/v1/captures/latest/noise
+
+Exit codes: 0 done, 1 failed, 2 usage, 3 finished but data was rejected or lost, 69 daemon not reachable,
+73 database cannot be created or locked, 74 input/output error, 78 bad configuration or newer database";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run the daemon: captures, background jobs, HTTP
+    Run(RunArgs),
+    /// Try everything without hardware: emulated sensor, daemon, five-hour capture in accelerated time, noise parameters
+    Demo(DemoArgs),
+    /// Be a VN-100 on a pseudo-terminal
+    Emulate(EmulateArgs),
+    /// Find the sensor: port, baud rate, model, serial number, firmware, registers that matter
+    Probe(ProbeArgs),
+    /// Ask the running daemon how it is
+    Status(ClientArgs),
+    /// List the running daemon's background jobs
+    Jobs(ClientArgs),
+    /// Make a recording a capture: CSV, or raw $VN… lines, plain or .gz
+    Import(ImportArgs),
+    /// List the captures
+    Captures,
+    /// Show one capture with its segments, gaps and counts
+    Show {
+        /// Id, name or `latest`
+        capture: String,
+    },
+    /// Print Allan deviation curves of a capture or a recording
+    Allan(AllanArgs),
+    /// Print noise parameters N, B, K of a capture or a recording
+    Noise(NoiseArgs),
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Serial port, or a pattern such as /dev/ttyUSB* (default: the configuration's, else what /dev/serial/by-id shows)
+    #[arg(long, value_name = "PATH")]
+    pub device: Option<String>,
+    /// Address of the HTTP interface (default: the configuration's, else 127.0.0.1:8100)
+    #[arg(long, value_name = "ADDR")]
+    pub listen: Option<String>,
+    /// Start a capture of this sample time at once, such as 5h (an unfinished one goes on instead)
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub capture: Option<Duration>,
+    /// Run this many times faster than real time; only with an emulator at the same speed
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = speed)]
+    pub speed: f64,
+}
+
+/// Arguments of `demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// End when all is done instead of serving until Ctrl-C
+    #[arg(long)]
+    pub once: bool,
+    /// Address of the HTTP interface; port 0 takes any free one (default: 127.0.0.1:8100, or a free port where that is taken)
+    #[arg(long, value_name = "ADDR")]
+    pub listen: Option<String>,
+    /// How much faster than real time
+    #[arg(long, value_name = "X", default_value_t = 1000.0, value_parser = speed)]
+    pub speed: f64,
+    /// Sample time to capture
+    #[arg(long, value_name = "DURATION", default_value = "5h", value_parser = parse_duration)]
+    pub duration: Duration,
+    /// Seed of the emulated sensor's noise
+    #[arg(long, value_name = "N", default_value_t = DEMO_SEED)]
+    pub seed: u64,
+}
+
+/// The demo's seed. Any other shows other noise; with 95 % intervals about one in twenty parameters then lies outside.
+pub const DEMO_SEED: u64 = 2;
+
+/// Arguments of `emulate`.
+#[derive(Debug, Args)]
+pub struct EmulateArgs {
+    /// Make this path a link to the terminal
+    #[arg(long, value_name = "PATH")]
+    pub link: Option<PathBuf>,
+    /// Sensor model (JSON) whose noise it sends (default: a desk VN-100)
+    #[arg(long, value_name = "FILE", conflicts_with = "replay")]
+    pub model: Option<PathBuf>,
+    /// Output rate at power-up in Hz (ASCII; the host may configure another)
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// How much faster than real time
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = speed)]
+    pub speed: f64,
+    /// Seed of the noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// End after this time of the emulated sensor (default: run until Ctrl-C)
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub duration: Option<Duration>,
+    /// Send the recorded raw lines of this file (plain or .gz) unchanged; configuration is acknowledged only
+    #[arg(long, value_name = "FILE")]
+    pub replay: Option<PathBuf>,
+    /// Write down every frame that was sent: tick, device time in ns, bytes
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// Baud rate at power-up
+    #[arg(long, value_name = "BAUD", default_value_t = 115_200)]
+    pub baud: u32,
+    /// Garble what is sent and received while the terminal is set to another baud rate, as a real line does
+    #[arg(long)]
+    pub strict_baud: bool,
+}
+
+/// Arguments of `probe`.
+#[derive(Debug, Args)]
+pub struct ProbeArgs {
+    /// Serial port or pattern (default: the configuration's, else what /dev/serial/by-id shows)
+    #[arg(long, value_name = "PATH")]
+    pub device: Option<String>,
+}
+
+/// Arguments of commands that ask the daemon.
+#[derive(Debug, Args)]
+pub struct ClientArgs {
+    /// The daemon's address (default: the configuration's, else 127.0.0.1:8100)
+    #[arg(long, value_name = "ADDR")]
+    pub listen: Option<String>,
+}
+
+/// Arguments of `import`.
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// Recordings
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Name of the capture (default: the file's name)
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+}
+
+/// Estimators of the Allan family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[expect(missing_docs, reason = "the names are the field's own")]
+pub enum Estimator {
+    Oadev,
+    Adev,
+    Mdev,
+    Hdev,
+    Totdev,
+}
+
+/// Grids of averaging times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Taus {
+    /// Powers of two
+    Octave,
+    /// About twenty per decade
+    Log,
+    /// Every averaging time
+    All,
+}
+
+/// Forms of a table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Format {
+    Table,
+    Json,
+    Csv,
+}
+
+/// Arguments of `allan`.
+#[derive(Debug, Args)]
+pub struct AllanArgs {
+    /// Id, name, `latest`, or the path of a recording
+    pub capture: String,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Estimator
+    #[arg(long, value_enum, default_value_t = Estimator::Oadev)]
+    pub estimator: Estimator,
+    /// Averaging times
+    #[arg(long, value_enum, default_value_t = Taus::Log)]
+    pub taus: Taus,
+    /// Form of the output
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    pub format: Format,
+}
+
+/// Arguments of `noise`.
+#[derive(Debug, Args)]
+pub struct NoiseArgs {
+    /// Id, name, `latest`, or the path of a recording
+    pub capture: String,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Form of the output
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    pub format: Format,
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|speed: &f64| (0.01..=10_000.0).contains(speed))
+        .ok_or_else(|| "a number from 0.01 to 10000".to_owned())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|rate: &f64| (0.001..=100_000.0).contains(rate))
+        .ok_or_else(|| "a rate from 0.001 to 100000 Hz".to_owned())
+}

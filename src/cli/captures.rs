@@ -1,0 +1,40 @@
+//! `vn100d captures`: the list.
+
+use super::{Context, Outcome, print_json, table};
+use crate::store::{CaptureFilter, CaptureRow, PageRequest};
+use std::io::Write as _;
+
+/// Prints all captures, newest first.
+pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
+    let reader = context.reader()?;
+    let mut captures: Vec<CaptureRow> = Vec::new();
+    let mut request = PageRequest::first();
+    loop {
+        let page = reader.captures(&CaptureFilter::default(), &request)?;
+        captures.extend(page.rows);
+        match page.next {
+            Some(next) => request.cursor = Some(next),
+            None => break,
+        }
+    }
+    if context.json {
+        print_json(&serde_json::json!({ "captures": captures, "next": null }))?;
+        return Ok(Outcome::Done);
+    }
+    let mut rows = table(&["id", "name", "state", "started", "duration s", "rate Hz", "samples", "missing", "gaps"]);
+    for capture in &captures {
+        rows.add_row([
+            capture.id.to_string(),
+            capture.name.clone(),
+            capture.state.name().to_owned(),
+            capture.started_at.map(|time| time.to_string()).unwrap_or_default(),
+            format!("{:.1}", capture.duration_s),
+            capture.rate_hz.map(|rate| rate.to_string()).unwrap_or_default(),
+            capture.samples.to_string(),
+            capture.missing.to_string(),
+            capture.gaps.to_string(),
+        ]);
+    }
+    writeln!(std::io::stdout(), "{rows}")?;
+    Ok(Outcome::Done)
+}

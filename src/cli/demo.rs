@@ -1,0 +1,190 @@
+//! `vn100d demo`: the emulator on a pseudo-terminal, the daemon on it, five hours in a minute.
+
+use super::args::DemoArgs;
+use super::{CliError, Context, Failure, Outcome};
+use crate::clock::ScaledClock;
+use crate::config::{Config, Device};
+use crate::control::CaptureRequest;
+use crate::daemon::{self, Handle, Options};
+use crate::emulator::terminal::{Source, Terminal, TerminalOptions};
+use crate::emulator::{SensorOptions, VirtualSensor};
+use crate::observe::logging::{self, LogStyle};
+use crate::simulator::default_model;
+use crate::units::format_duration;
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{IsTerminal as _, Write as _};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
+
+/// Runs the demonstration.
+pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome> {
+    // Without --data-dir never the user's database: a folder that goes when the demonstration ends.
+    let (folder, database) = match &context.data_dir {
+        Some(directory) => (None, directory.join("vn100d.db")),
+        None => {
+            let folder =
+                tempfile::Builder::new().prefix("vn100d-demo-").tempdir().context("no temporary folder can be made")?;
+            let database = folder.path().join("vn100d.db");
+            (Some(folder), database)
+        }
+    };
+    logging::init("warn", LogStyle::of_process(false))?;
+    let clock = Arc::new(ScaledClock::new(args.speed));
+    let mut terminal = Terminal::open(TerminalOptions::default())?;
+    let terminal_path = terminal.path().to_owned();
+    let port = terminal_path.display().to_string();
+    let stop_emulator = Arc::new(AtomicBool::new(false));
+    let emulator = {
+        let (clock, stop) = (Arc::clone(&clock), Arc::clone(&stop_emulator));
+        let source = Source::model(default_model(), args.seed);
+        std::thread::Builder::new()
+            .name("emulator".to_owned())
+            .spawn(move || terminal.run(VirtualSensor::new(&SensorOptions::default()), source, &clock, &stop))?
+    };
+    let mut config = Config::default();
+    config.sensor.device = Device::Path(terminal_path);
+    config.http.listen = listen(args)?;
+    let capture = CaptureRequest {
+        duration: args.duration,
+        name: folder.as_ref().map(|_| "demo".to_owned()),
+        start_at_utc_ns: None,
+    };
+    let options = Options { database, config, capture: Some(capture), clock };
+    let outcome = super::run::runtime()?.block_on(async {
+        let stop = CancellationToken::new();
+        super::run::stop_on_signal(stop.clone())?;
+        let (ready, started) = tokio::sync::oneshot::channel();
+        let running = tokio::spawn({
+            let stop = stop.clone();
+            async move {
+                let told = |handle| {
+                    // The other end is gone where the demonstration was interrupted.
+                    let _ = ready.send(handle);
+                };
+                daemon::run(options, stop, told).await
+            }
+        });
+        let shown = match started.await {
+            Ok(handle) => show(args, &port, handle, &stop).await,
+            // The daemon did not start; its own error says why.
+            Err(_) => Ok(Outcome::Done),
+        };
+        stop.cancel();
+        running.await??;
+        shown
+    });
+    stop_emulator.store(true, Ordering::Relaxed);
+    let emulated = emulator.join().map_err(|_| anyhow::anyhow!("the emulator ended unexpectedly"))?;
+    drop(folder);
+    let outcome = outcome?;
+    emulated?;
+    Ok(outcome)
+}
+
+/// The address that was asked for; else the usual one, else, where that is taken, any free one.
+fn listen(args: &DemoArgs) -> anyhow::Result<SocketAddr> {
+    if let Some(address) = super::address(args.listen.as_deref())? {
+        return Ok(address);
+    }
+    let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, 8100));
+    match std::net::TcpListener::bind(usual) {
+        Ok(_) => Ok(usual),
+        Err(_) => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))),
+    }
+}
+
+/// Follows the capture, prints its noise parameters as `curl` gets them, and waits for Ctrl-C.
+async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationToken) -> anyhow::Result<Outcome> {
+    let base = format!("http://{}", handle.address);
+    say(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
+    let begun = Instant::now();
+    let bar = bar(args.duration);
+    let mut status = handle.status.clone();
+    let capture = format!("{base}/v1/captures/latest");
+    while matches!(asked(capture.clone()).await?["state"].as_str(), Some("capturing" | "waiting")) {
+        let now = status.borrow_and_update().clone();
+        if let Some(capture) = &now.capture {
+            bar.set_position(capture.elapsed_s as u64);
+            bar.set_message(format!("{} samples, {} missing", capture.samples, capture.missing));
+        }
+        tokio::select! {
+            changed = status.changed() => changed.context("the daemon ended")?,
+            () = stop.cancelled() => return Ok(Outcome::Done),
+        }
+    }
+    bar.finish_and_clear();
+    let noise = tokio::select! {
+        noise = finished(format!("{base}/v1/captures/latest/noise")) => noise?,
+        () = stop.cancelled() => return Ok(Outcome::Done),
+    };
+    let took = begun.elapsed();
+    let samples = noise["samples"].as_u64().unwrap_or(0);
+    let missing = noise["missing"].as_u64().unwrap_or(0);
+    say(&format!(
+        "{} of sensor time in {:.0} s: {samples} samples, {missing} missing. What the sensor's model says, and what was found:\n",
+        format_duration(args.duration),
+        took.as_secs_f64(),
+    ))?;
+    say(&super::noise::comparison(&noise, &default_model()))?;
+    say(&format!(
+        "\nTry:\n  curl {base}/v1/status\n  curl {base}/v1/captures/latest\n  curl {base}/v1/captures/latest/noise\n  curl {base}/v1/captures/latest/allan"
+    ))?;
+    if !args.once {
+        say("\nServing until Ctrl-C.")?;
+        stop.cancelled().await;
+    }
+    Ok(if missing > 0 { Outcome::WithLoss } else { Outcome::Done })
+}
+
+/// Asks once.
+async fn asked(url: String) -> anyhow::Result<serde_json::Value> {
+    tokio::task::spawn_blocking(move || {
+        let body = ureq::get(&url).call().with_context(|| format!("GET {url}"))?.body_mut().read_to_string()?;
+        Ok(serde_json::from_str(&body)?)
+    })
+    .await?
+}
+
+/// Asks until the answer is there (202 means that the job still runs).
+async fn finished(url: String) -> anyhow::Result<serde_json::Value> {
+    tokio::task::spawn_blocking(move || {
+        let deadline = Instant::now() + Duration::from_secs(300);
+        loop {
+            let mut answer = ureq::get(&url).call().with_context(|| format!("GET {url}"))?;
+            let body = answer.body_mut().read_to_string()?;
+            if answer.status() == 200 {
+                return Ok(serde_json::from_str(&body)?);
+            }
+            if Instant::now() > deadline {
+                return Err(CliError {
+                    failure: Failure::Other,
+                    message: format!("{url} is not ready after five minutes: {body}"),
+                }
+                .into());
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    })
+    .await?
+}
+
+fn bar(duration: Duration) -> ProgressBar {
+    let bar = ProgressBar::new(duration.as_secs());
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} %  {msg}") {
+        bar.set_style(style);
+    }
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    bar
+}
+
+fn say(text: &str) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout();
+    writeln!(stdout, "{text}")?;
+    stdout.flush()
+}

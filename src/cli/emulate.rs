@@ -1,0 +1,108 @@
+//! `vn100d emulate`: a VN-100 on a pseudo-terminal.
+
+use super::args::EmulateArgs;
+use super::{CliError, Failure, Outcome};
+use crate::clock::ScaledClock;
+use crate::emulator::replay::Replay;
+use crate::emulator::terminal::{Source, Terminal, TerminalOptions};
+use crate::emulator::{SensorOptions, VirtualSensor};
+use crate::protocol::register::{ASYNC_RATE, BAUD_RATE};
+use crate::simulator::{SensorModel, default_model};
+use anyhow::Context as _;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Runs until Ctrl-C, SIGTERM or the end of `--duration`.
+pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
+    let source = match &args.replay {
+        Some(file) => Source::Replay(Replay::new(raw_lines(file)?, args.speed)),
+        None => Source::model(load_model(args.model.as_deref())?, args.seed),
+    };
+    let mut sensor = VirtualSensor::new(&SensorOptions::default());
+    let mut preset = |register, values: &str, what: &str| {
+        sensor.registers_mut().preset(register, values).map_err(|error| CliError {
+            failure: Failure::Usage,
+            message: format!("{what} {values}: a VN-100 does not have that ({error})"),
+        })
+    };
+    preset(BAUD_RATE, &args.baud.to_string(), "--baud")?;
+    if let Some(rate_hz) = args.rate {
+        preset(ASYNC_RATE, &rate_hz.to_string(), "--rate")?;
+    }
+    sensor.set_replaying(args.replay.is_some());
+    let mut terminal = Terminal::open(TerminalOptions {
+        link: args.link.clone(),
+        duration: args.duration,
+        log: args.log.clone(),
+        strict_baud: args.strict_baud,
+    })?;
+    let mut stdout = std::io::stdout();
+    writeln!(stdout, "{}", terminal.path().display())?;
+    stdout.flush()?;
+    let stop = stop_on_signal()?;
+    let clock = Arc::new(ScaledClock::new(args.speed));
+    terminal.run(sensor, source, &clock, &stop)?;
+    Ok(Outcome::Done)
+}
+
+/// The model of this file, or the built-in one.
+pub(super) fn load_model(path: Option<&Path>) -> anyhow::Result<SensorModel> {
+    let Some(path) = path else { return Ok(default_model()) };
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).with_context(|| format!("the sensor model {name} cannot be read"))?;
+    Ok(SensorModel::from_json(&text, &name)?)
+}
+
+/// The raw `$VN…` lines of a recording, without what stands before the `$` and without line ends.
+fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + Send>> {
+    let name = path.display().to_string();
+    let file = std::fs::File::open(path).with_context(|| format!("the recording {name} cannot be opened"))?;
+    let mut start = BufReader::new(file);
+    let zipped =
+        start.fill_buf().with_context(|| format!("the recording {name} cannot be read"))?.starts_with(&[0x1f, 0x8b]);
+    let reader: Box<dyn Read + Send> =
+        if zipped { Box::new(flate2::bufread::MultiGzDecoder::new(start)) } else { Box::new(start) };
+    let lines = BufReader::new(reader).split(b'\n').map_while(Result::ok).filter_map(|mut line| {
+        while line.last().is_some_and(u8::is_ascii_whitespace) {
+            line.pop();
+        }
+        let dollar = line.iter().position(|byte| *byte == b'$')?;
+        Some(line.split_off(dollar))
+    });
+    let mut lines = lines.peekable();
+    if lines.peek().is_none() {
+        return Err(CliError {
+            failure: Failure::Other,
+            message: format!("{name} holds no raw sensor lines: expected lines that begin with `$VN`, plain or .gz"),
+        }
+        .into());
+    }
+    Ok(Box::new(lines))
+}
+
+/// A flag that SIGINT and SIGTERM set.
+fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        runtime.block_on(async {
+            let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
+            match terminate {
+                Ok(mut terminate) => {
+                    tokio::select! {
+                        _ = tokio::signal::ctrl_c() => {}
+                        _ = terminate.recv() => {}
+                    }
+                }
+                Err(_) => {
+                    let _ = tokio::signal::ctrl_c().await;
+                }
+            }
+        });
+        flag.store(true, Ordering::Relaxed);
+    })?;
+    Ok(stop)
+}

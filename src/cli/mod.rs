@@ -1,0 +1,232 @@
+//! The command line: one file per command. The only owner of exit codes.
+
+mod allan;
+mod analysis;
+pub mod args;
+mod captures;
+mod client;
+mod demo;
+mod emulate;
+mod import;
+mod jobs;
+mod noise;
+mod probe;
+mod run;
+mod show;
+mod status;
+
+use crate::config::{Config, ConfigError, Environment, Overrides};
+use crate::daemon::DaemonError;
+use crate::daemon::import::ImportError;
+use crate::jobs::JobError;
+use crate::store::{Reader, StoreError, StoreErrorKind};
+use args::{Cli, Command};
+use clap::Parser as _;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// How a command ended, where it did not fail.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// All is done.
+    Done,
+    /// Done, but data was rejected or lost, or a check found something.
+    WithLoss,
+}
+
+/// Kinds of failure that a script can tell apart by the exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Failure {
+    /// Anything else.
+    Other,
+    /// The command line is wrong.
+    Usage,
+    /// The daemon is not there.
+    Unreachable,
+    /// The database cannot be created, or another process holds it.
+    CannotCreate,
+    /// Reading or writing failed.
+    InputOutput,
+    /// The configuration is wrong, or the database is of a newer version.
+    Configuration,
+}
+
+impl Failure {
+    /// The exit code (contract, section 1; the numbers above 63 are those of sysexits.h).
+    fn code(self) -> u8 {
+        match self {
+            Self::Other => 1,
+            Self::Usage => 2,
+            Self::Unreachable => 69,
+            Self::CannotCreate => 73,
+            Self::InputOutput => 74,
+            Self::Configuration => 78,
+        }
+    }
+}
+
+/// A failure with its kind; put into an error's context by whoever knows the kind.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct CliError {
+    /// Which exit code.
+    pub failure: Failure,
+    /// For the person at the terminal.
+    pub message: String,
+}
+
+/// What every command may need besides its own arguments.
+#[derive(Debug, Clone)]
+pub struct Context {
+    /// `--data-dir`.
+    pub data_dir: Option<std::path::PathBuf>,
+    /// `--config`.
+    pub config: Option<std::path::PathBuf>,
+    /// `--json`.
+    pub json: bool,
+}
+
+impl Context {
+    /// The effective configuration.
+    fn load(&self, overrides: &Overrides) -> Result<Config, ConfigError> {
+        let loaded = crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)?;
+        Ok(loaded.config)
+    }
+
+    /// The database's path.
+    fn database(&self) -> Result<PathBuf, ConfigError> {
+        Ok(Environment::from_process().data_dir(self.data_dir.as_deref())?.join("vn100d.db"))
+    }
+
+    /// The database, for reading; also beside a running daemon.
+    fn reader(&self) -> anyhow::Result<Reader> {
+        Ok(Reader::open(&self.database()?)?)
+    }
+
+    /// Where the daemon is asked.
+    fn daemon_url(&self, listen: Option<&str>) -> anyhow::Result<String> {
+        let config = self.load(&Overrides { device: None, listen: address(listen)? })?;
+        Ok(format!("http://{}", config.http.listen))
+    }
+}
+
+/// `--listen` as an address.
+fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
+    let Some(text) = listen else { return Ok(None) };
+    let text =
+        if let Some(port) = text.strip_prefix("localhost:") { format!("127.0.0.1:{port}") } else { text.to_owned() };
+    text.parse().map(Some).map_err(|_| CliError {
+        failure: Failure::Usage,
+        message: format!("--listen {text}: expected an address with a port, such as 127.0.0.1:8100 or [::1]:8100"),
+    })
+}
+
+/// A table for a person.
+fn table(header: &[&str]) -> comfy_table::Table {
+    let mut table = comfy_table::Table::new();
+    table.load_style(comfy_table::presets::UTF8_FULL_CONDENSED).set_header(header.iter().copied());
+    table
+}
+
+/// JSON alone on standard output.
+fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
+    use std::io::Write as _;
+    let mut stdout = std::io::stdout().lock();
+    serde_json::to_writer_pretty(&mut stdout, value)?;
+    writeln!(stdout)?;
+    Ok(())
+}
+
+/// Parses the arguments, runs the command, says what failed.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    match run(cli) {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::WithLoss) => ExitCode::from(3),
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(failure(&error).code())
+        }
+    }
+}
+
+/// `vn100d … | head` ends quietly.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<std::io::Error>())
+        .any(|cause| cause.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+fn run(cli: Cli) -> anyhow::Result<Outcome> {
+    let context = Context { data_dir: cli.data_dir, config: cli.config, json: cli.json };
+    match cli.command {
+        Command::Run(args) => run::run(&context, &args),
+        Command::Demo(args) => demo::run(&context, &args),
+        Command::Emulate(args) => emulate::run(&args),
+        Command::Probe(args) => probe::run(&context, &args),
+        Command::Status(args) => {
+            status::run(&context.daemon_url(args.listen.as_deref())?, context.json)?;
+            Ok(Outcome::Done)
+        }
+        Command::Jobs(args) => {
+            jobs::run(&context.daemon_url(args.listen.as_deref())?, context.json)?;
+            Ok(Outcome::Done)
+        }
+        Command::Import(args) => import::run(&context, &args),
+        Command::Captures => captures::run(&context),
+        Command::Show { capture } => show::run(&context, &capture),
+        Command::Allan(args) => allan::run(&context, &args),
+        Command::Noise(args) => noise::run(&context, &args),
+    }
+}
+
+/// The kind of a failure, from the typed error that caused it.
+fn failure(error: &anyhow::Error) -> Failure {
+    error.chain().find_map(kind_of).unwrap_or(Failure::Other)
+}
+
+fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
+    if let Some(error) = cause.downcast_ref::<CliError>() {
+        return Some(error.failure);
+    }
+    if let Some(error) = cause.downcast_ref::<client::ClientError>() {
+        return Some(if error.is_unreachable() { Failure::Unreachable } else { Failure::Other });
+    }
+    if cause.is::<ConfigError>() {
+        return Some(Failure::Configuration);
+    }
+    if let Some(error) = cause.downcast_ref::<StoreError>() {
+        return store_failure(error);
+    }
+    if let Some(ImportError::Store(error)) = cause.downcast_ref::<ImportError>() {
+        return store_failure(error);
+    }
+    if let Some(JobError::Store(error)) = cause.downcast_ref::<JobError>() {
+        return store_failure(error);
+    }
+    if let Some(error) = cause.downcast_ref::<DaemonError>() {
+        return match error {
+            DaemonError::Store(error) => store_failure(error),
+            DaemonError::Jobs(JobError::Store(error)) => store_failure(error),
+            DaemonError::Jobs(_) => Some(Failure::Other),
+            DaemonError::Output { .. } => Some(Failure::Configuration),
+            DaemonError::Listen { .. } => Some(Failure::InputOutput),
+            DaemonError::Control(_) => Some(Failure::Other),
+        };
+    }
+    cause.is::<std::io::Error>().then_some(Failure::InputOutput)
+}
+
+fn store_failure(error: &StoreError) -> Option<Failure> {
+    match error.kind() {
+        StoreErrorKind::CannotCreate => Some(Failure::CannotCreate),
+        StoreErrorKind::NewerSchema => Some(Failure::Configuration),
+        // A disk that is full or busy is input and output that failed.
+        StoreErrorKind::Io | StoreErrorKind::Unavailable => Some(Failure::InputOutput),
+        _ => Some(Failure::Other),
+    }
+}

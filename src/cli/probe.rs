@@ -1,0 +1,87 @@
+//! `vn100d probe`: what is plugged in, without changing anything.
+
+use super::args::ProbeArgs;
+use super::{CliError, Context, Failure, Outcome, print_json, table};
+use crate::capture::output::Output;
+use crate::capture::session::SessionOptions;
+use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
+use crate::clock::{Clock, SystemClock};
+use crate::config::Overrides;
+use crate::sample::Record;
+use std::io::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::time::Duration;
+use tokio::sync::{mpsc, watch};
+
+/// Long enough for every baud rate and every register of one sensor.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Nothing is recorded while probing.
+struct Nowhere;
+
+impl Sink for Nowhere {
+    fn room(&self) -> usize {
+        usize::MAX
+    }
+    fn put(&self, _: i64, _: Record) -> Result<(), Box<Record>> {
+        Ok(())
+    }
+    fn is_closed(&self) -> bool {
+        false
+    }
+}
+
+/// Finds the sensor and prints what it says of itself.
+pub(super) fn run(context: &Context, args: &ProbeArgs) -> anyhow::Result<Outcome> {
+    let config = context.load(&Overrides { device: args.device.clone(), listen: None })?;
+    let session = SessionOptions { output: Output::Keep, ..crate::daemon::session_options(&config)? };
+    let options = TaskOptions { device: crate::daemon::device(&config), session, seed: SystemClock.mono_ns() };
+    let progress = super::run::runtime()?.block_on(find(options));
+    let Some(description) = progress.description else {
+        let state = serde_json::to_value(progress.sensor.state)?;
+        let hint = progress.sensor.hint.unwrap_or_else(|| "nothing was found".to_owned());
+        let message = format!("no sensor ({}): {hint}", state.as_str().unwrap_or("absent"));
+        return Err(CliError { failure: Failure::Other, message }.into());
+    };
+    if context.json {
+        print_json(&description)?;
+        return Ok(Outcome::Done);
+    }
+    let mut rows = table(&["what", "value"]);
+    for key in ["port", "baud", "model", "hardware_revision", "serial_number", "firmware", "output", "rate_hz"] {
+        let value = &description[key];
+        rows.add_row([key.to_owned(), value.as_str().map_or_else(|| value.to_string(), str::to_owned)]);
+    }
+    if let Some(registers) = description["registers"].as_object() {
+        let mut numbered: Vec<(u16, &str)> =
+            registers.iter().filter_map(|(number, fields)| Some((number.parse().ok()?, fields.as_str()?))).collect();
+        numbered.sort_unstable();
+        for (number, fields) in numbered {
+            rows.add_row([format!("register {number}"), fields.to_owned()]);
+        }
+    }
+    writeln!(std::io::stdout(), "{rows}")?;
+    Ok(Outcome::Done)
+}
+
+async fn find(options: TaskOptions) -> Progress {
+    let (commands, receiver) = mpsc::channel(1);
+    let (sender, mut progress) = watch::channel(Progress::default());
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock);
+    let task =
+        tokio::spawn(task::run(options, clock, Box::new(Nowhere), receiver, sender, Arc::new(AtomicU64::new(0))));
+    // Out of patience the last state says what is wrong.
+    let _ = tokio::time::timeout(PATIENCE, progress.wait_for(is_settled)).await;
+    let found = progress.borrow().clone();
+    let _ = commands.send(TaskCommand::Shutdown).await;
+    let _ = tokio::time::timeout(Duration::from_secs(2), task).await;
+    found
+}
+
+/// The sensor is described, or there is nothing to wait for.
+fn is_settled(progress: &Progress) -> bool {
+    use crate::observe::SensorState::{Absent, NoPermission, NoValidFrames, PortBusy};
+    let hopeless = matches!(progress.sensor.state, Absent | NoPermission | NoValidFrames | PortBusy);
+    progress.description.is_some() || (hopeless && progress.sensor.hint.is_some())
+}

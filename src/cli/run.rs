@@ -1,0 +1,53 @@
+//! `vn100d run`: the daemon in the foreground.
+
+use super::args::RunArgs;
+use super::{Context, Outcome};
+use crate::clock::{Clock, ScaledClock, SystemClock};
+use crate::config::{LogFormat, Overrides};
+use crate::control::CaptureRequest;
+use crate::daemon::{self, Options};
+use crate::observe::logging::{self, LogStyle};
+use std::sync::Arc;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+/// Runs until SIGINT or SIGTERM; a second one ends at once.
+pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> {
+    let overrides = Overrides { device: args.device.clone(), listen: super::address(args.listen.as_deref())? };
+    let config = context.load(&overrides)?;
+    logging::init(&config.log.level, LogStyle::of_process(config.log.format == LogFormat::Json))?;
+    let clock: Arc<dyn Clock> =
+        if args.speed == 1.0 { Arc::new(SystemClock) } else { Arc::new(ScaledClock::new(args.speed)) };
+    let capture = args.capture.map(|duration| CaptureRequest { duration, name: None, start_at_utc_ns: None });
+    let options = Options { database: context.database()?, config, capture, clock };
+    runtime()?.block_on(async {
+        let stop = CancellationToken::new();
+        stop_on_signal(stop.clone())?;
+        daemon::run(options, stop, |_| ()).await?;
+        anyhow::Ok(())
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// The runtime of the daemon: the reader on one thread, everything else on the other.
+pub(super) fn runtime() -> std::io::Result<tokio::runtime::Runtime> {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("vn100d").enable_all().build()
+}
+
+/// SIGINT and SIGTERM stop the daemon; whoever sends a second one does not want to wait.
+pub(super) fn stop_on_signal(stop: CancellationToken) -> std::io::Result<()> {
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    tokio::spawn(async move {
+        for turn in 0.. {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+            if turn > 0 {
+                std::process::exit(130);
+            }
+            stop.cancel();
+        }
+    });
+    Ok(())
+}

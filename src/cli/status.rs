@@ -1,0 +1,148 @@
+//! `vn100d status`: what the running daemon says of itself.
+
+use super::client::{self, ClientError, shown};
+use crate::units::format_duration;
+use comfy_table::{Table, presets};
+use serde_json::Value;
+use std::time::Duration;
+
+/// Asks the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its answer as a table, or as the JSON of
+/// `GET /v1/status`.
+///
+/// # Errors
+/// [`ClientError`]; [`ClientError::is_unreachable`] is exit code 69.
+pub fn run(base_url: &str, json: bool) -> Result<(), ClientError> {
+    let status = client::get(base_url, "/v1/status")?;
+    client::print(&if json { status.to_string() } else { table(&status).trim_fmt() })
+}
+
+fn table(status: &Value) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    let mut row = |name: &str, value: String| {
+        table.add_row([name.to_owned(), value]);
+    };
+    let (sensor, capture) = (&status["sensor"], &status["capture"]);
+    let (storage, jobs) = (&status["storage"], &status["jobs"]);
+    row("daemon", format!("vn100d {}, up {}", shown(&status["version"]), duration(&status["uptime_s"])));
+    row("sensor", shown(&sensor["state"]));
+    for (name, value) in [("", &sensor["hint"]), ("port", &sensor["port"]), ("output", &sensor["output"])] {
+        if !value.is_null() {
+            row(name, shown(value));
+        }
+    }
+    if !sensor["model"].is_null() {
+        let unit = [&sensor["model"], &sensor["serial_number"], &sensor["firmware"]].map(shown);
+        row("unit", format!("{}, serial number {}, firmware {}", unit[0], unit[1], unit[2]));
+    }
+    if !sensor["rate_hz"].is_null() {
+        row("rate", format!("{} Hz", shown(&sensor["rate_hz"])));
+    }
+    if capture.is_null() {
+        row("capture", "none".to_owned());
+    } else {
+        row(
+            "capture",
+            format!("{} ({}), {}", shown(&capture["id"]), shown(&capture["name"]), shown(&capture["state"])),
+        );
+        let (elapsed, remaining) = (duration(&capture["elapsed_s"]), duration(&capture["remaining_s"]));
+        row("", format!("{elapsed} elapsed, {remaining} to come"));
+        let counts = ["samples", "missing", "gaps", "committed"].map(|name| shown(&capture[name]));
+        let [samples, missing, gaps, committed] = counts;
+        row("samples", format!("{samples} received, {missing} missing in {gaps} gaps, {committed} on disk"));
+        if !capture["gap_open_since"].is_null() {
+            row("", format!("nothing since {}", shown(&capture["gap_open_since"])));
+        }
+    }
+    row("storage", format!("{}, {}", shown(&storage["state"]), shown(&storage["database"])));
+    if !storage["error"].is_null() {
+        row("", shown(&storage["error"]));
+    }
+    row(
+        "",
+        format!(
+            "{} used, {} free{}",
+            size(storage, &["database_bytes", "wal_bytes"]),
+            size(storage, &["free_bytes"]),
+            lasts(storage)
+        ),
+    );
+    let counts = ["running", "queued", "done", "failed"].map(|name| format!("{} {name}", shown(&jobs[name])));
+    row("jobs", counts.join(", "));
+    table
+}
+
+fn lasts(storage: &Value) -> String {
+    let left = &storage["time_to_full_s"];
+    if left.is_null() { String::new() } else { format!(", full in {}", duration(left)) }
+}
+
+fn size(storage: &Value, names: &[&str]) -> String {
+    let bytes: f64 = names.iter().filter_map(|name| storage[*name].as_f64()).sum();
+    let mib = bytes / f64::from(1 << 20);
+    if mib < 1024.0 { format!("{mib:.1} MiB") } else { format!("{:.1} GiB", mib / 1024.0) }
+}
+
+/// Whole seconds, in the units of the command line.
+fn duration(seconds: &Value) -> String {
+    match seconds.as_f64().and_then(|seconds| Duration::try_from_secs_f64(seconds.round()).ok()) {
+        Some(duration) if duration.is_zero() => "0s".to_owned(),
+        Some(duration) => format_duration(duration),
+        None => shown(seconds),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observe::{CaptureStatus, SensorState, Status};
+
+    fn lines(status: &Status) -> String {
+        let mut value = serde_json::to_value(status).unwrap();
+        value["version"] = "0.1.0".into();
+        value["uptime_s"] = 61.4.into();
+        table(&value).trim_fmt()
+    }
+
+    #[test]
+    fn an_idle_daemon_fits_a_few_lines() {
+        let text = lines(&Status::default());
+        assert!(text.contains("vn100d 0.1.0, up 1m1s"), "{text}");
+        assert!(text.contains("absent") && text.contains("none"), "{text}");
+        assert!(!text.contains("null") && !text.contains('–'), "{text}");
+    }
+
+    #[test]
+    fn a_running_capture_is_told_with_its_counts() {
+        let mut status = Status::default();
+        status.sensor.state = SensorState::Stalled;
+        status.sensor.hint = Some("the cable".to_owned());
+        status.storage.free_bytes = 5 << 30;
+        status.storage.time_to_full_s = Some(7200.0);
+        status.capture = Some(CaptureStatus {
+            id: 12,
+            name: "night".to_owned(),
+            state: "capturing".to_owned(),
+            elapsed_s: 3600.2,
+            remaining_s: 14_400.0,
+            samples: 143_990,
+            missing: 10,
+            gaps: 2,
+            committed: 143_950,
+            last_sample_age_s: Some(4.0),
+            gap_open_since: Some("2026-11-21T20:00:00Z".to_owned()),
+        });
+        let text = lines(&status);
+        for part in [
+            "stalled",
+            "the cable",
+            "12 (night), capturing",
+            "1h elapsed, 4h to come",
+            "143990 received, 10 missing in 2 gaps, 143950 on disk",
+            "nothing since 2026-11-21T20:00:00Z",
+            "0.0 MiB used, 5.0 GiB free, full in 2h",
+        ] {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! The daemon: where the shells meet. Wires capture, store, jobs and HTTP together, starts and stops them in order.
+//!
+//! Start: the store first (a database that is held or newer ends the program before anything is touched), then jobs,
+//! capture and HTTP. Stop: the capture first (the sensor's output is put back), then jobs, then the store with everything
+//! that is queued, HTTP last so that the status answers to the end.
+
+pub mod captures;
+pub mod import;
+pub mod publish;
+pub mod watchdog;
+
+use crate::api;
+use crate::capture::output::{Output, check_fit};
+use crate::capture::recorder::ResumePoint;
+use crate::capture::session::SessionOptions;
+use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
+use crate::clock::Clock;
+use crate::config::{Baud, Config, Device};
+use crate::control::{CaptureControl, CaptureRequest};
+use crate::jobs::{JobError, Jobs, JobsOptions, Live};
+use crate::observe::{Metrics, Status};
+use crate::sample::Record;
+use crate::store::{RecordSender, Refused, Store, StoreError, StoreOptions};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::time::Duration;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+/// How long the capture has to put back the sensor's output.
+const RESTORE: Duration = Duration::from_secs(4);
+
+/// What the daemon is told.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The database.
+    pub database: PathBuf,
+    /// The configuration, flags applied.
+    pub config: Config,
+    /// A capture to start at once, unless one goes on.
+    pub capture: Option<CaptureRequest>,
+    /// The clock.
+    pub clock: Arc<dyn Clock>,
+}
+
+/// Why the daemon did not run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DaemonError {
+    /// The database.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The background jobs.
+    #[error(transparent)]
+    Jobs(#[from] JobError),
+    /// The wanted output cannot be had.
+    #[error("{reason}")]
+    Output {
+        /// The arithmetic.
+        reason: String,
+    },
+    /// The HTTP interface cannot listen.
+    #[error("cannot listen on {address}: {source}; choose another address with --listen, or stop what listens there")]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// The capture asked for was refused.
+    #[error(transparent)]
+    Control(#[from] crate::control::ControlError),
+}
+
+/// A running daemon, as whoever started it sees it.
+#[derive(Debug, Clone)]
+pub struct Handle {
+    /// Where HTTP listens.
+    pub address: SocketAddr,
+    /// The status.
+    pub status: watch::Receiver<Status>,
+    /// What may be asked of the capture.
+    pub control: CaptureControl,
+}
+
+/// The queue to the store; what goes in is counted.
+struct Counted {
+    records: RecordSender,
+    metrics: Arc<Metrics>,
+}
+
+impl Sink for Counted {
+    fn room(&self) -> usize {
+        self.records.room()
+    }
+    fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>> {
+        // The capture task is the only one that puts: room that is there stays there.
+        if self.records.room() == 0 {
+            return Err(Box::new(record));
+        }
+        self.metrics.record(&record);
+        match self.records.try_send(capture_id, record) {
+            Err(Refused::Full(record)) => Err(Box::new(record)),
+            // A closed queue means that the daemon is ending; the status and the log say what was not written.
+            Ok(()) | Err(Refused::Closed(_)) => Ok(()),
+        }
+    }
+    fn is_closed(&self) -> bool {
+        self.records.is_closed()
+    }
+}
+
+/// Runs the daemon until `stop` is cancelled. `ready` hears once everything runs.
+///
+/// # Errors
+/// [`DaemonError`] where it cannot start, or the disk did not take everything at the end.
+pub async fn run(
+    options: Options,
+    stop: CancellationToken,
+    ready: impl FnOnce(Handle) + Send,
+) -> Result<(), DaemonError> {
+    let Options { database, config, capture, clock } = options;
+    let session = session_options(&config)?;
+    let address = config.http.listen;
+    let listener =
+        tokio::net::TcpListener::bind(address).await.map_err(|source| DaemonError::Listen { address, source })?;
+    let address = listener.local_addr().map_err(|source| DaemonError::Listen { address, source })?;
+    let store_options = StoreOptions { queue: config.storage.queue_samples(), clock: Arc::clone(&clock) };
+    let store = tokio::task::spawn_blocking(move || Store::open(&database, store_options))
+        .await
+        .map_err(|_| StoreError::Closed)??;
+    tracing::info!(database = %store.path().display(), version = env!("CARGO_PKG_VERSION"), "vn100d starts");
+
+    let jobs = Jobs::start(&store, JobsOptions::default())?;
+    let live = Arc::new(Live::new());
+    let metrics = Arc::new(Metrics::default());
+
+    let (task_sender, task_receiver) = mpsc::channel(16);
+    let (progress_sender, progress) = watch::channel(Progress::default());
+    let turns = Arc::new(AtomicU64::new(0));
+    let task_options = TaskOptions { device: device(&config), session, seed: clock.mono_ns() };
+    let source = device(&config).unwrap_or_else(|| "serial port".to_owned());
+    let (control, commands) = CaptureControl::pair();
+    let mut keeper = captures::Keeper::new(store.clone(), jobs.clone(), task_sender.clone(), progress.clone(), source);
+    // The capture is there before the port is opened: none of the sensor's first words is lost on it.
+    if !keeper.resume().await?
+        && let Some(request) = capture
+    {
+        keeper.start(request).await?;
+    }
+    let reader = tokio::spawn(task::run(
+        task_options,
+        Arc::clone(&clock),
+        Box::new(Counted { records: store.records(), metrics: Arc::clone(&metrics) }),
+        task_receiver,
+        progress_sender,
+        Arc::clone(&turns),
+    ));
+
+    let keeping = tokio::spawn(keeper.run(commands, stop.child_token()));
+
+    let (status_sender, status) = watch::channel(Status::default());
+    let publishing = CancellationToken::new();
+    let publisher = tokio::spawn(publish::run(
+        store.clone(),
+        jobs.clone(),
+        progress.clone(),
+        Arc::clone(&clock),
+        status_sender,
+        publishing.clone(),
+    ));
+
+    let serving = CancellationToken::new();
+    let router = api::router(api::ApiParts {
+        status: status.clone(),
+        control: control.clone(),
+        store: store.clone(),
+        jobs: jobs.clone(),
+        live: Arc::clone(&live),
+        metrics: Arc::clone(&metrics),
+        token: (!config.http.listen.ip().is_loopback()).then(|| config.http.token.secret().to_owned()),
+        default_duration: config.capture.duration,
+        reserve_bytes: config.storage.reserve_bytes(),
+        limits: api::Limits::default(),
+    });
+    let server = tokio::spawn(api::serve(listener, router, api::Limits::default(), metrics, serving.clone()));
+    let warming = tokio::spawn(publish::keep_warm(store.clone(), live, status.clone(), publishing.clone()));
+    let feeder = tokio::spawn(watchdog::feed(turns, store.clone(), publishing.clone()));
+
+    tracing::info!(%address, "HTTP answers");
+    watchdog::notify(&[sd_notify::NotifyState::Ready]);
+    ready(Handle { address, status, control });
+
+    stop.cancelled().await;
+    tracing::info!("vn100d stops");
+    watchdog::notify(&[sd_notify::NotifyState::Stopping]);
+    // The task may be gone already; then there is nothing to stop.
+    let _ = task_sender.send(TaskCommand::Shutdown).await;
+    if tokio::time::timeout(RESTORE, reader).await.is_err() {
+        tracing::warn!("the sensor did not take its previous output back in time");
+    }
+    // A disk that refuses may hold the keeper; what it has not written is the store's to report.
+    let mut keeping = keeping;
+    if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
+        keeping.abort();
+    }
+    let closed = {
+        let store = store.clone();
+        let ending = move || {
+            jobs.stop();
+            store.close()
+        };
+        tokio::task::spawn_blocking(ending).await.map_err(|_| StoreError::Closed)
+    };
+    publishing.cancel();
+    serving.cancel();
+    let _ = tokio::join!(publisher, warming, feeder, server);
+    closed??;
+    Ok(())
+}
+
+/// The configured port or pattern; `None` is the usual places.
+#[must_use]
+pub fn device(config: &Config) -> Option<String> {
+    match &config.sensor.device {
+        Device::Auto => None,
+        other => Some(other.to_string()),
+    }
+}
+
+/// What the session shall do, and whether the line can carry it.
+///
+/// # Errors
+/// [`DaemonError::Output`] with the arithmetic, where the wanted output does not fit the configured baud rate (with
+/// `auto`: the highest that is tried).
+pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
+    let refuse = |reason: String| DaemonError::Output { reason };
+    let sensor = &config.sensor;
+    let output = match &sensor.output {
+        crate::config::Output::Binary => Output::Binary {
+            fields: sensor.binary_fields.to_string(),
+            divisor: sensor.rate_divisor().map(u32::from).ok_or_else(|| {
+                refuse(format!("binary output has no rate of {} Hz: it is 800 Hz / n", sensor.rate_hz))
+            })?,
+        },
+        crate::config::Output::Ascii(message) => Output::Ascii {
+            number: crate::protocol::AsciiType::from_header(message.as_bytes())
+                .map(crate::protocol::AsciiType::id)
+                .ok_or_else(|| refuse(format!("`{message}` is no ASCII message of a VN-100")))?,
+            rate_hz: sensor.rate_hz as u32,
+        },
+        crate::config::Output::Keep => Output::Keep,
+    };
+    let bauds = match sensor.baud {
+        Baud::Auto => sensor.bauds.clone(),
+        Baud::Fixed(baud) => vec![baud],
+    };
+    if let (Some((kind, rate_hz)), Some(highest)) = (output.kind_and_rate(), bauds.iter().max()) {
+        check_fit(kind, rate_hz, *highest).map_err(refuse)?;
+    }
+    Ok(SessionOptions { output, bauds, host_jitter_ns: 0 })
+}
+
+/// Where an unfinished capture goes on.
+fn resume_point(unfinished: &crate::store::Unfinished) -> ResumePoint {
+    ResumePoint {
+        segments: unfinished.segment,
+        epoch: unfinished.epoch,
+        samples: unfinished.samples,
+        missing: unfinished.missing,
+        gaps: unfinished.gaps,
+        elapsed_ns: unfinished.sample_time_ns,
+        // The monotonic clock may be another boot's: civil time tells how long the daemon was away.
+        last: unfinished.last.map(|(device_time_ns, _, host_utc_ns)| crate::sample::accounting::Position {
+            device_time_ns,
+            host_mono_ns: 0,
+            host_utc_ns,
+        }),
+        rate_hz: unfinished.stream.map(|(rate_hz, _)| rate_hz),
+        serial_number: unfinished
+            .sensor
+            .as_ref()
+            .and_then(|sensor| sensor["serial_number"].as_str())
+            .map(str::to_owned),
+        previous_output: unfinished
+            .configuration
+            .as_ref()
+            .and_then(|configuration| serde_json::from_value(configuration["previous_output"].clone()).ok())
+            .unwrap_or_default(),
+    }
+}

@@ -1,0 +1,65 @@
+//! Watchdog: tells systemd that all is well, but only while reader and writer both move.
+//!
+//! A timer that always fires proves nothing. The reader's loop turns every 200 ms whatever the sensor does; the writer's
+//! turns every second at the latest. A watchdog whose counters stand still is not fed, and systemd restarts the daemon.
+
+use crate::store::Store;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+
+/// Decides whether to feed. Pure.
+#[derive(Debug, Default)]
+pub struct Judge {
+    last: Option<(u64, u64)>,
+}
+
+impl Judge {
+    /// Whether both counters have moved since the last call (the first call is content).
+    pub fn is_alive(&mut self, reader: u64, writer: u64) -> bool {
+        let alive = self.last.is_none_or(|(last_reader, last_writer)| reader != last_reader && writer != last_writer);
+        self.last = Some((reader, writer));
+        alive
+    }
+}
+
+/// Feeds systemd's watchdog at half its interval; returns at once where there is none. `reader` counts the turns of the
+/// reader's loop.
+pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken) {
+    let Some(interval) = sd_notify::watchdog_enabled() else { return };
+    let mut judge = Judge::default();
+    loop {
+        if judge.is_alive(reader.load(Ordering::Relaxed), store.progress().ticks) {
+            notify(&[sd_notify::NotifyState::Watchdog]);
+        } else {
+            tracing::error!("reader or writer stands still: the watchdog is not fed");
+        }
+        tokio::select! {
+            () = tokio::time::sleep((interval / 2).max(Duration::from_secs(2))) => {}
+            () = stop.cancelled() => return,
+        }
+    }
+}
+
+/// Tells systemd; without systemd nothing happens.
+pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::debug!(%error, "systemd was not told");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watchdog_is_fed_only_while_both_move() {
+        let mut judge = Judge::default();
+        assert!(judge.is_alive(0, 0));
+        assert!(judge.is_alive(1, 1));
+        assert!(!judge.is_alive(1, 2));
+        assert!(!judge.is_alive(2, 2));
+        assert!(judge.is_alive(3, 3));
+    }
+}
