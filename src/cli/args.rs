@@ -54,8 +54,11 @@ pub enum Command {
     Captures,
     /// Show one capture with its segments, gaps and counts
     Show {
-        /// Id, name or `latest`
+        /// Id, name, `latest`, or the path of a recording
         capture: String,
+        /// Rate of a recording without stamps in Hz
+        #[arg(long, value_name = "HZ", value_parser = rate)]
+        rate: Option<f64>,
     },
     /// Print Allan deviation curves of a capture or a recording
     Allan(AllanArgs),

@@ -178,7 +178,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         }
         Command::Import(args) => import::run(&context, &args),
         Command::Captures => captures::run(&context),
-        Command::Show { capture } => show::run(&context, &capture),
+        Command::Show { capture, rate } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
     }

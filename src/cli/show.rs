@@ -1,14 +1,20 @@
 //! `vn100d show`: one capture with its segments, gaps and counts.
 
 use super::{Context, Outcome, print_json, table};
+use crate::clock::{Clock as _, SystemClock};
+use crate::recording::{Options, load_columns};
 use crate::store::{GapRow, Page, PageRequest, Reader, SegmentRow, StoreError};
 use std::io::Write as _;
+use std::path::Path;
 
 /// Rows that a person is shown of a long list.
 const SHOWN: usize = 20;
 
 /// Prints the capture.
-pub(super) fn run(context: &Context, capture: &str) -> anyhow::Result<Outcome> {
+pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
+    if Path::new(capture).is_file() {
+        return recording(context, capture, rate_hz);
+    }
     let reader = context.reader()?;
     let id = reader.resolve(capture)?;
     let row = reader.capture(id)?;
@@ -54,6 +60,46 @@ pub(super) fn run(context: &Context, capture: &str) -> anyhow::Result<Outcome> {
     }
     writeln!(stdout, "segments: {}", segments.len())?;
     Ok(Outcome::Done)
+}
+
+/// Prints what a recording's file would be as a capture.
+fn recording(context: &Context, file: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
+    let recording = load_columns(Path::new(file), Options { rate_hz, started_utc_ns: SystemClock.utc_ns() })?;
+    let info = &recording.info;
+    let rejected = info.rejected.values().any(|count| *count > 0);
+    if context.json {
+        print_json(&serde_json::json!({
+            "id": null,
+            "name": file,
+            "source": file,
+            "duration_s": recording.duration_s(),
+            "rate_hz": info.rate_hz,
+            "rate_assumed": info.rate_assumed,
+            "samples": recording.samples,
+            "missing": recording.missing,
+            "gaps": recording.gaps.len(),
+            "segments": recording.segments.len(),
+            "rejected": info.rejected,
+            "channels": info.channels.iter().map(|channel| channel.name()).collect::<Vec<_>>(),
+        }))?;
+    } else {
+        let mut stdout = std::io::stdout().lock();
+        let assumed = if info.rate_assumed { " (assumed)" } else { "" };
+        writeln!(
+            stdout,
+            "recording {file}: {:.3} s at {} Hz{assumed}, {} samples, {} missing in {} gaps, {} segments",
+            recording.duration_s(),
+            info.rate_hz,
+            recording.samples,
+            recording.missing,
+            recording.gaps.len(),
+            recording.segments.len()
+        )?;
+        for (cause, count) in &info.rejected {
+            writeln!(stdout, "  rejected: {count} ({})", cause.name())?;
+        }
+    }
+    Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
 
 /// Every item of a list that comes in pages.
