@@ -112,7 +112,7 @@ fn clean(name: &str) -> &str {
 /// The rows of a CSV file, one at a time.
 pub(super) struct CsvRows {
     file: PathBuf,
-    reader: csv::Reader<Box<dyn BufRead>>,
+    reader: csv::Reader<ShortRows>,
     pub(super) header: Header,
     record: csv::ByteRecord,
     decimals: Decimals,
@@ -120,7 +120,8 @@ pub(super) struct CsvRows {
 
 impl CsvRows {
     pub(super) fn open(file: &Path) -> Result<Self, RecordingError> {
-        let mut reader = csv::ReaderBuilder::new().flexible(true).has_headers(true).from_reader(open(file)?);
+        let mut reader =
+            csv::ReaderBuilder::new().flexible(true).has_headers(true).from_reader(ShortRows::new(open(file)?));
         let names = reader.byte_headers().map_err(|error| csv_error(file, 1, error))?.clone();
         let names: Vec<_> = names.iter().map(|name| String::from_utf8_lossy(name).into_owned()).collect();
         let header = Header::understand(names.iter().map(String::as_str), file)?;
@@ -163,6 +164,45 @@ impl CsvRows {
             }
         }
         if sample.channels().is_empty() { Err(()) } else { Ok((stamp_ns, sample)) }
+    }
+}
+
+/// A row of all channels has some 300 bytes; foreign columns may make it longer.
+const ROW_BYTES: usize = 64 * 1024;
+
+/// Refuses rows that are too long to be rows, so that a file does not decide how much memory is taken: a line without
+/// end, or a quotation mark that is never closed.
+struct ShortRows {
+    bytes: Box<dyn BufRead>,
+    row_bytes: usize,
+    quoted: bool,
+}
+
+impl ShortRows {
+    fn new(bytes: Box<dyn BufRead>) -> Self {
+        Self { bytes, row_bytes: 0, quoted: false }
+    }
+}
+
+impl std::fmt::Debug for ShortRows {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("ShortRows").field("row_bytes", &self.row_bytes).finish_non_exhaustive()
+    }
+}
+
+impl std::io::Read for ShortRows {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.bytes.read(buffer)?;
+        for byte in buffer.iter().take(read) {
+            self.quoted ^= *byte == b'"';
+            self.row_bytes = if *byte == b'\n' && !self.quoted { 0 } else { self.row_bytes + 1 };
+            if self.row_bytes > ROW_BYTES {
+                return Err(std::io::Error::other(format!(
+                    "a row of more than {ROW_BYTES} bytes: expected one sample a line (is a quotation mark left open?)"
+                )));
+            }
+        }
+        Ok(read)
     }
 }
 

@@ -407,3 +407,14 @@ fn real_stamped_recordings_of_other_sensors_are_read_whole() {
         assert!((loaded.info.rate_hz - rate_hz).abs() < 1e-5, "{file}: {}", loaded.info.rate_hz);
     }
 }
+
+#[test]
+fn a_csv_row_without_end_is_refused_before_it_fills_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, cell) in [("long.csv", "1".repeat(1 << 20)), ("quote.csv", format!("\"{}", "1\n".repeat(1 << 19)))] {
+        let file = folder.path().join(name);
+        std::fs::write(&file, format!("time_s,gyro_x_rad_s\n0,1\n0.025,{cell}")).unwrap();
+        let error = Recording::open(&file, Options::default()).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+    }
+}

@@ -398,6 +398,30 @@ fn an_unfinished_capture_is_found_with_all_that_its_accounting_needs() {
 }
 
 #[test]
+fn a_gap_without_the_sample_behind_it_is_left_to_be_measured_again() {
+    let world = World::new();
+    let id = world.store.create_capture(NewCapture::new("pty", CaptureState::Capturing)).unwrap();
+    let mut records = a_capture();
+    records.pop();
+    // The power went between the commit of a gap and that of the sample that ended it.
+    records.push(Record::Gap(Gap {
+        before_seq: 150,
+        from_utc_ns: START_NS,
+        to_utc_ns: START_NS + 1,
+        device_ns: None,
+        missing: 40,
+        missing_exact: true,
+        cause: GapCause::Silent,
+    }));
+    world.send(id, records);
+    world.store.flush_blocking().unwrap();
+    let capture = world.store.unfinished().unwrap().remove(0);
+    assert_eq!((capture.samples, capture.missing, capture.gaps), (150, 3, 1));
+    assert_eq!(capture.sample_time_ns, 153 * PERIOD_NS);
+    assert_eq!(world.reader().gaps(id, &PageRequest::first()).unwrap().rows.len(), 1);
+}
+
+#[test]
 fn captures_are_found_by_id_name_and_latest_and_listed_latest_first() {
     let world = World::new();
     let ids: Vec<i64> = (0..5)
