@@ -9,4 +9,5 @@ mod night;
 mod replay;
 mod restart;
 mod tidy;
+#[path = "../world/mod.rs"]
 mod world;

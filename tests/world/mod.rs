@@ -1,5 +1,7 @@
 //! The world of a test: an emulated sensor and the built daemon in folders of their own.
 
+#![allow(dead_code, reason = "each test binary uses its part")]
+
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};

@@ -1,0 +1,1 @@
+//! HTTP under abuse (rows E1 to E7).

@@ -1,0 +1,20 @@
+//! Faults: the built daemon in a world that breaks, and the audit of what it kept.
+//!
+//! One file per group of faults: the process and its host, the serial line, storage, time, HTTP, background jobs. Each test
+//! is named for what it promises and ends in the same audit ([`audit`]). The sizes are scaled so that all of it runs on
+//! every push; `VN100D_FAULTS=full` runs the figures that docs/reliability.md states.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+mod audit;
+mod http;
+mod jobs;
+mod line;
+mod process;
+mod soak;
+mod storage;
+mod stream;
+mod time;
+mod tools;
+#[path = "../world/mod.rs"]
+mod world;

@@ -1,0 +1,1 @@
+//! Time: stepped, slewed, unset, suspended (rows D1 to D5).
