@@ -3,16 +3,18 @@
 use super::args::EmulateArgs;
 use super::{CliError, Failure, Outcome};
 use crate::clock::ScaledClock;
+use crate::emulator::faults::{Fault, FaultError, Schedule, parse_line};
 use crate::emulator::replay::Replay;
-use crate::emulator::terminal::{Source, Terminal, TerminalOptions};
+use crate::emulator::source::Source;
+use crate::emulator::terminal::{EmulatorError, Terminal, TerminalOptions};
 use crate::emulator::{SensorOptions, VirtualSensor};
 use crate::protocol::register::{ASYNC_RATE, BAUD_RATE};
 use crate::simulator::{SensorModel, default_model};
 use anyhow::Context as _;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
 
 /// Runs until Ctrl-C, SIGTERM or the end of `--duration`.
 pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
@@ -32,19 +34,51 @@ pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
         preset(ASYNC_RATE, &rate_hz.to_string(), "--rate")?;
     }
     sensor.set_replaying(args.replay.is_some());
+    let (faults, live_faults) = faults(args.faults.as_deref())?;
     let mut terminal = Terminal::open(TerminalOptions {
         link: args.link.clone(),
         duration: args.duration,
         log: args.log.clone(),
         strict_baud: args.strict_baud,
+        faults,
+        live_faults,
     })?;
     let mut stdout = std::io::stdout();
     writeln!(stdout, "{}", terminal.path().display())?;
     stdout.flush()?;
     let stop = stop_on_signal()?;
     let clock = Arc::new(ScaledClock::new(args.speed));
-    terminal.run(sensor, source, &clock, &stop)?;
-    Ok(Outcome::Done)
+    match terminal.run(sensor, source, &clock, &stop) {
+        Err(EmulatorError::Fault(error)) => Err(usage(&error)),
+        ended => Ok(ended.map(|()| Outcome::Done)?),
+    }
+}
+
+/// Faults by time, or those that standard input says.
+type Faults = (Schedule, Option<mpsc::Receiver<Result<Fault, FaultError>>>);
+
+fn faults(script: Option<&Path>) -> anyhow::Result<Faults> {
+    let Some(path) = script else { return Ok((Schedule::default(), None)) };
+    if path != Path::new("-") {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).with_context(|| format!("the faults {name} cannot be read"))?;
+        return Ok((Schedule::parse(&text, &name).map_err(|error| usage(&error))?, None));
+    }
+    let (sender, receiver) = mpsc::channel();
+    std::thread::Builder::new().name("faults".to_owned()).spawn(move || {
+        for (index, line) in std::io::stdin().lines().map_while(Result::ok).enumerate() {
+            let parsed = parse_line(&line, "standard input", index + 1).transpose();
+            if parsed.is_some_and(|fault| sender.send(fault).is_err()) {
+                // The emulator has ended.
+                return;
+            }
+        }
+    })?;
+    Ok((Schedule::default(), Some(receiver)))
+}
+
+fn usage(error: &FaultError) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message: error.to_string() }.into()
 }
 
 /// The model of this file, or the built-in one.

@@ -6,6 +6,7 @@
 //!
 //! Source: user manual UM001 rev 2.45, chapters 5–7; defaults of firmware 3.1 where recordings show them.
 
+use super::faults::Format;
 use crate::protocol::link::{self, ASCII_RATES_HZ, BAUD_RATES, BITS_PER_BYTE, DEFAULT_BAUD, INTERNAL_RATE_HZ};
 use crate::protocol::register::{
     ASYNC_RATE, ASYNC_TYPE, BAUD_RATE, BINARY_OUTPUT_1, BINARY_OUTPUT_3, BinaryOutput, COMMUNICATION,
@@ -222,6 +223,47 @@ impl RegisterFile {
         self.ram = settings.clone();
         self.flash = settings;
         Ok(())
+    }
+
+    /// Another unit: this serial number, everything else as delivered.
+    pub fn replace(&mut self, serial_number: &str) {
+        self.fixed.insert(SERIAL_NUMBER, serial_number.to_owned());
+        self.ram = Settings { user_tag: self.ram.user_tag.clone(), ..Settings::default() };
+        self.flash = self.ram.clone();
+    }
+
+    /// The port in use speaks at this baud rate from now on, in RAM.
+    pub fn set_baud(&mut self, baud: u32) {
+        let index = self.port_index();
+        self.ram.baud[index] = baud;
+    }
+
+    /// Everything that the port in use sends has this rate from now on, in RAM; `rate_hz` divides 800.
+    pub fn set_rate(&mut self, rate_hz: u32) {
+        let (port, index) = (self.port, self.port_index());
+        for output in self.ram.outputs.iter_mut().filter(|output| output.is_sent_on(port)) {
+            output.rate_divisor = (INTERNAL_RATE_HZ / rate_hz.max(1)) as u16;
+        }
+        if self.ram.ascii[index].is_some() {
+            self.ram.ascii_rate_hz[index] = rate_hz;
+        }
+    }
+
+    /// The port in use sends this and nothing else from now on, in RAM.
+    pub fn set_format(&mut self, format: Format) {
+        let (port, index) = (self.port, self.port_index());
+        let before = self.ram.outputs.iter().find(|output| output.is_sent_on(port)).copied();
+        for output in self.ram.outputs.iter_mut().filter(|output| output.is_sent_on(port)) {
+            *output = BinaryOutput::default();
+        }
+        self.ram.ascii[index] = None;
+        match format {
+            Format::Ascii(ascii) => self.ram.ascii[index] = Some(ascii),
+            Format::Binary(header) => {
+                let rate_divisor = before.map_or(20, |output| output.rate_divisor);
+                self.ram.outputs[0] = BinaryOutput { async_mode: port, rate_divisor, header: Some(header) };
+            }
+        }
     }
 
     /// The port that a command names; `0` and `?` (which the SDK sends) are the one in use.

@@ -16,6 +16,7 @@ use crate::protocol::register::{BINARY_OUTPUT_1, SYNCHRONIZATION_STATUS, SyncSta
 use crate::protocol::{AsciiType, ChecksumKind, DeviceError, MeasurementKind, Verb, encode};
 use crate::units::NANOS_PER_SECOND;
 use std::collections::VecDeque;
+use std::ops::Range;
 
 /// Nanoseconds of one tick: 1/800 s, a whole number of microseconds, as a real TimeStartup is.
 pub const TICK_NS: u64 = NANOS_PER_SECOND / INTERNAL_RATE_HZ as u64;
@@ -92,6 +93,8 @@ pub struct VirtualSensor {
     boot_ticks: u64,
     /// The tick at which its clock read 0, before tick 0 where negative.
     clock_start: i64,
+    /// What TimeStartup is ahead of that clock, ns.
+    clock_offset_ns: u64,
     /// It hears and sends nothing before this tick.
     silent_until: u64,
     /// The latest tick that was spoken of.
@@ -110,6 +113,8 @@ pub struct VirtualSensor {
     sync_out_count: u32,
     sync_since: u64,
     notices: Vec<Notice>,
+    /// Where the messages of the last instant lie in what was sent.
+    frames: Vec<Range<usize>>,
 }
 
 impl VirtualSensor {
@@ -120,6 +125,8 @@ impl VirtualSensor {
             registers: RegisterFile::new(options),
             boot_ticks: options.boot_ticks,
             clock_start: -i64::try_from(options.uptime_ticks).unwrap_or(i64::MAX),
+            clock_offset_ns: 0,
+            frames: Vec::new(),
             silent_until: 0,
             now: 0,
             emitted: None,
@@ -172,7 +179,21 @@ impl VirtualSensor {
     /// TimeStartup at a tick, ns.
     #[must_use]
     pub fn device_time_ns(&self, tick: u64) -> u64 {
-        self.clock_ticks(tick) * TICK_NS
+        (self.clock_ticks(tick) * TICK_NS).wrapping_add(self.clock_offset_ns)
+    }
+
+    /// Makes TimeStartup `us` microseconds at `tick`, and the sync counter the lower 32 bits of that number. When messages
+    /// are sent does not change.
+    pub fn set_clock(&mut self, tick: u64, us: u64) {
+        self.now = self.now.max(tick);
+        self.clock_offset_ns = us.wrapping_mul(1000).wrapping_sub(self.clock_ticks(tick) * TICK_NS);
+        self.set_sync_out_count((us & u64::from(u32::MAX)) as u32);
+    }
+
+    /// Another unit takes its place at `tick`: its registers are as delivered, its clock begins at 0.
+    pub fn replace(&mut self, tick: u64, serial_number: &str) {
+        self.registers.replace(serial_number);
+        self.reset(tick);
     }
 
     /// Restarts at `tick` without having been told to: a brown-out, a watchdog.
@@ -193,6 +214,7 @@ impl VirtualSensor {
         (self.in_line, self.paused) = (false, false);
         self.silent_until = self.now + self.boot_ticks;
         self.clock_start = i64::try_from(self.silent_until).unwrap_or(i64::MAX);
+        self.clock_offset_ns = 0;
         (self.sync_out_count, self.sync_since) = (0, self.silent_until);
         self.notices.push(Notice::Reset { tick: self.now });
     }
@@ -447,6 +469,7 @@ impl VirtualSensor {
     /// Appends what the sensor sends at `tick`, given the values of that instant. Call it for each
     /// [`VirtualSensor::next_output_tick`] whose time has come; a tick that was emitted already sends nothing.
     pub fn emit(&mut self, tick: u64, values: &Values, out: &mut Vec<u8>) {
+        self.frames.clear();
         if self.emitted.is_some_and(|emitted| tick <= emitted) || tick < self.silent_until {
             return;
         }
@@ -483,7 +506,13 @@ impl VirtualSensor {
         }
     }
 
-    fn send_ascii(&self, ascii: AsciiType, period: u64, tick: u64, values: &Values, out: &mut Vec<u8>) {
+    /// Where in the output the messages of the last [`VirtualSensor::emit`] lie; what is before and between are replies.
+    #[must_use]
+    pub fn frames(&self) -> &[Range<usize>] {
+        &self.frames
+    }
+
+    fn send_ascii(&mut self, ascii: AsciiType, period: u64, tick: u64, values: &Values, out: &mut Vec<u8>) {
         let communication = &self.registers.settings().communication;
         let interval_s = period as f64 / f64::from(INTERNAL_RATE_HZ);
         let mut measurement = measure(MeasurementKind::Ascii(ascii), values, interval_s);
@@ -495,17 +524,21 @@ impl VirtualSensor {
         };
         // attitude excellent, nothing saturated, nothing disturbed
         measurement.vpe_status = (communication.serial_status != 0).then_some(0);
+        let start = out.len();
         encode::ascii_message(out, ascii, &measurement, communication.checksum());
+        self.frames.push(start..out.len());
     }
 
-    fn send_binary(&self, output: usize, tick: u64, values: &Values, out: &mut Vec<u8>) {
+    fn send_binary(&mut self, output: usize, tick: u64, values: &Values, out: &mut Vec<u8>) {
         let setting = &self.registers.settings().outputs[output];
         let Some(header) = setting.header else { return };
         let interval_s = f64::from(setting.rate_divisor.max(1)) / f64::from(INTERNAL_RATE_HZ);
         let mut measurement = measure(MeasurementKind::Binary(header), values, interval_s);
         measurement.device_time_ns = Some(self.device_time_ns(tick));
         measurement.sync_count = Some(self.sync_out_count(tick));
+        let start = out.len();
         encode::binary_frame(out, &header, &measurement);
+        self.frames.push(start..out.len());
     }
 
     /// The binary output that is sent on the port in use with the lowest register number: what a logger configured.

@@ -1,37 +1,42 @@
 //! Terminal: the virtual sensor on a real pseudo-terminal. A shell: it moves bytes and waits.
 //!
 //! In real time the sensor sends whether somebody reads or not, as a real one does: what the terminal's buffer cannot
-//! take is lost on the line. Accelerated, the terminal holds the sensor back instead, and the sensor holds the shared
+//! take is lost on the line. Its faults ([`super::faults`]) are done here, as far as they concern terminal and link. Accelerated, the terminal holds the sensor back instead, and the sensor holds the shared
 //! clock ([`ScaledClock::hold_at`]), so that no sample is lost to the acceleration.
 
-use super::Values;
-use super::replay::Replay;
+use super::faults::{Fault, FaultError, Schedule, ticks};
+use super::line::{Fate, Frame, Line, Piece};
+use super::outbox::Outbox;
 use super::sensor::{TICK_NS, VirtualSensor};
+use super::source::{Source, Stream};
+use super::uart;
 use crate::clock::{Clock, ScaledClock};
-use crate::protocol::link::INTERNAL_RATE_HZ;
-use crate::protocol::register::{ASYNC_RATE, ASYNC_TYPE, BinaryOutput};
+use crate::protocol::register::ASYNC_RATE;
 use crate::sample::Channel;
-use crate::simulator::{SensorModel, Simulator, SimulatorError};
+use crate::simulator::SimulatorError;
 use rustix::event::{PollFd, PollFlags};
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 use rustix::pty::OpenptFlags;
 use rustix::termios::OptionalActions;
-use std::io::Write;
+use std::fmt::Write as _;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 /// How long the loop sleeps at most: how soon a command is answered when nothing is sent.
 const NAP: Duration = Duration::from_millis(20);
 /// How far the held clock may run ahead of the loop while nothing is to be sent: less than any time-out of the host.
 const IDLE_TICKS: u64 = 80;
-/// Length of the records for which the simulated spectra hold at the low end, s.
-const RECORD_LENGTH_S: f64 = 86_400.0;
 /// Output that waits for the terminal: at most this much is prepared ahead.
 const PENDING_BYTES: usize = 8192;
+/// What a burst that was held back may wait for the terminal.
+const BURST_BYTES: usize = 1 << 20;
+/// Seed of the faults' bits and noise.
+const FAULT_SEED: u64 = 0x5eed;
 
 /// Why the emulator failed.
 #[derive(Debug, thiserror::Error)]
@@ -64,105 +69,54 @@ pub enum EmulatorError {
     /// The model cannot run at the rate the sensor was told to send.
     #[error(transparent)]
     Simulator(#[from] SimulatorError),
-}
-
-/// What the sensor sends.
-pub enum Source {
-    /// Simulated noise.
-    Model(Box<Noise>),
-    /// Recorded lines.
-    Replay(Replay),
-}
-
-/// The noise of a model, at whatever rate the sensor is told to send.
-pub struct Noise {
-    model: SensorModel,
-    seed: u64,
-    running: Option<Running>,
-}
-
-/// A simulation under way, for one configuration of the output.
-struct Running {
-    stream: Stream,
-    simulator: Simulator,
-    /// The tick of its first values.
-    origin: u64,
-    /// How many instants were simulated, and the last of them.
-    instants: u64,
-    values: Values,
-}
-
-/// What the sensor is told to send.
-#[derive(Debug, Clone, PartialEq)]
-struct Stream {
-    binary: Option<(u16, BinaryOutput)>,
-    ascii: (String, String),
-}
-
-impl Stream {
-    fn of(sensor: &VirtualSensor) -> Self {
-        let read = |register| sensor.registers().read(register, None).unwrap_or_default();
-        Self { binary: sensor.binary_output(), ascii: (read(ASYNC_TYPE), read(ASYNC_RATE)) }
-    }
-
-    /// The rate of its fastest output in Hz.
-    fn rate_hz(&self) -> f64 {
-        let binary = self.binary.as_ref().and_then(|(_, output)| output.rate_hz()).unwrap_or(0.0);
-        let ascii = if self.ascii.0 == "0" { 0.0 } else { self.ascii.1.parse().unwrap_or(0.0) };
-        let rate = f64::max(binary, ascii);
-        if rate > 0.0 { rate } else { f64::from(INTERNAL_RATE_HZ) }
-    }
-}
-
-impl Source {
-    /// Noise of this model. The simulation begins with the first message after each change of what is sent, so that a
-    /// stream's noise depends on the seed and not on when it was asked for.
-    #[must_use]
-    pub fn model(model: SensorModel, seed: u64) -> Self {
-        Self::Model(Box::new(Noise { model, seed, running: None }))
-    }
-}
-
-impl Noise {
-    /// The values at `tick`; ticks do not run back within a stream.
-    fn at(&mut self, tick: u64, stream: Stream) -> Result<Values, SimulatorError> {
-        let running = match &mut self.running {
-            Some(running) if running.stream == stream => running,
-            other => {
-                let simulator = Simulator::new(&self.model, self.seed, stream.rate_hz(), RECORD_LENGTH_S)?;
-                other.insert(Running { stream, simulator, origin: tick, instants: 0, values: [0.0; Channel::COUNT] })
-            }
-        };
-        let elapsed = (tick - running.origin) as f64 * running.simulator.rate_hz() / f64::from(INTERNAL_RATE_HZ);
-        while running.instants <= (elapsed + 1e-6) as u64 {
-            running.values = running.simulator.next_values();
-            running.instants += 1;
-        }
-        Ok(running.values)
-    }
+    /// A fault that was asked for is none.
+    #[error(transparent)]
+    Fault(#[from] FaultError),
 }
 
 /// How the terminal behaves.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct TerminalOptions {
     /// Make this a link to the terminal.
     pub link: Option<PathBuf>,
     /// End after this much time of the sensor.
     pub duration: Option<Duration>,
-    /// Write down every frame that was sent.
+    /// Write down every frame that was made and what became of it.
     pub log: Option<PathBuf>,
     /// Garble both directions while the terminal is set to another baud rate than the sensor.
     pub strict_baud: bool,
+    /// What shall go wrong, by the sensor's time.
+    pub faults: Schedule,
+    /// What shall go wrong at once, as it is said.
+    pub live_faults: Option<mpsc::Receiver<Result<Fault, FaultError>>>,
 }
 
-/// A pseudo-terminal with a sensor behind it.
-pub struct Terminal {
+/// The two ends of a pseudo-terminal.
+struct Pair {
     master: OwnedFd,
     /// Kept open: otherwise every reader that closes would end the line. Also tells the baud rate that the host set.
     slave: OwnedFd,
     path: PathBuf,
+}
+
+/// A pseudo-terminal with a sensor behind it.
+pub struct Terminal {
+    /// `None` while it is unplugged.
+    pair: Option<Pair>,
+    /// The terminal that it comes back on, and the tick. It exists before the old one goes, so that its name is another.
+    back: Option<(u64, Pair)>,
+    /// The side of a terminal that hung up that keeps its number: a link that dangles must not lead to somebody else's.
+    hung_up: Option<OwnedFd>,
     options: TerminalOptions,
-    log: Option<std::io::BufWriter<std::fs::File>>,
+    line: Line,
+    outbox: Outbox,
+    /// Kept until the end of a hold.
+    held: Vec<Piece>,
+    /// What was held is on its way.
+    burst: bool,
+    log: Option<std::fs::File>,
+    /// Lines of the log that are still to be written.
+    lines: String,
 }
 
 impl Terminal {
@@ -171,31 +125,45 @@ impl Terminal {
     /// # Errors
     /// [`EmulatorError`].
     pub fn open(options: TerminalOptions) -> Result<Self, EmulatorError> {
-        let (master, slave, path) = open_pair().map_err(|error| EmulatorError::Terminal { source: error.into() })?;
-        if let Some(link) = &options.link {
-            make_link(&path, link)
-                .map_err(|source| EmulatorError::Link { path: link.display().to_string(), source })?;
-        }
+        let pair = open_pair().map_err(failed)?;
         let log = match &options.log {
             None => None,
-            Some(path) => Some(std::io::BufWriter::new(
+            Some(path) => Some(
                 std::fs::File::create(path)
                     .map_err(|source| EmulatorError::Log { path: path.display().to_string(), source })?,
-            )),
+            ),
         };
-        Ok(Self { master, slave, path, options, log })
+        let terminal = Self {
+            pair: Some(pair),
+            back: None,
+            hung_up: None,
+            options,
+            line: Line::new(FAULT_SEED),
+            outbox: Outbox::default(),
+            held: Vec::new(),
+            burst: false,
+            log,
+            lines: "# frame tick device_time_ns host_mono_ns bytes fate; ! tick host_mono_ns event\n".to_owned(),
+        };
+        terminal.link()?;
+        Ok(terminal)
     }
 
-    /// The terminal's name, such as /dev/pts/7.
+    /// The terminal's name, such as /dev/pts/7; empty while there is none.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.path
+        self.pair.as_ref().map_or(Path::new(""), |pair| &pair.path)
+    }
+
+    fn link(&self) -> Result<(), EmulatorError> {
+        let (Some(link), Some(pair)) = (&self.options.link, &self.pair) else { return Ok(()) };
+        make_link(&pair.path, link).map_err(|source| EmulatorError::Link { path: link.display().to_string(), source })
     }
 
     /// Runs until `stop` is set or the duration is over.
     ///
     /// # Errors
-    /// [`EmulatorError`] where terminal or log fail.
+    /// [`EmulatorError`] where terminal or log fail, or a fault is none.
     pub fn run(
         &mut self,
         mut sensor: VirtualSensor,
@@ -203,35 +171,20 @@ impl Terminal {
         clock: &Arc<ScaledClock>,
         stop: &AtomicBool,
     ) -> Result<(), EmulatorError> {
-        let failed = |error: Errno| EmulatorError::Terminal { source: error.into() };
         let held = clock.speed() != 1.0;
         let origin_ns = clock.schedule_mono_ns();
-        let mut pending: Vec<u8> = Vec::new();
-        let mut sent = 0;
         let mut tick = 0_u64;
-        let mut buffer = [0_u8; 4096];
         let mut free_again = Instant::now();
+        let mut emitted = Vec::new();
         while !stop.load(Ordering::Relaxed) {
-            // What the host says.
-            match rustix::io::read(&self.master, &mut buffer) {
-                Ok(count) => {
-                    let mut heard = buffer[..count].to_vec();
-                    self.garble(&sensor, &mut heard);
-                    let mut replies = Vec::new();
-                    sensor.on_bytes(tick, &heard, &mut replies);
-                    self.garble(&sensor, &mut replies);
-                    pending.extend_from_slice(&replies);
-                    if let Source::Replay(replay) = &mut source {
-                        replay.heard(clock.schedule_mono_ns());
-                    }
-                }
-                Err(Errno::AGAIN | Errno::INTR | Errno::IO) => {}
-                Err(error) => return Err(failed(error)),
-            }
+            self.hear(&mut sensor, &mut source, tick, clock)?;
             // What the sensor says: everything that is due, as far as the terminal takes it.
             let due = (clock.schedule_mono_ns() - origin_ns) / TICK_NS;
+            while let Some(fault) = self.said()? {
+                self.fault(fault, tick.max(due), &mut sensor, clock)?;
+            }
             let mut caught_up = false;
-            while pending.len() - sent < PENDING_BYTES {
+            while !held || self.outbox.waiting().len() < PENDING_BYTES {
                 let next = match &mut source {
                     Source::Model(_) => sensor.next_output_tick(),
                     Source::Replay(replay) => {
@@ -239,41 +192,54 @@ impl Terminal {
                         line.filter(|next| sensor.may_send(*next)).into_iter().chain(sensor.next_output_tick()).min()
                     }
                 };
-                let Some(next) = next.filter(|next| *next <= due) else {
+                let next = next.filter(|next| *next <= due);
+                if self.happen(next.unwrap_or(due), &mut sensor, clock)? {
+                    // It may have changed what comes next.
+                    continue;
+                }
+                let Some(next) = next else {
                     caught_up = true;
                     break;
                 };
                 tick = next;
-                let start = pending.len();
+                emitted.clear();
                 match &mut source {
                     Source::Model(noise) => {
                         let values = noise.at(tick, Stream::of(&sensor))?;
-                        sensor.emit(tick, &values, &mut pending);
+                        sensor.emit(tick, &values, &mut emitted);
+                        let frames = sensor.frames();
+                        let replies = frames.first().map_or(emitted.len(), |first| first.start);
+                        self.reply(&sensor, tick, &emitted[..replies]);
+                        for (index, frame) in frames.iter().enumerate() {
+                            self.frame(&sensor, tick, &emitted[frame.clone()]);
+                            let until = frames.get(index + 1).map_or(emitted.len(), |next| next.start);
+                            self.reply(&sensor, tick, &emitted[frame.end..until]);
+                        }
                     }
                     Source::Replay(replay) => {
                         // Replies that were waiting go first; the sensor itself sends no message.
-                        sensor.emit(tick, &[0.0; Channel::COUNT], &mut pending);
+                        sensor.emit(tick, &[0.0; Channel::COUNT], &mut emitted);
+                        self.reply(&sensor, tick, &emitted);
                         let due = replay.next_tick(tick, ascii_rate_hz(&sensor), clock.schedule_mono_ns());
                         if due.is_some_and(|due| due <= tick) && sensor.may_send(tick) {
-                            replay.emit(&mut pending);
+                            emitted.clear();
+                            replay.emit(&mut emitted);
+                            self.frame(&sensor, tick, &emitted);
                         }
                     }
                 }
-                self.note(tick, &pending[start..])?;
-                let mut frame = pending.split_off(start);
-                self.garble(&sensor, &mut frame);
-                pending.append(&mut frame);
                 if !held {
                     // On a real line the rest of a frame that does not fit is simply lost.
-                    self.write(&mut pending, &mut sent).map_err(failed)?;
-                    if pending.len() - sent > PENDING_BYTES / 2 {
-                        pending.clear();
-                        sent = 0;
+                    self.write()?;
+                    let most = if self.burst { BURST_BYTES } else { PENDING_BYTES / 2 };
+                    if self.outbox.waiting().len() > most {
+                        self.outbox.lose(Fate::Overrun);
                     }
                 }
             }
-            self.write(&mut pending, &mut sent).map_err(failed)?;
-            if caught_up && pending.is_empty() {
+            self.write()?;
+            self.note(clock)?;
+            if caught_up && self.outbox.is_empty() {
                 tick = tick.max(due);
             }
             if held {
@@ -282,32 +248,180 @@ impl Terminal {
                     Source::Model(_) => sensor.next_output_tick(),
                     Source::Replay(_) => None,
                 };
-                let limit = if pending.is_empty() { next.unwrap_or(tick + IDLE_TICKS) } else { tick };
+                let limit = if self.outbox.is_empty() { next.unwrap_or(tick + IDLE_TICKS) } else { tick };
                 clock.hold_at(origin_ns + (limit + 1) * TICK_NS);
             }
             if self.options.duration.is_some_and(|end| u128::from(tick * TICK_NS) >= end.as_nanos())
-                && pending.is_empty()
+                && self.outbox.is_empty()
             {
                 break;
             }
-            if free_again.elapsed() > Duration::from_secs(1) {
+            if let Some(pair) = &self.pair
+                && free_again.elapsed() > Duration::from_secs(1)
+            {
                 free_again = Instant::now();
                 // A host that was killed leaves its claim (TIOCEXCL) on the terminal, which a real port forgets.
-                let _ = rustix::termios::ioctl_tiocnxcl(&self.slave);
+                let _ = rustix::termios::ioctl_tiocnxcl(&pair.slave);
             }
-            self.wait(pending.len() > sent, clock, origin_ns, &sensor, &source, tick)?;
+            self.wait(clock, origin_ns, &sensor, &source, tick)?;
         }
         clock.release();
-        if let Some(log) = &mut self.log {
-            log.flush().map_err(|source| EmulatorError::Log { path: "log".to_owned(), source })?;
+        self.note(clock)
+    }
+
+    /// What the host says.
+    fn hear(
+        &mut self,
+        sensor: &mut VirtualSensor,
+        source: &mut Source,
+        tick: u64,
+        clock: &ScaledClock,
+    ) -> Result<(), EmulatorError> {
+        let Some(pair) = &self.pair else { return Ok(()) };
+        let mut buffer = [0_u8; 4096];
+        let count = match rustix::io::read(&pair.master, &mut buffer) {
+            Ok(count) => count,
+            Err(Errno::AGAIN | Errno::INTR | Errno::IO) => return Ok(()),
+            Err(error) => return Err(failed(error)),
+        };
+        if self.line.is_silent(tick) {
+            return Ok(());
+        }
+        let mut heard = buffer[..count].to_vec();
+        if let Some(set) = self.wrong_baud(sensor) {
+            heard = uart::heard(&heard, set, sensor.baud());
+        }
+        let mut replies = Vec::new();
+        sensor.on_bytes(tick, &heard, &mut replies);
+        self.reply(sensor, tick, &replies);
+        if let Source::Replay(replay) = source {
+            replay.heard(clock.schedule_mono_ns());
         }
         Ok(())
+    }
+
+    /// The next fault that was said to happen at once.
+    fn said(&mut self) -> Result<Option<Fault>, EmulatorError> {
+        match self.options.live_faults.as_ref().map(mpsc::Receiver::try_recv) {
+            Some(Ok(fault)) => Ok(Some(fault?)),
+            // Whoever spoke has stopped speaking.
+            Some(Err(_)) | None => Ok(None),
+        }
+    }
+
+    /// Lets the first thing happen that is due at `limit` or before; `false` where nothing is.
+    fn happen(&mut self, limit: u64, sensor: &mut VirtualSensor, clock: &ScaledClock) -> Result<bool, EmulatorError> {
+        if let Some((tick, pair)) = self.back.take_if(|(tick, _)| *tick <= limit) {
+            self.event(clock, tick, &format!("back on {}", pair.path.display()));
+            self.pair = Some(pair);
+            self.hung_up = None;
+            self.link()?;
+            return Ok(true);
+        }
+        if !self.held.is_empty() && self.line.hold_until <= limit {
+            self.event(clock, self.line.hold_until, "burst");
+            self.held.drain(..).for_each(|piece| self.outbox.put(piece));
+            self.burst = true;
+            return Ok(true);
+        }
+        let at = self.options.faults.next_tick().unwrap_or(u64::MAX);
+        match self.options.faults.due(limit) {
+            Some(fault) => self.fault(fault, at, sensor, clock).map(|()| true),
+            None => Ok(false),
+        }
+    }
+
+    fn fault(
+        &mut self,
+        fault: Fault,
+        tick: u64,
+        sensor: &mut VirtualSensor,
+        clock: &ScaledClock,
+    ) -> Result<(), EmulatorError> {
+        self.event(clock, tick, &fault.to_string());
+        match fault {
+            Fault::Unplug(time) => {
+                self.gone(tick + ticks(time))?;
+                self.remove_link();
+            }
+            Fault::Eof(time) => self.gone(tick + ticks(time))?,
+            Fault::Reset => sensor.reset(tick),
+            Fault::Silence(time) => self.line.silent_until = tick + ticks(time),
+            Fault::Garbage(bytes) => self.line.garbage += bytes,
+            Fault::Checksum(frames) => self.line.checksum += frames,
+            Fault::Drop(frames) => self.line.drop += frames,
+            Fault::Duplicate(frames) => self.line.duplicate += frames,
+            Fault::Reorder(pairs) => self.line.reorder += pairs,
+            Fault::Rate(rate_hz) => sensor.registers_mut().set_rate(rate_hz),
+            Fault::Format(format) => sensor.registers_mut().set_format(format),
+            Fault::Baud(baud) => {
+                sensor.registers_mut().set_baud(baud);
+                // A line on which every baud rate is understood would not notice.
+                self.options.strict_baud = true;
+            }
+            Fault::Hold(time) => self.line.hold_until = tick + ticks(time),
+            Fault::Unit(serial_number) => sensor.replace(tick, &serial_number),
+            Fault::Clock(us) => sensor.set_clock(tick, us),
+        }
+        Ok(())
+    }
+
+    /// The terminal goes; a new one comes at the tick `back`.
+    fn gone(&mut self, back: u64) -> Result<(), EmulatorError> {
+        let pair = match self.back.take() {
+            Some((_, pair)) => pair,
+            None => open_pair().map_err(failed)?,
+        };
+        self.back = Some((back, pair));
+        self.held.drain(..).for_each(|piece| self.outbox.put(piece));
+        self.outbox.lose(Fate::Unplugged);
+        if let Some(pair) = self.pair.take() {
+            self.hung_up = Some(pair.slave);
+        }
+        Ok(())
+    }
+
+    /// Sends something that is no frame.
+    fn reply(&mut self, sensor: &VirtualSensor, tick: u64, bytes: &[u8]) {
+        if bytes.is_empty() || self.pair.is_none() || self.line.is_silent(tick) {
+            return;
+        }
+        self.deliver(sensor, tick, Piece { bytes: bytes.to_vec(), frame: None });
+    }
+
+    /// Sends a frame, or what the faults make of it.
+    fn frame(&mut self, sensor: &VirtualSensor, tick: u64, bytes: &[u8]) {
+        let mut pieces = Vec::new();
+        self.line.frame(tick, sensor.device_time_ns(tick), bytes, self.pair.is_some(), &mut pieces);
+        for piece in pieces {
+            self.deliver(sensor, tick, piece);
+        }
+    }
+
+    fn deliver(&mut self, sensor: &VirtualSensor, tick: u64, mut piece: Piece) {
+        if let Some(set) = self.wrong_baud(sensor)
+            && !piece.bytes.is_empty()
+        {
+            piece.bytes = uart::heard(&piece.bytes, sensor.baud(), set);
+            piece.frame = piece.frame.map(|(frame, _)| (frame, Fate::WrongBaud));
+        }
+        if tick < self.line.hold_until {
+            self.held.push(piece);
+        } else {
+            self.outbox.put(piece);
+        }
+    }
+
+    /// The baud rate of the terminal, where it is not the sensor's and that matters.
+    fn wrong_baud(&self, sensor: &VirtualSensor) -> Option<u32> {
+        let pair = self.pair.as_ref().filter(|_| self.options.strict_baud)?;
+        let set = rustix::termios::tcgetattr(&pair.slave).ok()?.output_speed();
+        (set != sensor.baud() && set > 0).then_some(set)
     }
 
     /// Sleeps until the host says something, the terminal takes more, or the next output is due.
     fn wait(
         &self,
-        blocked: bool,
         clock: &ScaledClock,
         origin_ns: u64,
         sensor: &VirtualSensor,
@@ -321,61 +435,89 @@ impl Terminal {
         let next = next.unwrap_or(tick + IDLE_TICKS / 2);
         let due_ns = (origin_ns + next * TICK_NS).saturating_sub(clock.schedule_mono_ns());
         let nap = clock.real(Duration::from_nanos(due_ns)).clamp(Duration::from_micros(500), NAP);
+        let Some(pair) = &self.pair else {
+            std::thread::sleep(nap);
+            return Ok(());
+        };
         let mut wanted = PollFlags::IN;
-        if blocked {
+        if !self.outbox.is_empty() {
             wanted |= PollFlags::OUT;
         }
         let timeout = rustix::event::Timespec { tv_sec: 0, tv_nsec: nap.as_nanos() as i64 };
-        match rustix::event::poll(&mut [PollFd::new(&self.master, wanted)], Some(&timeout)) {
+        match rustix::event::poll(&mut [PollFd::new(&pair.master, wanted)], Some(&timeout)) {
             Ok(_) | Err(Errno::INTR) => Ok(()),
-            Err(error) => Err(EmulatorError::Terminal { source: error.into() }),
+            Err(error) => Err(failed(error)),
         }
     }
 
-    fn write(&self, pending: &mut Vec<u8>, sent: &mut usize) -> Result<(), Errno> {
-        while *sent < pending.len() {
-            match rustix::io::write(&self.master, &pending[*sent..]) {
-                Ok(count) => *sent += count,
+    /// Gives the terminal what it takes.
+    fn write(&mut self) -> Result<(), EmulatorError> {
+        let Some(pair) = &self.pair else { return Ok(()) };
+        while !self.outbox.is_empty() {
+            match rustix::io::write(&pair.master, self.outbox.waiting()) {
+                Ok(count) => self.outbox.took(count),
                 Err(Errno::INTR) => {}
                 Err(Errno::AGAIN | Errno::IO) => return Ok(()),
-                Err(error) => return Err(error),
+                Err(error) => return Err(failed(error)),
             }
         }
-        pending.clear();
-        *sent = 0;
+        self.burst = false;
         Ok(())
     }
 
-    /// Turns bytes into what a line at the wrong baud rate makes of them.
-    fn garble(&self, sensor: &VirtualSensor, bytes: &mut [u8]) {
-        if !self.options.strict_baud || bytes.is_empty() {
-            return;
-        }
-        let set = rustix::termios::tcgetattr(&self.slave).map(|termios| termios.output_speed());
-        if set.is_ok_and(|set| set != sensor.baud()) {
-            for (index, byte) in bytes.iter_mut().enumerate() {
-                *byte = (*byte >> 3) ^ (index as u8).wrapping_mul(57) | 0x80;
-            }
+    fn event(&mut self, clock: &ScaledClock, tick: u64, text: &str) {
+        if self.log.is_some() {
+            // Frames that are settled already come before it.
+            self.describe_frames(clock);
+            let _ = writeln!(self.lines, "! {tick} {} {text}", clock.schedule_mono_ns());
         }
     }
 
-    fn note(&mut self, tick: u64, frame: &[u8]) -> Result<(), EmulatorError> {
-        let Some(log) = &mut self.log else { return Ok(()) };
-        if frame.is_empty() {
+    fn describe_frames(&mut self, clock: &ScaledClock) {
+        let now_ns = clock.schedule_mono_ns();
+        for (frame, fate) in self.outbox.settled() {
+            let Frame { number, tick, device_time_ns, bytes } = frame;
+            let _ = writeln!(self.lines, "{number} {tick} {device_time_ns} {now_ns} {bytes} {}", fate.as_str());
+        }
+    }
+
+    /// Writes down what became of frames since the last time: whoever kills the emulator can read it.
+    fn note(&mut self, clock: &ScaledClock) -> Result<(), EmulatorError> {
+        if self.log.is_none() {
+            self.outbox.settled();
             return Ok(());
         }
-        writeln!(log, "{tick} {} {}", tick * TICK_NS, frame.len())
-            .map_err(|source| EmulatorError::Log { path: "log".to_owned(), source })
+        self.describe_frames(clock);
+        let Some(log) = self.log.as_mut().filter(|_| !self.lines.is_empty()) else { return Ok(()) };
+        let written = std::io::Write::write_all(log, self.lines.as_bytes());
+        self.lines.clear();
+        written.map_err(|source| EmulatorError::Log {
+            path: self.options.log.as_ref().map_or_else(String::new, |path| path.display().to_string()),
+            source,
+        })
     }
+
+    fn remove_link(&self) {
+        if let Some(link) = &self.options.link
+            && link.is_symlink()
+        {
+            // Nothing to be done about a link that stays.
+            let _ = std::fs::remove_file(link);
+        }
+    }
+}
+
+fn failed(error: Errno) -> EmulatorError {
+    EmulatorError::Terminal { source: error.into() }
 }
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        if let Some(link) = &self.options.link
-            && std::fs::read_link(link).is_ok_and(|target| target == self.path)
+        // A link that another emulator has taken over is not ours to remove.
+        if let (Some(link), Some(pair)) = (&self.options.link, &self.pair)
+            && std::fs::read_link(link).is_ok_and(|target| target == pair.path)
         {
-            // Nothing to be done about a link that stays.
-            let _ = std::fs::remove_file(link);
+            self.remove_link();
         }
     }
 }
@@ -386,7 +528,7 @@ fn ascii_rate_hz(sensor: &VirtualSensor) -> f64 {
     text.parse().ok().filter(|rate: &f64| *rate > 0.0).unwrap_or(40.0)
 }
 
-fn open_pair() -> Result<(OwnedFd, OwnedFd, PathBuf), Errno> {
+fn open_pair() -> Result<Pair, Errno> {
     let master = rustix::pty::openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
     rustix::pty::grantpt(&master)?;
     rustix::pty::unlockpt(&master)?;
@@ -399,7 +541,7 @@ fn open_pair() -> Result<(OwnedFd, OwnedFd, PathBuf), Errno> {
     rustix::termios::tcsetattr(&slave, OptionalActions::Now, &termios)?;
     let flags = rustix::fs::fcntl_getfl(&master)?;
     rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
-    Ok((master, slave, path))
+    Ok(Pair { master, slave, path })
 }
 
 /// Replaces an absent file or an old link; never a real file.

@@ -390,3 +390,31 @@ fn a_clock_that_ran_before_goes_on() {
     assert_eq!(sensor.device_time_ns(0), 3_600_000_000_000);
     assert_eq!(sensor.next_output_tick(), Some(0));
 }
+
+#[test]
+fn a_sensor_changes_rate_format_clock_and_identity_by_itself() {
+    use super::faults::{Fault, parse_line};
+    let Ok(Some(Fault::Format(short))) = parse_line("format 01,0009", "test", 1) else { panic!() };
+    let mut sensor = quiet_sensor();
+    bare(&mut sensor, 7, "VNWRG,75,1,20,01,0609");
+    sensor.registers_mut().set_rate(100);
+    let (ticks, _) = run(&mut sensor, 40);
+    assert_eq!(ticks, [8, 16, 24, 32, 40]);
+    sensor.registers_mut().set_format(short);
+    sensor.set_clock(41, 4_294_967_290);
+    let (ticks, bytes) = run(&mut sensor, 56);
+    assert_eq!(ticks, [48, 56]);
+    let found = measurements(&bytes);
+    assert_eq!(found[0].kind.output_name(), "binary 01,0009");
+    // 48 is 7 ticks of 1250 µs after the jump
+    assert_eq!(found[0].device_time_ns, Some(4_294_967_290_000 + 7 * 1_250_000));
+    sensor.registers_mut().set_format(super::faults::Format::Ascii(crate::protocol::AsciiType::Ymr));
+    let (_, bytes) = run(&mut sensor, 80);
+    assert_eq!(measurements(&bytes)[0].kind.output_name(), "VNYMR");
+    sensor.set_clock(80, u64::MAX / 1000);
+    assert!(sensor.device_time_ns(81) < 1_250_000, "64 bits of nanoseconds wrap");
+    sensor.replace(100, "0100099999");
+    let (ticks, _) = run(&mut sensor, 1140);
+    assert_eq!((ticks[0], sensor.device_time_ns(1100)), (1100, 0));
+    assert_eq!(bare(&mut sensor, 1141, "VNRRG,03"), "VNRRG,03,0100099999");
+}

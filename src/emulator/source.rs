@@ -1,0 +1,88 @@
+//! Source: where the values of each instant come from. Pure but for the recording's iterator.
+
+use super::Values;
+use super::replay::Replay;
+use super::sensor::VirtualSensor;
+use crate::protocol::link::INTERNAL_RATE_HZ;
+use crate::protocol::register::{ASYNC_RATE, ASYNC_TYPE, BinaryOutput};
+use crate::sample::Channel;
+use crate::simulator::{SensorModel, Simulator, SimulatorError};
+
+/// Length of the records for which the simulated spectra hold at the low end, s.
+const RECORD_LENGTH_S: f64 = 86_400.0;
+
+/// What the sensor sends.
+pub enum Source {
+    /// Simulated noise.
+    Model(Box<Noise>),
+    /// Recorded lines.
+    Replay(Replay),
+}
+
+/// The noise of a model, at whatever rate the sensor is told to send.
+pub struct Noise {
+    model: SensorModel,
+    seed: u64,
+    running: Option<Running>,
+}
+
+/// A simulation under way, for one configuration of the output.
+struct Running {
+    stream: Stream,
+    simulator: Simulator,
+    /// The tick of its first values.
+    origin: u64,
+    /// How many instants were simulated, and the last of them.
+    instants: u64,
+    values: Values,
+}
+
+/// What the sensor is told to send.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Stream {
+    binary: Option<(u16, BinaryOutput)>,
+    ascii: (String, String),
+}
+
+impl Stream {
+    pub(super) fn of(sensor: &VirtualSensor) -> Self {
+        let read = |register| sensor.registers().read(register, None).unwrap_or_default();
+        Self { binary: sensor.binary_output(), ascii: (read(ASYNC_TYPE), read(ASYNC_RATE)) }
+    }
+
+    /// The rate of its fastest output in Hz.
+    fn rate_hz(&self) -> f64 {
+        let binary = self.binary.as_ref().and_then(|(_, output)| output.rate_hz()).unwrap_or(0.0);
+        let ascii = if self.ascii.0 == "0" { 0.0 } else { self.ascii.1.parse().unwrap_or(0.0) };
+        let rate = f64::max(binary, ascii);
+        if rate > 0.0 { rate } else { f64::from(INTERNAL_RATE_HZ) }
+    }
+}
+
+impl Source {
+    /// Noise of this model. The simulation begins with the first message after each change of what is sent, so that a
+    /// stream's noise depends on the seed and not on when it was asked for.
+    #[must_use]
+    pub fn model(model: SensorModel, seed: u64) -> Self {
+        Self::Model(Box::new(Noise { model, seed, running: None }))
+    }
+}
+
+impl Noise {
+    /// The values at `tick`; ticks do not run back within a stream.
+    pub(super) fn at(&mut self, tick: u64, stream: Stream) -> Result<Values, SimulatorError> {
+        let running = match &mut self.running {
+            Some(running) if running.stream == stream => running,
+            other => {
+                let simulator = Simulator::new(&self.model, self.seed, stream.rate_hz(), RECORD_LENGTH_S)?;
+                other.insert(Running { stream, simulator, origin: tick, instants: 0, values: [0.0; Channel::COUNT] })
+            }
+        };
+        let elapsed = (tick - running.origin) as f64 * running.simulator.rate_hz() / f64::from(INTERNAL_RATE_HZ);
+        while running.instants <= (elapsed + 1e-6) as u64 {
+            running.values = running.simulator.next_values();
+            running.instants += 1;
+        }
+        Ok(running.values)
+    }
+}

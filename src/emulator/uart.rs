@@ -1,0 +1,65 @@
+//! Uart: what a receiver at one baud rate makes of bytes sent at another. Pure.
+
+/// Bits of one byte on the line: start, eight data bits from the lowest, stop.
+const BITS: usize = 10;
+
+/// The bytes that a receiver at `heard_baud` finds in `bytes` sent without pause at `sent_baud`, with the line at rest
+/// before and behind them. A byte whose stop bit is missing is read as 0, as a terminal gives it.
+#[must_use]
+pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
+    if sent_baud == heard_baud || bytes.is_empty() {
+        return bytes.to_vec();
+    }
+    // The first bit is the line at rest.
+    let bits = 1 + bytes.len() * BITS;
+    let level = |bit: usize| match bit.checked_sub(1).map(|bit| (bytes.get(bit / BITS), bit % BITS)) {
+        None | Some((None, _) | (_, 9)) => true,
+        Some((_, 0)) => false,
+        Some((Some(byte), bit)) => byte >> (bit - 1) & 1 == 1,
+    };
+    // Time is counted in bits of the sender.
+    let ratio = f64::from(sent_baud) / f64::from(heard_baud);
+    let at = |time: f64| level(time as usize);
+    let mut out = Vec::new();
+    let mut time = 0.0_f64;
+    loop {
+        // A byte begins where the line falls; one that is low already has to rise first.
+        let mut bit = time as usize;
+        while bit < bits && !level(bit) {
+            bit += 1;
+        }
+        while bit < bits && level(bit) {
+            bit += 1;
+        }
+        if bit >= bits {
+            return out;
+        }
+        let sample = |index: usize| at(bit as f64 + (index as f64 + 0.5) * ratio);
+        let byte = (0..8).fold(0_u8, |byte, index| byte | u8::from(sample(index + 1)) << index);
+        out.push(if sample(9) { byte } else { 0 });
+        time = bit as f64 + 9.5 * ratio;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_the_same_rate_everything_is_heard() {
+        assert_eq!(heard(b"$VNRRG,01*72\r\n", 115_200, 115_200), b"$VNRRG,01*72\r\n");
+        // 2 % is within what a receiver tolerates
+        assert_eq!(heard(b"$VNRRG,01*72\r\n", 117_000, 115_200), b"$VNRRG,01*72\r\n");
+    }
+
+    #[test]
+    fn a_faster_receiver_hears_more_bytes_and_a_slower_one_fewer() {
+        let bytes: Vec<u8> = (0..=255).collect();
+        let more = heard(&bytes, 115_200, 921_600).len();
+        let fewer = heard(&bytes, 921_600, 115_200).len();
+        assert!(more > 256 && fewer < 256 / 4 && fewer > 0, "{more} {fewer}");
+        // U is 01010101: at half the rate one byte of each two bits
+        assert_eq!(heard(b"U", 9600, 9600), b"U");
+        assert_ne!(heard(b"UUUU", 19_200, 9600), b"UUUU");
+    }
+}
