@@ -10,6 +10,8 @@ use std::time::Duration;
 pub trait Clock: Send + Sync + std::fmt::Debug {
     /// Nanoseconds of a clock that never steps; comparable within one boot of the machine.
     fn mono_ns(&self) -> u64;
+    /// Nanoseconds of a clock that stands while the machine sleeps and never steps.
+    fn awake_ns(&self) -> u64;
     /// Nanoseconds since 1970-01-01T00:00:00Z; may step.
     fn utc_ns(&self) -> i64;
     /// How much faster than real time this clock runs (1 for a real sensor).
@@ -27,9 +29,18 @@ fn real_mono_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
+fn real_awake_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
 fn real_utc_ns() -> i64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Realtime);
-    now.tv_sec * 1_000_000_000 + now.tv_nsec
+    let now = std::time::SystemTime::now();
+    match now.duration_since(std::time::UNIX_EPOCH) {
+        Ok(since) => since.as_nanos() as i64,
+        // A host whose clock was set before 1970.
+        Err(before) => -(before.duration().as_nanos() as i64),
+    }
 }
 
 /// The machine's own clocks: `CLOCK_BOOTTIME`, which runs on while the machine is suspended, and `CLOCK_REALTIME`.
@@ -39,6 +50,9 @@ pub struct SystemClock;
 impl Clock for SystemClock {
     fn mono_ns(&self) -> u64 {
         real_mono_ns()
+    }
+    fn awake_ns(&self) -> u64 {
+        real_awake_ns()
     }
     fn utc_ns(&self) -> i64 {
         real_utc_ns()
@@ -97,6 +111,9 @@ impl Clock for ScaledClock {
         let now = self.schedule_mono_ns().min(self.limit_mono_ns.load(Ordering::Acquire));
         self.latest_mono_ns.fetch_max(now, Ordering::AcqRel).max(now)
     }
+    fn awake_ns(&self) -> u64 {
+        self.mono_ns()
+    }
     fn utc_ns(&self) -> i64 {
         self.origin_utc_ns + (self.mono_ns() - self.origin_mono_ns) as i64
     }
@@ -109,6 +126,7 @@ impl Clock for ScaledClock {
 #[derive(Debug, Default)]
 pub struct ManualClock {
     mono_ns: AtomicU64,
+    slept_ns: AtomicU64,
     utc_offset_ns: std::sync::atomic::AtomicI64,
 }
 
@@ -116,11 +134,20 @@ impl ManualClock {
     /// A clock whose monotonic time is 0 and whose civil time is `utc_ns`.
     #[must_use]
     pub fn new(utc_ns: i64) -> Self {
-        Self { mono_ns: AtomicU64::new(0), utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns) }
+        Self {
+            mono_ns: AtomicU64::new(0),
+            slept_ns: AtomicU64::new(0),
+            utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns),
+        }
     }
     /// Lets `by` pass.
     pub fn advance(&self, by: Duration) {
         self.mono_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
+    }
+    /// Lets the machine sleep for `by`.
+    pub fn suspend(&self, by: Duration) {
+        self.slept_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
+        self.advance(by);
     }
     /// Steps the civil time without touching the monotonic one.
     pub fn step_utc(&self, by_ns: i64) {
@@ -131,6 +158,9 @@ impl ManualClock {
 impl Clock for ManualClock {
     fn mono_ns(&self) -> u64 {
         self.mono_ns.load(Ordering::Acquire)
+    }
+    fn awake_ns(&self) -> u64 {
+        self.mono_ns() - self.slept_ns.load(Ordering::Acquire)
     }
     fn utc_ns(&self) -> i64 {
         self.utc_offset_ns.load(Ordering::Acquire) + self.mono_ns() as i64

@@ -40,25 +40,40 @@ pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
     if rest.is_empty() {
         return Err(refuse());
     }
-    let mut total_s = 0.0_f64;
+    let mut total_ns = 0_u128;
     while !rest.is_empty() {
         let digits = rest.find(|c: char| !(c.is_ascii_digit() || c == '.')).ok_or_else(refuse)?;
         let (number, tail) = rest.split_at(digits);
         let letters = tail.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(tail.len());
         let (unit, tail) = tail.split_at(letters);
-        let number: f64 = number.parse().map_err(|_| refuse())?;
-        total_s += number
-            * match unit {
-                "d" => 86_400.0,
-                "h" => SECONDS_PER_HOUR,
-                "m" | "min" => 60.0,
-                "s" => 1.0,
-                "ms" => 1e-3,
-                _ => return Err(refuse()),
-            };
+        let unit_ns = match unit {
+            "d" => 86_400 * 1_000_000_000,
+            "h" => 3600 * 1_000_000_000,
+            "m" | "min" => 60 * 1_000_000_000,
+            "s" => 1_000_000_000,
+            "ms" => 1_000_000,
+            _ => return Err(refuse()),
+        };
+        total_ns = times(number, unit_ns).and_then(|ns| total_ns.checked_add(ns)).ok_or_else(refuse)?;
         rest = tail;
     }
-    Duration::try_from_secs_f64((total_s * 1e9).round() / 1e9).map_err(|_| refuse())
+    let seconds = u64::try_from(total_ns / u128::from(NANOS_PER_SECOND)).map_err(|_| refuse())?;
+    Ok(Duration::new(seconds, (total_ns % u128::from(NANOS_PER_SECOND)) as u32))
+}
+
+/// A decimal number times a unit, exactly, rounded to a whole; `None` where it is no number or does not fit.
+fn times(number: &str, unit: u128) -> Option<u128> {
+    /// Digits behind the point that can matter: a unit has at most fourteen.
+    const FRACTION_DIGITS: usize = 18;
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    if whole.is_empty() && fraction.is_empty() || fraction.contains('.') {
+        return None;
+    }
+    let whole: u128 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
+    let fraction = fraction.get(..FRACTION_DIGITS).unwrap_or(fraction);
+    let parts: u128 = if fraction.is_empty() { 0 } else { fraction.parse().ok()? };
+    let scale = 10_u128.pow(fraction.len() as u32);
+    whole.checked_mul(unit)?.checked_add((parts * unit + scale / 2) / scale)
 }
 
 /// Writes a duration the way [`parse_duration`] reads it, in the largest units that lose nothing: `5h`, `1h30m`, `754.45s`.

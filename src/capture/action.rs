@@ -6,6 +6,15 @@ use crate::protocol::{DeviceError, MeasurementKind, Reply};
 use crate::sample::{EventKind, GapCause};
 use std::path::PathBuf;
 
+/// A serial port as it was found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Port {
+    /// The name by which it is opened.
+    pub path: PathBuf,
+    /// What stands behind the name: another text where it is another device, or the same one plugged in anew.
+    pub node: String,
+}
+
 /// What the session wants done.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
@@ -21,6 +30,8 @@ pub enum Action {
     Close,
     /// Frames of this kind are samples from now on, at this rate; `None` is any binary frame or message.
     Accept(MeasurementKind, f64),
+    /// Whether the messages that are accepted next carry a serial count that steps by one for each.
+    Counted(bool),
     /// No samples until the next `Accept`; what is missing until then has this cause.
     Interrupt(GapCause),
     /// Look for frames of any kind: those of the expected kind do not come.
@@ -39,7 +50,7 @@ pub enum Input<'a> {
     /// Time passed.
     Tick,
     /// The ports that were found, best first.
-    Ports(Vec<PathBuf>),
+    Ports(Vec<Port>),
     /// The port is open.
     Opened {
         /// What to say about its latency timer.
@@ -51,12 +62,16 @@ pub enum Input<'a> {
     Disconnected(String),
     /// This many bytes arrived.
     Bytes(usize),
+    /// The host did not run for a while: that nothing was heard meanwhile says nothing.
+    HostStalled,
     /// The sensor answered a command.
     Reply(&'a Reply<'a>),
     /// The sensor reported an error, by itself or to a command.
     DeviceError(DeviceError),
     /// The capture belongs to the sensor with this serial number; `None`: any.
     Expect(Option<String>),
+    /// The sensor spoke at this baud rate in an earlier run of the daemon.
+    GoodBaud(u32),
     /// What the output registers held before an earlier run of the daemon changed them: to be put back in the end.
     Previous(Registers),
     /// End: put back the sensor's output and close.

@@ -6,6 +6,7 @@
 pub mod action;
 pub mod backoff;
 pub mod description;
+pub mod host_watch;
 pub mod output;
 pub mod port;
 mod rate_meter;

@@ -1,6 +1,6 @@
 //! Output: what the sensor shall send, what its registers say it sends, and whether that fits the line. Pure.
 
-use crate::protocol::register::BinaryOutput;
+use crate::protocol::register::{BinaryOutput, CommunicationControl, SyncControl};
 use crate::protocol::{AsciiType, FrameOptions, MeasurementKind, frame_bytes, link, max_rate_hz};
 
 /// What the sensor shall send.
@@ -50,6 +50,53 @@ pub(super) fn binary_output(register: u16, values: &str) -> Option<(MeasurementK
 /// The message with this number in register 6; `None` for 0 (off) and numbers that a VN-100 does not have.
 pub(super) fn ascii_kind(number: u8) -> Option<MeasurementKind> {
     AsciiType::from_id(number).map(MeasurementKind::Ascii)
+}
+
+/// Register 32's SyncOutMode for a pulse at each start of an IMU sample, of which every (skip factor + 1)th is counted.
+const SYNC_OUT_IMU: u32 = 1;
+/// Register 32's SyncOutMode where the pin drives nothing: off, or the pulse of a GPS receiver, which a VN-100 lacks.
+const SYNC_OUT_FREE: [u32; 2] = [0, 6];
+/// Register 30's SerialCount for the SyncOut counter.
+const SERIAL_COUNT_SYNC_OUT: u8 = 3;
+
+/// The skip factor with which the SyncOut counter steps by one for each message at this rate.
+fn skip_factor(rate_hz: f64) -> Option<u32> {
+    let samples = f64::from(link::INTERNAL_RATE_HZ) / rate_hz;
+    (samples >= 1.0 && samples.fract() == 0.0).then(|| samples as u32 - 1)
+}
+
+/// Whether messages at this rate carry a count that steps by one for each, as registers 30 and 32 say.
+pub(super) fn counts_messages(communication: &str, synchronization: &str, rate_hz: f64) -> bool {
+    let Ok(communication) = CommunicationControl::parse(communication) else { return false };
+    let Ok(synchronization) = SyncControl::parse(synchronization) else { return false };
+    communication.serial_count == SERIAL_COUNT_SYNC_OUT
+        && synchronization.sync_out_mode == SYNC_OUT_IMU
+        && Some(synchronization.sync_out_skip_factor) == skip_factor(rate_hz)
+}
+
+/// What registers 32 and 30 must hold so that the sensor numbers its messages; nothing where they do, or where the SyncOut
+/// pin or the count is in use for something else.
+pub(super) fn serial_count(communication: &str, synchronization: &str, rate_hz: f64) -> Vec<(u16, String)> {
+    let (Ok(mut communication), Ok(mut synchronization), Some(skip)) =
+        (CommunicationControl::parse(communication), SyncControl::parse(synchronization), skip_factor(rate_hz))
+    else {
+        return Vec::new();
+    };
+    let count_is_free = communication.serial_count == 0 || communication.serial_count == SERIAL_COUNT_SYNC_OUT;
+    let pin_is_free = SYNC_OUT_FREE.contains(&synchronization.sync_out_mode);
+    let pin_is_right = synchronization.sync_out_mode == SYNC_OUT_IMU && synchronization.sync_out_skip_factor == skip;
+    let mut writes = Vec::new();
+    if count_is_free && (pin_is_free || pin_is_right) {
+        if !pin_is_right {
+            (synchronization.sync_out_mode, synchronization.sync_out_skip_factor) = (SYNC_OUT_IMU, skip);
+            writes.push((32, synchronization.to_string()));
+        }
+        if communication.serial_count == 0 {
+            communication.serial_count = SERIAL_COUNT_SYNC_OUT;
+            writes.push((30, communication.to_string()));
+        }
+    }
+    writes
 }
 
 /// Whether frames of this kind at this rate fit a line of this baud rate.

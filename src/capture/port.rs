@@ -1,6 +1,7 @@
 //! Ports: finds the sensor's serial port, opens it for this process alone, sets baud rate and latency.
 //! The only user of `tokio_serial`.
 
+use super::action::Port;
 use std::path::{Path, PathBuf};
 use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
 
@@ -103,6 +104,21 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
         }
     }
     found
+}
+
+/// The same, with what stands behind each name.
+#[must_use]
+pub fn look(device: Option<&str>) -> Vec<Port> {
+    find(device).into_iter().map(|path| Port { node: node(&path), path }).collect()
+}
+
+/// The device behind a name: where it is and when it was made there.
+fn node(path: &Path) -> String {
+    use std::os::unix::fs::MetadataExt as _;
+    let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let made = std::fs::metadata(&target)
+        .map_or(0, |data| i128::from(data.ctime()) * 1_000_000_000 + i128::from(data.ctime_nsec()));
+    format!("{} {made}", target.display())
 }
 
 /// Opens the port for this process alone (TIOCEXCL and `flock`), raw, 8N1, at `baud`.

@@ -4,14 +4,18 @@
 //! (contract, section 2). A gap that reaches beyond the planned end is cut there; what arrives later is no part of the
 //! capture.
 
+use crate::observe::Tally;
 use crate::sample::accounting::Position;
 use crate::sample::record::CaptureEnd;
 use crate::sample::{
     Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, Record, Sample, Timebase,
 };
 use crate::units::period_ns;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
+/// Silence that is an outage when the capture is stopped by hand: this long, ns, and this many periods.
+const OUTAGE_NS: f64 = 1e9;
+const OUTAGE_PERIODS: f64 = 20.0;
 /// Silence after which an absent sensor is held to be absent until the planned end, ns.
 const PATIENCE_NS: u64 = 5_000_000_000;
 
@@ -37,6 +41,10 @@ pub struct ResumePoint {
     pub epoch: u32,
     /// Samples received and committed.
     pub samples: u64,
+    /// Valid measurements received, as of the last commit.
+    pub received: u64,
+    /// Of these, how many did not become a sample, by cause.
+    pub discarded: BTreeMap<DiscardCause, u64>,
     /// Samples missing.
     pub missing: u64,
     /// Gaps.
@@ -49,6 +57,8 @@ pub struct ResumePoint {
     pub rate_hz: Option<f64>,
     /// Serial number of the capture's sensor.
     pub serial_number: Option<String>,
+    /// Its baud rate.
+    pub baud: Option<u32>,
     /// What the sensor's output registers held before the capture changed them, by number.
     pub previous_output: BTreeMap<u16, String>,
 }
@@ -77,7 +87,21 @@ pub struct Recorder {
     accountant: Option<Accountant>,
     resume: Option<ResumePoint>,
     counts: Counts,
+    /// Counted where measurements come in, before anything decides about them.
+    received: u64,
+    /// Samples that an earlier run of the daemon committed.
+    base: u64,
+    /// Measurements that did not become a sample, by cause, in the order of [`DiscardCause::ALL`].
+    dropped: [u64; DiscardCause::ALL.len()],
+    /// Bytes and broken frames that are not written down yet.
     discarded: BTreeMap<DiscardCause, u64>,
+    /// Measurements that did not become a sample and are not written down yet: number, cause, count. They are written
+    /// down before the next sample, so that `received` of a commit is always that of its rows and discards.
+    frames: VecDeque<(u64, DiscardCause, u64)>,
+    /// Rate of the segment that is written, Hz.
+    rate_hz: Option<f64>,
+    /// The capture ends once what is at hand is sorted.
+    ending: Option<(CaptureEnd, i64)>,
     ended: bool,
     host_jitter_ns: f64,
     scratch: Vec<Record>,
@@ -96,12 +120,22 @@ impl Recorder {
             last_mono_ns: None,
             gap_open_since_utc_ns: point.last.map(|last| last.host_utc_ns),
         });
+        let mut dropped = [0; DiscardCause::ALL.len()];
+        for (cause, count) in resume.iter().flat_map(|point| &point.discarded) {
+            dropped[*cause as usize] = *count;
+        }
         Self {
             plan,
             accountant: None,
+            received: resume.as_ref().map_or(0, |point| point.received),
+            base: counts.samples,
+            dropped,
+            rate_hz: resume.as_ref().and_then(|point| point.rate_hz),
             resume,
             counts,
             discarded: BTreeMap::new(),
+            frames: VecDeque::new(),
+            ending: None,
             ended: false,
             host_jitter_ns,
             scratch: Vec::new(),
@@ -124,9 +158,8 @@ impl Recorder {
         self.ended
     }
 
-    /// Samples of this rate follow; with the sensor's clock or without.
-    pub fn accept(&mut self, rate_hz: f64, device_time: bool, out: &mut Vec<Record>) {
-        let timebase = if device_time { Timebase::Device } else { Timebase::Arrival };
+    /// Samples of this rate follow, with times that rest on this.
+    pub fn accept(&mut self, rate_hz: f64, timebase: Timebase, out: &mut Vec<Record>) {
         match &mut self.accountant {
             Some(accountant) => {
                 accountant.change(rate_hz, timebase, &mut self.scratch);
@@ -157,6 +190,13 @@ impl Recorder {
         }
     }
 
+    /// The host stood or slept: gaps that show until then are its doing.
+    pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.blame_host(cause, until_mono_ns);
+        }
+    }
+
     /// Something that may explain the next gap.
     pub fn suspect(&mut self, cause: GapCause) {
         if let Some(accountant) = &mut self.accountant {
@@ -164,19 +204,72 @@ impl Recorder {
         }
     }
 
-    /// Something arrived that is no sample.
+    /// Where every measurement is that was received, as of now.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        Tally {
+            capture_id: self.plan.id,
+            received: self.received,
+            samples: self.counts.samples,
+            held: self.accountant.as_ref().map_or(0, Accountant::held),
+            base: self.base,
+            dropped: self.dropped,
+        }
+    }
+
+    /// The run of the sensor's clock that is under way; `None` before the first sample.
+    #[must_use]
+    pub fn epoch(&self) -> Option<u32> {
+        self.accountant.as_ref().filter(|accountant| accountant.last().is_some()).map(Accountant::epoch)
+    }
+
+    /// Rate and timebase of the stream as the capture sees it.
+    #[must_use]
+    pub fn stream(&self) -> Option<(f64, Timebase)> {
+        self.accountant.as_ref().map(|accountant| (accountant.rate_hz(), accountant.timebase()))
+    }
+
+    /// Bytes arrived that are no measurement, or a broken one.
     pub fn discard(&mut self, cause: DiscardCause, count: u64) {
         if count > 0 {
             *self.discarded.entry(cause).or_insert(0) += count;
         }
     }
 
-    /// Takes a sample.
-    pub fn sample(&mut self, sample: Sample, out: &mut Vec<Record>) {
-        if self.ended {
+    /// A valid measurement arrived that does not become a sample.
+    pub fn refuse(&mut self, cause: DiscardCause) {
+        self.received += 1;
+        self.drop_frame(self.received, cause);
+    }
+
+    fn drop_frame(&mut self, frame: u64, cause: DiscardCause) {
+        self.dropped[cause as usize] += 1;
+        if self.frames.back().is_some_and(|(last, ..)| *last > frame) {
+            // It was held while later ones were refused.
+            let place = self.frames.partition_point(|(number, ..)| *number < frame);
+            self.frames.insert(place, (frame, cause, 1));
             return;
         }
-        let Some(accountant) = &mut self.accountant else { return };
+        match self.frames.back_mut() {
+            Some((last, of, count)) if *of == cause && *last + 1 == frame => {
+                (*last, *count) = (frame, *count + 1);
+            }
+            _ => self.frames.push_back((frame, cause, 1)),
+        }
+    }
+
+    /// Takes a sample.
+    pub fn sample(&mut self, mut sample: Sample, out: &mut Vec<Record>) {
+        if self.ended {
+            self.refuse(DiscardCause::AfterEnd);
+            return;
+        }
+        let Some(accountant) = &mut self.accountant else {
+            self.refuse(DiscardCause::Probing);
+            return;
+        };
+        self.received += 1;
+        sample.frame = self.received;
         if self.counts.last_mono_ns.is_none() {
             let (kind, message) = match self.counts.samples {
                 0 => (EventKind::CaptureStarted, format!("capture `{}` has its first sample", self.plan.name)),
@@ -189,8 +282,9 @@ impl Recorder {
         self.counts.last_mono_ns = Some(sample.host_mono_ns);
         let utc_ns = sample.host_utc_ns;
         match accountant.observe(sample, &mut self.scratch) {
-            Observation::Taken => {}
-            Observation::Duplicate => self.discard(DiscardCause::Duplicate, 1),
+            Observation::Taken | Observation::RateChanged { .. } => {}
+            Observation::Duplicate => self.drop_frame(self.received, DiscardCause::Duplicate),
+            Observation::OutOfOrder => self.drop_frame(self.received, DiscardCause::OutOfOrder),
             Observation::AfterReset => out.push(Record::Event(EventRecord {
                 utc_ns,
                 kind: EventKind::SensorReset,
@@ -207,20 +301,12 @@ impl Recorder {
         if self.ended {
             return;
         }
-        // Since this run of the daemon has heard a sample its own clock tells how long ago that was; before, only civil
-        // time does.
-        let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
-        let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
-        let Some((last, rate_hz)) = known.or(resumed) else { return };
-        let silence_ns = match self.counts.last_mono_ns {
-            Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
-            None => (now_utc_ns - last.host_utc_ns) as f64,
-        };
+        let Some((last, rate_hz, silence_ns)) = self.silence(now_mono_ns, now_utc_ns) else { return };
         let period = period_ns(rate_hz);
         let left_ns = self.plan.duration_ns as f64 - self.counts.elapsed_ns;
         if silence_ns > left_ns + (PATIENCE_NS as f64).max(self.host_jitter_ns) + 2.0 * period {
             if self.accountant.is_none() {
-                self.accept(rate_hz, last.device_time_ns.is_some(), out);
+                self.accept(rate_hz, timebase_of(&last), out);
             }
             let missing = (left_ns / period).round() as u64;
             let to_utc_ns = last.host_utc_ns + (left_ns + period) as i64;
@@ -231,15 +317,46 @@ impl Recorder {
         }
     }
 
-    /// Ends the capture before its time, at its last sample.
-    pub fn stop(&mut self, utc_ns: i64, out: &mut Vec<Record>) {
+    /// Ends the capture before its time: at its last sample, or where the sensor is away, with a gap up to now.
+    pub fn stop(&mut self, now_mono_ns: u64, now_utc_ns: i64, out: &mut Vec<Record>) {
+        if let Some((last, rate_hz, silence_ns)) = self.silence(now_mono_ns, now_utc_ns)
+            && !self.ended
+        {
+            let period = period_ns(rate_hz);
+            let away = self.accountant.as_ref().is_none_or(|accountant| accountant.interruption().is_some());
+            let missing = (silence_ns / period).floor();
+            if missing >= 1.0 && (away || silence_ns > OUTAGE_NS.max(OUTAGE_PERIODS * period).max(self.host_jitter_ns))
+            {
+                if self.accountant.is_none() {
+                    self.accept(rate_hz, timebase_of(&last), out);
+                }
+                if let Some(accountant) = &mut self.accountant {
+                    let to_utc_ns = last.host_utc_ns.saturating_add(silence_ns as i64);
+                    accountant.close_with_gap(missing as u64, to_utc_ns, &mut self.scratch);
+                }
+            }
+        }
         if let Some(accountant) = &mut self.accountant {
             accountant.settle(&mut self.scratch);
-            self.forward(out);
         }
+        self.forward(out);
         if !self.ended {
-            self.end(CaptureEnd::Stopped, utc_ns, out);
+            self.end(CaptureEnd::Stopped, now_utc_ns);
+            self.finish(out);
         }
+    }
+
+    /// The last sample, the rate, and how long ago that sample came, ns: since this run of the daemon has heard one its
+    /// own clock tells; before, only civil time does.
+    fn silence(&self, now_mono_ns: u64, now_utc_ns: i64) -> Option<(Position, f64, f64)> {
+        let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
+        let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
+        let (last, rate_hz) = known.or(resumed)?;
+        let silence_ns = match self.counts.last_mono_ns {
+            Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
+            None => (now_utc_ns - last.host_utc_ns).max(0) as f64,
+        };
+        Some((last, rate_hz, silence_ns))
     }
 
     /// Writes down what the accountant still holds; the capture goes on later.
@@ -251,14 +368,29 @@ impl Recorder {
         self.write_discards(out);
     }
 
-    fn write_discards(&mut self, out: &mut Vec<Record>) {
+    /// Writes down what did not become a sample, up to the first measurement that is still held.
+    pub fn write_discards(&mut self, out: &mut Vec<Record>) {
         for (cause, count) in std::mem::take(&mut self.discarded) {
+            out.push(Record::Discarded { cause, count });
+        }
+        self.write_frames(self.accountant.as_ref().and_then(Accountant::held_from).unwrap_or(u64::MAX), out);
+    }
+
+    /// Writes down the measurements before `frame` that did not become a sample.
+    fn write_frames(&mut self, frame: u64, out: &mut Vec<Record>) {
+        while let Some((_, cause, count)) = self.frames.pop_front_if(|(number, ..)| *number < frame) {
             out.push(Record::Discarded { cause, count });
         }
     }
 
-    fn end(&mut self, how: CaptureEnd, utc_ns: i64, out: &mut Vec<Record>) {
+    fn end(&mut self, how: CaptureEnd, utc_ns: i64) {
         self.ended = true;
+        self.ending = Some((how, utc_ns));
+    }
+
+    /// Writes down the end, once what was at hand is sorted.
+    fn finish(&mut self, out: &mut Vec<Record>) {
+        let Some((how, utc_ns)) = self.ending.take() else { return };
         self.write_discards(out);
         let words = match how {
             CaptureEnd::Complete => "is complete",
@@ -280,21 +412,42 @@ impl Recorder {
     /// Passes on what the accountant wrote, up to the planned end.
     fn forward(&mut self, out: &mut Vec<Record>) {
         let records = std::mem::take(&mut self.scratch);
-        let Some(rate_hz) = self.accountant.as_ref().map(Accountant::rate_hz) else { return };
-        let period = period_ns(rate_hz);
+        for (frame, cause) in self.accountant.as_mut().map(Accountant::take_refused).unwrap_or_default() {
+            self.drop_frame(frame, cause);
+        }
         for record in records {
+            // A gap has the rate of what was before it.
+            let Some(rate_hz) = self.rate_hz.or(self.accountant.as_ref().map(Accountant::rate_hz)) else { return };
+            let period = period_ns(rate_hz);
             if self.ended {
                 // What comes after the end is no part of the capture.
+                if let Record::Sample { sample, .. } = &record {
+                    self.drop_frame(sample.frame, DiscardCause::AfterEnd);
+                }
                 continue;
             }
             match record {
+                Record::Segment(ref segment) => {
+                    if let Some(from_hz) = self.rate_hz.replace(segment.rate_hz).filter(|rate| *rate != segment.rate_hz)
+                    {
+                        let to_hz = segment.rate_hz;
+                        out.push(Record::Event(EventRecord {
+                            utc_ns: segment.first_utc_ns,
+                            kind: EventKind::Warning,
+                            message: format!("the rate changed from {from_hz} to {to_hz} Hz: a new segment begins"),
+                            detail: Some(serde_json::json!({"from_hz": from_hz, "to_hz": to_hz})),
+                        }));
+                    }
+                    out.push(record);
+                }
                 Record::Sample { ref sample, .. } => {
                     let utc_ns = sample.host_utc_ns;
+                    self.write_frames(sample.frame, out);
                     self.counts.samples += 1;
                     self.counts.elapsed_ns += period;
                     self.counts.gap_open_since_utc_ns = None;
                     out.push(record);
-                    self.end_if_full(period, utc_ns, out);
+                    self.end_if_full(period, utc_ns);
                 }
                 Record::Gap(mut gap) => {
                     let left =
@@ -310,17 +463,27 @@ impl Recorder {
                     self.counts.elapsed_ns += gap.missing as f64 * period;
                     let utc_ns = gap.to_utc_ns;
                     out.push(Record::Gap(gap));
-                    self.end_if_full(period, utc_ns, out);
+                    self.end_if_full(period, utc_ns);
                 }
                 other => out.push(other),
             }
         }
+        self.finish(out);
     }
 
-    fn end_if_full(&mut self, period: f64, utc_ns: i64, out: &mut Vec<Record>) {
+    fn end_if_full(&mut self, period: f64, utc_ns: i64) {
         if self.counts.elapsed_ns + 0.5 * period > self.plan.duration_ns as f64 {
-            self.end(CaptureEnd::Complete, utc_ns, out);
+            self.end(CaptureEnd::Complete, utc_ns);
         }
+    }
+}
+
+/// What the times of a capture rest on whose last sample stood there.
+fn timebase_of(last: &Position) -> Timebase {
+    match (last.device_time_ns, last.sync_count) {
+        (Some(_), _) => Timebase::Device,
+        (None, Some(_)) => Timebase::SyncCounter,
+        (None, None) => Timebase::Arrival,
     }
 }
 
@@ -342,7 +505,7 @@ mod tests {
     fn recorder(seconds: u64) -> Recorder {
         let plan = Plan { id: 1, name: "night".into(), duration_ns: seconds * 1_000_000_000, start_at_utc_ns: None };
         let mut recorder = Recorder::new(plan, None, 0.0);
-        recorder.accept(40.0, true, &mut Vec::new());
+        recorder.accept(40.0, Timebase::Device, &mut Vec::new());
         recorder
     }
 
@@ -392,7 +555,7 @@ mod tests {
         recorder.sample(sample(0), &mut out);
         recorder.sample(sample(0), &mut out);
         recorder.discard(DiscardCause::Checksum, 2);
-        recorder.stop(5, &mut out);
+        recorder.stop(1_000_000_005, 5, &mut out);
         assert!(out.contains(&Record::Discarded { cause: DiscardCause::Duplicate, count: 1 }));
         assert!(out.contains(&Record::Discarded { cause: DiscardCause::Checksum, count: 2 }));
         assert_eq!(out.last(), Some(&Record::Ended { how: CaptureEnd::Stopped, utc_ns: 5 }));
@@ -406,16 +569,20 @@ mod tests {
             segments: 1,
             epoch: 1,
             samples: 100,
+            received: 100,
+            discarded: BTreeMap::new(),
             missing: 0,
             gaps: 0,
             elapsed_ns: 100 * PERIOD_NS,
             last: Some(Position {
                 device_time_ns: last.device_time_ns,
+                sync_count: None,
                 host_mono_ns: 0,
                 host_utc_ns: last.host_utc_ns,
             }),
             rate_hz: Some(40.0),
             serial_number: None,
+            baud: None,
             previous_output: BTreeMap::new(),
         };
         let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
@@ -434,20 +601,24 @@ mod tests {
             segments: 1,
             epoch: 1,
             samples: 300,
+            received: 300,
+            discarded: BTreeMap::new(),
             missing: 0,
             gaps: 0,
             elapsed_ns: 300 * PERIOD_NS,
             last: Some(Position {
                 device_time_ns: last.device_time_ns,
+                sync_count: None,
                 host_mono_ns: 0,
                 host_utc_ns: last.host_utc_ns,
             }),
             rate_hz: Some(40.0),
             serial_number: None,
+            baud: None,
             previous_output: BTreeMap::new(),
         };
         let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
-        recorder.accept(40.0, true, &mut out);
+        recorder.accept(40.0, Timebase::Device, &mut out);
         for tick in 320..500 {
             recorder.sample(sample(tick), &mut out);
         }

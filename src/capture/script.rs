@@ -83,6 +83,10 @@ impl Script {
     pub fn refused(&self) -> &BTreeMap<String, DeviceError> {
         &self.refused
     }
+    /// Answers may take their full time from now on: nobody could have heard them before.
+    pub fn forgive(&mut self, now_ns: u64) {
+        self.sent_ns = self.sent_ns.map(|_| now_ns);
+    }
     /// When the command under way is due, ns.
     #[must_use]
     pub fn deadline_ns(&self) -> u64 {

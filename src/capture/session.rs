@@ -7,14 +7,15 @@
 //!    └──────────┴── Backoff ◄┴───────────────────┴──────────────────────────────┴────────────┘   └► Stalled
 //! ```
 //!
-//! Promises: an absent port is looked for every [`LOOK_NS`]; a wait in `Backoff` never exceeds [`super::backoff::LONGEST`];
+//! Promises: ports are looked for every [`LOOK_NS`] whenever none is open, and one that came, went or is another ends any
+//! wait; a wait in `Backoff` never exceeds [`super::backoff::LONGEST`], with a sensor that is known and silent a second;
 //! the sensor's flash is never written; every state ends by itself.
 
-use super::action::{Action, Input};
+use super::action::{Action, Input, Port};
 use super::backoff::Backoff;
 use super::description::{Registers, describe};
-use super::output::{Output, ascii_kind, binary_output, check_fit, is_binary};
-use super::port::{Latency, OpenError};
+use super::output::{Output, ascii_kind, binary_output, check_fit, counts_messages, is_binary, serial_count};
+use super::port::Latency;
 use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
@@ -22,17 +23,18 @@ use crate::protocol::{ChecksumKind, Command, MeasurementKind};
 use crate::sample::{EventKind, GapCause};
 use crate::units::period_ns;
 use rand_chacha::ChaCha8Rng;
-use std::path::PathBuf;
+
+mod connect;
 
 /// How often an absent port is looked for, ns.
 pub const LOOK_NS: u64 = 500_000_000;
-/// How long a baud rate is listened to before the next one is tried, ns.
-const SCAN_NS: u64 = 600_000_000;
 /// Silence that means `stalled`: this long, but at least [`STALL_PERIODS`] periods.
 const STALL_NS: f64 = 1e9;
 const STALL_PERIODS: f64 = 20.0;
 /// Silence after which the port is closed and opened again, ns (but at least 100 periods).
 const REOPEN_NS: f64 = 5e9;
+/// The same where bytes arrive that form no frame (but at least 40 periods).
+const GARBLED_NS: f64 = 2e9;
 /// How long frames of another kind are tolerated before the output is configured again, ns.
 const FOREIGN_NS: u64 = 300_000_000;
 /// How long a sensor of unknown rate is listened to, ns.
@@ -59,7 +61,7 @@ pub struct SessionOptions {
 enum Phase {
     Absent,
     Opening,
-    Scanning { index: usize, until_ns: u64, heard: bool, valid: bool },
+    Scanning { index: usize, since_ns: u64, heard: bool, valid: bool },
     Identifying,
     Describing,
     Configuring,
@@ -81,7 +83,7 @@ pub struct Session {
     status: SensorStatus,
     next_look_ns: u64,
     /// Ports of the last look and which of them is tried.
-    ports: Vec<PathBuf>,
+    ports: Vec<Port>,
     port_index: usize,
     /// Ports that failed in succession since the last success.
     failed_ports: usize,
@@ -101,6 +103,8 @@ pub struct Session {
     /// A sample has come since streaming began.
     flowing: bool,
     heard_any: bool,
+    /// Bytes came at the baud rate that worked last, and were no frames.
+    good_is_garbled: bool,
     stopping: bool,
 }
 
@@ -131,6 +135,7 @@ impl Session {
             foreign_since_ns: None,
             flowing: false,
             heard_any: false,
+            good_is_garbled: false,
             stopping: false,
         }
     }
@@ -147,9 +152,10 @@ impl Session {
         match &self.phase {
             Phase::Absent => self.next_look_ns,
             Phase::Opening | Phase::Ended => u64::MAX,
-            Phase::Scanning { until_ns, .. } => (*until_ns).min(self.script.deadline_ns()),
+            Phase::Scanning { .. } => self.scan_end_ns().min(self.script.deadline_ns()),
             Phase::Identifying | Phase::Describing | Phase::Configuring | Phase::Restoring => self.script.deadline_ns(),
-            Phase::Measuring { until_ns, .. } | Phase::Backoff { until_ns } => *until_ns,
+            Phase::Measuring { until_ns, .. } => *until_ns,
+            Phase::Backoff { until_ns } => (*until_ns).min(self.next_look_ns),
             Phase::Streaming => {
                 let warned = matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames);
                 let silence = if warned { self.reopen_ns() } else { self.stall_ns() };
@@ -170,7 +176,9 @@ impl Session {
             Phase::Streaming => {}
             // A valid frame tells the baud rate even where the sensor does not answer.
             Phase::Scanning { valid, .. } => {
-                *valid = true;
+                if !std::mem::replace(valid, true) {
+                    self.ask(now_ns, actions);
+                }
                 return false;
             }
             Phase::Measuring { meter, .. } => {
@@ -240,8 +248,8 @@ impl Session {
             Input::Bytes(count) => {
                 self.bytes_since_sample = self.bytes_since_sample.saturating_add(count);
                 self.heard_any |= count > 0;
-                if let Phase::Scanning { heard, .. } = &mut self.phase {
-                    *heard |= count > 0;
+                if count > 0 {
+                    self.heard(now_ns);
                 }
             }
             Input::Reply(reply) => {
@@ -257,10 +265,20 @@ impl Session {
                 }
             }
             Input::Expect(serial) => self.expected_serial = serial,
+            Input::GoodBaud(baud) => {
+                self.last_good_baud.get_or_insert(baud);
+            }
             Input::Previous(registers) => {
                 if !registers.is_empty() {
                     self.previous = registers;
                     self.previous_of.clone_from(&self.expected_serial);
+                }
+            }
+            Input::HostStalled => {
+                self.last_sample_ns = now_ns;
+                self.script.forgive(now_ns);
+                if let Phase::Scanning { since_ns, .. } = &mut self.phase {
+                    *since_ns = now_ns;
                 }
             }
             Input::Stop => self.stop(now_ns, actions),
@@ -278,10 +296,12 @@ impl Session {
         (STALL_NS.max(STALL_PERIODS * period) as u64).max(self.options.host_jitter_ns)
     }
 
-    /// Silence in ns after which the port is closed and opened again.
+    /// Silence in ns after which the port is closed and opened again: bytes that form no frame need another baud rate.
     fn reopen_ns(&self) -> u64 {
         let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
-        (REOPEN_NS.max(5.0 * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
+        let garbled = self.status.state == SensorState::NoValidFrames;
+        let (least, periods) = if garbled { (GARBLED_NS, 2.0) } else { (REOPEN_NS, 5.0) };
+        (least.max(periods * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
     }
 
     fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
@@ -290,13 +310,19 @@ impl Session {
                 self.next_look_ns = now_ns + LOOK_NS;
                 actions.push(Action::Look);
             }
-            Phase::Backoff { until_ns } if now_ns >= *until_ns => {
-                self.phase = Phase::Absent;
-                self.next_look_ns = now_ns + LOOK_NS;
-                actions.push(Action::Look);
+            Phase::Backoff { until_ns } => {
+                let (over, look) = (now_ns >= *until_ns, now_ns >= self.next_look_ns);
+                if over {
+                    self.phase = Phase::Absent;
+                }
+                // A port that went or came meanwhile does not wait.
+                if over || look {
+                    self.next_look_ns = now_ns + LOOK_NS;
+                    actions.push(Action::Look);
+                }
             }
-            Phase::Scanning { until_ns, .. } => {
-                if now_ns >= *until_ns {
+            Phase::Scanning { .. } => {
+                if now_ns >= self.scan_end_ns() {
                     self.scan_next(now_ns, actions);
                 } else {
                     self.script.tick(now_ns, actions);
@@ -312,155 +338,6 @@ impl Session {
         }
     }
 
-    fn found(&mut self, ports: Vec<PathBuf>, actions: &mut Vec<Action>) {
-        if self.phase != Phase::Absent || self.stopping {
-            return;
-        }
-        if ports != self.ports {
-            self.ports = ports;
-            self.port_index = 0;
-            self.failed_ports = 0;
-            self.backoff.reset();
-        }
-        let Some(path) = self.ports.get(self.port_index % self.ports.len().max(1)).cloned() else {
-            let hint = "no serial port is there: plug the sensor in, it is looked for all the time";
-            self.set_state(SensorState::Absent, Some(hint.to_owned()));
-            return;
-        };
-        self.status.port = Some(path.display().to_string());
-        if self.failed_ports == 0 {
-            self.set_state(SensorState::Opening, None);
-        }
-        self.phase = Phase::Opening;
-        let baud = self.bauds().first().copied().unwrap_or(115_200);
-        actions.push(Action::Open(path, baud));
-    }
-
-    /// Baud rates in the order to try: the one that worked last comes first.
-    fn bauds(&self) -> Vec<u32> {
-        let mut bauds = self.options.bauds.clone();
-        if let Some(good) = self.last_good_baud {
-            bauds.retain(|baud| *baud != good);
-            bauds.insert(0, good);
-        }
-        bauds
-    }
-
-    fn opened(&mut self, now_ns: u64, latency: Latency, actions: &mut Vec<Action>) {
-        if self.stopping {
-            self.end(actions);
-            return;
-        }
-        self.latency = latency;
-        self.registers.clear();
-        self.heard_any = false;
-        if self.failed_ports == 0 {
-            self.set_state(SensorState::Probing, None);
-        }
-        self.scan(now_ns, 0, actions);
-    }
-
-    fn scan(&mut self, now_ns: u64, index: usize, actions: &mut Vec<Action>) {
-        self.status.baud = self.bauds().get(index).copied();
-        self.phase = Phase::Scanning {
-            index,
-            until_ns: now_ns + SCAN_NS.max(2 * self.options.host_jitter_ns),
-            heard: false,
-            valid: false,
-        };
-        self.script.begin(now_ns, vec![Step::optional(Command::read(1))], actions);
-    }
-
-    /// Nobody answered at this baud rate.
-    fn scan_next(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
-        let Phase::Scanning { index, valid, .. } = self.phase else { return };
-        if valid {
-            if self.options.output == Output::Keep {
-                self.last_good_baud = self.status.baud;
-                self.measure(now_ns);
-            } else {
-                let hint = "the sensor sends but does not answer commands: check the line from the host to the sensor, or set `output = \"keep\"` to record what it sends";
-                self.fail(now_ns, SensorState::Backoff, hint.to_owned(), actions);
-            }
-            return;
-        }
-        let bauds = self.bauds();
-        if let Some(baud) = bauds.get(index + 1) {
-            actions.push(Action::SetBaud(*baud));
-            self.scan(now_ns, index + 1, actions);
-        } else if self.heard_any {
-            let tried = bauds.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-            let hint = format!(
-                "bytes arrive, but no valid frame at any of the baud rates {tried}: is this a VN-100, and is its baud rate among these?"
-            );
-            self.fail(now_ns, SensorState::NoValidFrames, hint, actions);
-        } else {
-            let hint = "the port opens, but nothing answers at any baud rate: check power and cable (port 1 of the Rugged is RS-232, port 2 is 3 V TTL)";
-            self.fail(now_ns, SensorState::Stalled, hint.to_owned(), actions);
-        }
-    }
-
-    fn open_failed(&mut self, now_ns: u64, error: &OpenError, actions: &mut Vec<Action>) {
-        if self.stopping {
-            self.end(actions);
-            return;
-        }
-        let state = match error {
-            OpenError::Gone { .. } => SensorState::Absent,
-            OpenError::Busy { .. } => SensorState::PortBusy,
-            OpenError::Permission { .. } => SensorState::NoPermission,
-            OpenError::Other { .. } => SensorState::Backoff,
-        };
-        self.fail(now_ns, state, error.to_string(), actions);
-    }
-
-    /// This try failed: say so once, close, and wait; with several ports the next one has its turn first.
-    fn fail(&mut self, now_ns: u64, state: SensorState, hint: String, actions: &mut Vec<Action>) {
-        self.script.clear();
-        self.failed_ports += 1;
-        self.port_index += 1;
-        actions.push(Action::Close);
-        if self.status.hint.as_ref() != Some(&hint) {
-            actions.push(Action::Event(EventKind::Warning, hint.clone()));
-        }
-        self.set_state(state, Some(hint));
-        if state == SensorState::Absent {
-            self.phase = Phase::Absent;
-            self.next_look_ns = now_ns + LOOK_NS;
-        } else if !self.failed_ports.is_multiple_of(self.ports.len().max(1)) {
-            self.phase = Phase::Absent;
-            self.next_look_ns = now_ns;
-        } else {
-            let wait = self.backoff.next(&mut self.random);
-            self.phase = Phase::Backoff { until_ns: now_ns + wait.as_nanos() as u64 };
-        }
-    }
-
-    fn disconnected(&mut self, now_ns: u64, reason: &str, actions: &mut Vec<Action>) {
-        if self.stopping {
-            self.end(actions);
-            return;
-        }
-        actions.push(Action::Interrupt(GapCause::Unplugged));
-        if !self.flowing {
-            // Gone before a sample came: a port that only ever says so must not cost a core.
-            self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
-            return;
-        }
-        self.flowing = false;
-        self.script.clear();
-        let port = self.status.port.clone().unwrap_or_default();
-        actions.push(Action::Event(EventKind::SensorLost, format!("{port} is gone: {reason}")));
-        actions.push(Action::Close);
-        self.set_state(
-            SensorState::Absent,
-            Some(format!("{port} is gone: plug the sensor in, it is looked for all the time")),
-        );
-        self.phase = Phase::Absent;
-        // The kernel gives the name free only once the port is closed.
-        self.next_look_ns = now_ns + LOOK_NS / 5;
-    }
-
     /// The script under way has moved: go on to the next phase where it is done.
     fn advance(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         if let Some(failure) = self.script.failure() {
@@ -472,17 +349,16 @@ impl Session {
             }
             return;
         }
+        if let (Phase::Scanning { .. }, Some(model)) = (&self.phase, self.script.read().get(&1)) {
+            self.status.model = Some(model.clone());
+            self.last_good_baud = self.status.baud;
+            self.identify(now_ns, actions);
+            return;
+        }
         if !self.script.is_done() {
             return;
         }
         match self.phase {
-            Phase::Scanning { .. } => {
-                if let Some(model) = self.script.read().get(&1) {
-                    self.status.model = Some(model.clone());
-                    self.last_good_baud = self.status.baud;
-                    self.identify(now_ns, actions);
-                }
-            }
             Phase::Identifying => self.identified(now_ns, actions),
             Phase::Describing => {
                 let read = self.script.read().clone();
@@ -491,7 +367,17 @@ impl Session {
             }
             Phase::Configuring => self.configured(now_ns, actions),
             Phase::Restoring => self.end(actions),
+            Phase::Streaming => self.recognise(now_ns, actions),
             _ => {}
+        }
+    }
+
+    /// A sensor that fell silent has answered: another one than before is found out from the beginning.
+    fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let found = self.script.read().get(&3).cloned();
+        if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
+            actions.push(Action::Interrupt(GapCause::Silent));
+            self.identify(now_ns, actions);
         }
     }
 
@@ -543,8 +429,10 @@ impl Session {
             return;
         }
         if self.previous.is_empty() {
+            let messages = matches!(self.options.output, Output::Ascii { .. });
             self.previous = OUTPUT_REGISTERS
                 .into_iter()
+                .chain(COUNT_REGISTERS.into_iter().filter(|_| messages))
                 .filter_map(|register| Some((register, self.registers.get(&register)?.clone())))
                 .collect();
         }
@@ -568,13 +456,34 @@ impl Session {
             Output::Ascii { number, rate_hz } => {
                 steps.push(Step::required(Command::write(7, rate_hz)));
                 steps.push(Step::required(Command::write(6, number)));
+                steps.extend(self.counting(f64::from(*rate_hz)));
                 steps.push(Step::required(Command::read(6)));
                 steps.push(Step::required(Command::read(7)));
+                steps.extend(COUNT_REGISTERS.map(|register| Step::optional(Command::read(register))));
             }
         }
         steps.push(Step::optional(Command::AsyncOutput(true)));
         self.phase = Phase::Configuring;
         self.script.begin(now_ns, steps, actions);
+    }
+
+    /// What makes the sensor number its messages, where it does not yet and its SyncOut pin drives nothing else.
+    fn counting(&self, rate_hz: f64) -> Vec<Step> {
+        let text = |register| self.registers.get(&register).map(String::as_str);
+        let (Some(communication), Some(synchronization)) = (text(30), text(32)) else { return Vec::new() };
+        serial_count(communication, synchronization, rate_hz)
+            .into_iter()
+            .map(|(register, values)| Step::optional(Command::write(register, values)))
+            .collect()
+    }
+
+    /// Whether messages at this rate carry a count that steps by one for each, as registers 30 and 32 say.
+    fn is_counted(&self, kind: MeasurementKind, rate_hz: f64) -> bool {
+        let text = |register| self.registers.get(&register).map(String::as_str);
+        !is_binary(kind)
+            && text(30).zip(text(32)).is_some_and(|(communication, synchronization)| {
+                counts_messages(communication, synchronization, rate_hz)
+            })
     }
 
     /// Whether the wanted output fits the line, else the arithmetic.
@@ -680,6 +589,7 @@ impl Session {
         self.status.output = Some(kind.to_string());
         let description = describe(&self.status, &self.registers, &self.previous, self.latency, kind, rate_hz);
         actions.push(Action::Describe(description));
+        actions.push(Action::Counted(self.is_counted(kind, rate_hz)));
         actions.push(Action::Accept(kind, rate_hz));
     }
 
@@ -700,8 +610,7 @@ impl Session {
             self.flowing = false;
             self.script.clear();
             actions.push(Action::Close);
-            let wait = self.backoff.next(&mut self.random);
-            self.phase = Phase::Backoff { until_ns: now_ns + wait.as_nanos() as u64 };
+            self.wait(now_ns, SensorState::Stalled);
         } else if silence_ns >= self.stall_ns()
             && !matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames)
         {
@@ -712,7 +621,7 @@ impl Session {
                 self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
             }
             // A sensor that answers is alive; an output that somebody paused resumes.
-            let mut steps = vec![Step::optional(Command::read(1))];
+            let mut steps = vec![Step::optional(Command::read(1)), Step::optional(Command::read(3))];
             if self.options.output != Output::Keep {
                 steps.insert(0, Step::optional(Command::AsyncOutput(true)));
             }
@@ -758,10 +667,13 @@ impl Session {
 
 /// Registers that choose the output; put back in this order.
 const OUTPUT_REGISTERS: [u16; 5] = [6, 7, 75, 76, 77];
+/// With messages, the count that they carry and what it counts as well.
+const COUNT_REGISTERS: [u16; 2] = [30, 32];
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::port::OpenError;
     use crate::protocol::{DeviceError, Reply};
     use proptest::prelude::*;
     use rand::SeedableRng;
@@ -801,6 +713,8 @@ mod tests {
         sensor: Sensor,
         now_ns: u64,
         port: bool,
+        /// How often it was plugged in.
+        plugged: u32,
         open: bool,
         opens: u32,
         seen: Vec<Action>,
@@ -815,6 +729,7 @@ mod tests {
                 sensor: Sensor::new(),
                 now_ns: 0,
                 port: true,
+                plugged: 1,
                 open: false,
                 opens: 0,
                 seen: Vec::new(),
@@ -833,7 +748,8 @@ mod tests {
                 self.seen.push(action.clone());
                 match action {
                     Action::Look => {
-                        let ports = if self.port { vec![PathBuf::from("/dev/ttyUSB0")] } else { Vec::new() };
+                        let port = Port { path: "/dev/ttyUSB0".into(), node: format!("ttyUSB0 {}", self.plugged) };
+                        let ports = if self.port { vec![port] } else { Vec::new() };
                         self.give(Input::Ports(ports));
                     }
                     Action::Open(..) => {
@@ -991,6 +907,18 @@ mod tests {
     }
 
     #[test]
+    fn a_host_that_stood_still_takes_its_own_absence_for_nobodys_silence() {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        world.measured(default_kind());
+        world.now_ns += 60_000_000_000;
+        world.give(Input::HostStalled);
+        world.give(Input::Tick);
+        assert_eq!((world.state(), world.opens), (SensorState::Streaming, 1));
+        assert!(world.measured(default_kind()));
+    }
+
+    #[test]
     fn a_sensor_that_was_reset_is_configured_again_within_two_seconds() {
         let mut world = World::new(default_output());
         world.pass(1_000_000_000);
@@ -1038,6 +966,87 @@ mod tests {
         assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)));
     }
 
+    #[test]
+    fn a_port_that_is_plugged_in_anew_ends_any_wait() {
+        let mut world = World::new(default_output());
+        world.sensor.answers = false;
+        world.pass(120_000_000_000);
+        assert_eq!(world.state(), SensorState::Stalled);
+        // pulled out while nobody has it open, and plugged in again
+        while world.open {
+            world.pass(50_000_000);
+        }
+        world.sensor.answers = true;
+        world.plugged += 1;
+        let begun = world.now_ns;
+        while !world.measured(default_kind()) {
+            world.pass(25_000_000);
+            assert!(world.now_ns - begun < 1_500_000_000);
+        }
+    }
+
+    #[test]
+    fn a_known_sensor_that_was_silent_for_long_streams_within_three_seconds() {
+        for silent_s in [3, 7, 20, 61, 200] {
+            let mut world = World::new(default_output());
+            world.pass(1_000_000_000);
+            assert!(world.measured(default_kind()));
+            world.sensor.answers = false;
+            world.pass(silent_s * 1_000_000_000 + 123_456_789);
+            world.sensor.answers = true;
+            let begun = world.now_ns;
+            while !world.measured(default_kind()) {
+                world.pass(25_000_000);
+                assert!(world.now_ns - begun < 3_000_000_000, "silent for {silent_s} s: {:?}", world.session.status());
+            }
+        }
+    }
+
+    #[test]
+    fn the_baud_rate_that_worked_last_comes_first_and_between_the_others() {
+        let mut world = World::new(default_output());
+        world.session.options.bauds = vec![9600, 115_200, 921_600];
+        world.give(Input::GoodBaud(921_600));
+        world.sensor.answers = false;
+        world.pass(8_000_000_000);
+        let bauds: Vec<u32> = world
+            .seen
+            .iter()
+            .filter_map(|action| match action {
+                Action::Open(_, baud) | Action::SetBaud(baud) => Some(*baud),
+                _ => None,
+            })
+            .take(5)
+            .collect();
+        assert_eq!(bauds, [921_600, 9600, 921_600, 115_200, 921_600]);
+
+        // One that speaks at another rate is not looked for at the good one again and again.
+        let mut world = World::new(default_output());
+        world.session.options.bauds = vec![9600, 115_200, 230_400, 921_600];
+        world.give(Input::GoodBaud(921_600));
+        world.sensor.answers = false;
+        for _ in 0..80 {
+            world.pass(50_000_000);
+            world.give(Input::Bytes(20));
+        }
+        let bauds: Vec<&Action> = world.seen.iter().filter(|action| matches!(action, Action::SetBaud(_))).collect();
+        assert_eq!(bauds[..3], [&Action::SetBaud(9600), &Action::SetBaud(115_200), &Action::SetBaud(230_400)]);
+    }
+
+    #[test]
+    fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
+        let mut world = World::new(default_output());
+        world.give(Input::Expect(Some("0100012345".to_owned())));
+        world.pass(1_000_000_000);
+        assert!(world.measured(default_kind()));
+        world.sensor.registers.insert(3, "0100099999".to_owned());
+        world.pass(1_100_000_000);
+        assert_eq!(world.state(), SensorState::WrongUnit);
+        world.sensor.registers.insert(3, "0100012345".to_owned());
+        world.pass(3_000_000_000);
+        assert!(world.measured(default_kind()));
+    }
+
     #[derive(Debug, Clone)]
     enum Happening {
         Pass(u64),
@@ -1077,7 +1086,10 @@ mod tests {
                             world.give(Input::Disconnected("gone".to_owned()));
                         }
                     }
-                    Happening::Plug => world.port = true,
+                    Happening::Plug => {
+                        world.port = true;
+                        world.plugged += 1;
+                    }
                     Happening::Mute => world.sensor.answers = false,
                     Happening::Speak => world.sensor.answers = true,
                     Happening::Measure => { world.measured(default_kind()); }
@@ -1088,7 +1100,7 @@ mod tests {
             world.port = true;
             world.sensor.answers = true;
             let mut streaming = false;
-            for _ in 0..1200 {
+            for _ in 0..480 {
                 world.pass(25_000_000);
                 streaming = world.measured(default_kind());
                 if streaming {

@@ -1,13 +1,15 @@
 //! Task: drives session, decoder and recorder against the real port. A thin shell: every decision is theirs.
 
 use super::action::{Action, Input};
+use super::host_watch::{HostEvent, HostWatch, Reading};
 use super::port;
 use super::recorder::{Counts, Plan, Recorder, ResumePoint};
 use super::session::{Session, SessionOptions};
 use crate::clock::Clock;
-use crate::observe::{SensorState, SensorStatus};
+use crate::observe::{SensorState, SensorStatus, Tally};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
-use crate::sample::{DiscardCause, EventKind, EventRecord, GapCause, Record, Sample};
+use crate::sample::device_clock::{ClockEstimate, DeviceClock};
+use crate::sample::{DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
 use rand::SeedableRng;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -20,8 +22,12 @@ use tokio_serial::SerialStream;
 
 /// How often time-outs, discards and progress are looked at, in real time.
 const TICK: Duration = Duration::from_millis(200);
-/// The loop was not run for this long beyond its tick: the host stalled.
-const STALL: Duration = Duration::from_secs(1);
+/// What arrives within this time after the host stood or slept may show what it lost, ns.
+const HOST_BLAME_NS: u64 = 3_000_000_000;
+/// Civil time before 2025 is that of a host whose clock nobody has set, UTC ns.
+const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
+/// How often the estimate of the sensor's clock is written down, ns.
+const CLOCK_EVERY_NS: u64 = 60_000_000_000;
 /// Places in the queue that samples never take: segments, gaps and events always find room.
 const RESERVE: usize = 256;
 /// How late the host may read for reasons of its own, in real time; counts where time runs faster.
@@ -52,7 +58,7 @@ pub struct TaskOptions {
 #[derive(Debug)]
 pub enum TaskCommand {
     /// Record from now (or the plan's start) on.
-    Begin(Plan, Option<ResumePoint>),
+    Begin(Plan, Option<Box<ResumePoint>>),
     /// Stop the capture; answered when its last record is in the queue.
     Stop(oneshot::Sender<bool>),
     /// Put the sensor's output back, close the port and return; an unfinished capture goes on when the daemon runs again.
@@ -81,6 +87,10 @@ pub trait Sink: Send + Sync + 'static {
     fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>>;
     /// Nobody takes from the queue any more.
     fn is_closed(&self) -> bool;
+    /// Where every measurement is that was received; told before what it counts is put into the queue.
+    fn tally(&self, _tally: Tally) {}
+    /// Hears how late the reader ran after it was to wake.
+    fn woke(&self, _late: Duration) {}
 }
 
 struct Shell {
@@ -92,6 +102,10 @@ struct Shell {
     /// How late the host may hear for reasons of its own, on the clock.
     host_jitter_ns: f64,
     actions: Vec<Action>,
+    host: HostWatch,
+    device_clock: DeviceClock,
+    /// When the estimate of the sensor's clock is written down next, ns.
+    clock_due_ns: u64,
     /// The session knows which sensor the capture is of.
     expecting: bool,
     ended: bool,
@@ -101,6 +115,8 @@ struct Shell {
 struct Book {
     recorder: Option<Recorder>,
     accepted: Option<(MeasurementKind, f64)>,
+    /// The messages carry a serial count that steps by one.
+    counted: bool,
     description: Option<serde_json::Value>,
     sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
@@ -133,6 +149,7 @@ pub async fn run(
         book: Book {
             recorder: None,
             accepted: None,
+            counted: false,
             description: None,
             sink,
             overflow: VecDeque::new(),
@@ -141,6 +158,9 @@ pub async fn run(
         },
         waiting: None,
         actions: Vec::new(),
+        host: HostWatch::default(),
+        device_clock: DeviceClock::default(),
+        clock_due_ns: 0,
         expecting: false,
         ended: false,
         clock,
@@ -148,14 +168,10 @@ pub async fn run(
     let mut stream: Option<(SerialStream, PathBuf)> = None;
     let mut buffer = vec![0_u8; READ_BYTES];
     let mut next_tick = Instant::now();
-    let mut last_turn = Instant::now();
     while !shell.ended {
         shell.perform(&options.device, &mut stream).await;
         let now = Instant::now();
-        if now.duration_since(last_turn) > TICK + STALL {
-            shell.book.suspect(GapCause::HostStall);
-        }
-        last_turn = now;
+        shell.runs(patient);
         let session_wait = shell.session.deadline_ns().saturating_sub(shell.clock.mono_ns());
         let wake = (now + shell.clock.real(Duration::from_nanos(session_wait)).min(TICK)).min(next_tick);
         // What has arrived is read before anybody concludes from the time that nothing came.
@@ -165,6 +181,7 @@ pub async fn run(
             read = read(&mut stream, &mut buffer) => Happened::Read(read),
             () = tokio::time::sleep_until(wake.into()) => Happened::Nothing,
         };
+        shell.runs(patient);
         let read_some = matches!(happened, Happened::Read(_));
         match happened {
             Happened::Command(command) => {
@@ -181,7 +198,9 @@ pub async fn run(
                     Ok(count) => {
                         shell.received(&buffer[..count]);
                         if !patient && shell.book.accepted.is_some_and(|(_, rate_hz)| rate_hz > COALESCE_ABOVE_HZ) {
-                            tokio::time::sleep(COALESCE).await;
+                            let due = Instant::now() + COALESCE;
+                            tokio::time::sleep_until(due.into()).await;
+                            shell.book.sink.woke(due.elapsed());
                         }
                     }
                     Err(error) => shell.input(Input::Disconnected(error.to_string())),
@@ -191,6 +210,7 @@ pub async fn run(
                 }
             }
             Happened::Nothing => {
+                shell.book.sink.woke(wake.elapsed());
                 // The runtime may not have noticed yet what arrived; the port knows. The time is that of before the
                 // question, so that nothing that comes in between can be taken for silence.
                 let now_ns = shell.clock.mono_ns();
@@ -207,6 +227,7 @@ pub async fn run(
             }
         }
         if now >= next_tick {
+            shell.runs(patient);
             // With bytes always at hand the time-outs of commands would never be looked at.
             if read_some {
                 shell.input(Input::Tick);
@@ -236,9 +257,51 @@ async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -
 }
 
 impl Shell {
+    /// The loop runs. Where it did not for a while, whoever judges by the time is told first: what arrived meanwhile is still
+    /// to be read.
+    fn runs(&mut self, patient: bool) {
+        if !patient {
+            self.watch_host();
+        }
+    }
+
     fn input(&mut self, input: Input<'_>) {
         let now_ns = self.clock.mono_ns();
         self.session.handle(now_ns, input, &mut self.actions);
+    }
+
+    /// What the host's clocks say about the host.
+    fn watch_host(&mut self) {
+        let mono_ns = self.clock.mono_ns();
+        let (awake_ns, utc_ns) = (self.clock.awake_ns(), self.clock.utc_ns());
+        let reading = Reading { mono_ns, awake_ns, utc_ns, after_ns: self.clock.mono_ns() };
+        for event in self.host.turn(reading, TICK.as_nanos() as u64) {
+            match event {
+                HostEvent::Stalled(_) => {
+                    self.input(Input::HostStalled);
+                    self.book.blame_host(GapCause::HostStall, mono_ns + HOST_BLAME_NS);
+                }
+                HostEvent::Slept(slept_ns) => {
+                    self.input(Input::HostStalled);
+                    self.book.blame_host(GapCause::HostSuspend, mono_ns + HOST_BLAME_NS);
+                    let message = format!("the host slept for {:.1} s", slept_ns as f64 / 1e9);
+                    self.book.apply(Action::Event(EventKind::Warning, message), utc_ns);
+                }
+                HostEvent::Stepped(by_ns) => self.book.clock_stepped(by_ns, utc_ns),
+            }
+        }
+    }
+
+    /// Writes down what is known of the sensor's clock, now and then.
+    fn note_clock(&mut self, mono_ns: u64) {
+        if mono_ns < self.clock_due_ns {
+            return;
+        }
+        if let Some(estimate) = self.device_clock.estimate()
+            && self.book.device_clock(estimate)
+        {
+            self.clock_due_ns = mono_ns + CLOCK_EVERY_NS;
+        }
     }
 
     /// Does what the session wants; some of it wants more.
@@ -246,7 +309,7 @@ impl Shell {
         while !self.actions.is_empty() {
             for action in std::mem::take(&mut self.actions) {
                 match action {
-                    Action::Look => self.input(Input::Ports(port::find(device.as_deref()))),
+                    Action::Look => self.input(Input::Ports(port::look(device.as_deref()))),
                     Action::Open(path, baud) => {
                         self.discard_pending();
                         match port::open(&path, baud) {
@@ -280,6 +343,7 @@ impl Shell {
                     Action::Ended => self.ended = true,
                     Action::Accept(..)
                     | Action::AcceptAny
+                    | Action::Counted(_)
                     | Action::Interrupt(_)
                     | Action::Event(..)
                     | Action::Describe(_) => {
@@ -311,7 +375,7 @@ impl Shell {
 
     fn received(&mut self, bytes: &[u8]) {
         let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
-        let Self { session, decoder, book, actions, .. } = self;
+        let Self { session, decoder, book, actions, device_clock, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
         decoder.push(bytes, &mut |event| match event {
             Event::Measurement(measurement) => {
@@ -321,9 +385,14 @@ impl Shell {
                     book.note(actions, utc_ns);
                 }
                 if taken {
+                    if let Some(device_time_ns) = measurement.device_time_ns {
+                        device_clock.note(device_time_ns, mono_ns);
+                    }
                     book.sample(|| measurement.to_sample(mono_ns, utc_ns));
                 } else if matches!(session.status().state, SensorState::Streaming | SensorState::UnexpectedFormat) {
-                    book.discard(DiscardCause::UnexpectedFormat, 1);
+                    book.refuse(DiscardCause::UnexpectedFormat);
+                } else {
+                    book.refuse(DiscardCause::Probing);
                 }
             }
             Event::Reply(reply) => {
@@ -366,18 +435,22 @@ impl Shell {
                 self.input(Input::Expect(point.serial_number.clone()));
                 self.expecting = point.serial_number.is_some();
                 self.input(Input::Previous(point.previous_output.clone()));
+                if let Some(baud) = point.baud {
+                    self.input(Input::GoodBaud(baud));
+                }
             }
             let recorder = Recorder::new(plan, resume, self.host_jitter_ns);
             self.book.begin(recorder);
         }
         self.book.tick(mono_ns, utc_ns);
+        self.note_clock(mono_ns);
         self.settle();
     }
 
     fn command(&mut self, command: TaskCommand) {
         match command {
             TaskCommand::Begin(plan, resume) => {
-                self.waiting = Some((plan, resume));
+                self.waiting = Some((plan, resume.map(|point| *point)));
                 self.tick();
             }
             TaskCommand::Stop(reply) => {
@@ -386,12 +459,18 @@ impl Shell {
                     let host_jitter_ns = self.host_jitter_ns;
                     self.book.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
                 }
-                let running = self.book.stop(self.clock.utc_ns());
+                self.clock_due_ns = 0;
+                self.note_clock(self.clock.mono_ns());
+                let running = self.book.stop(self.clock.mono_ns(), self.clock.utc_ns());
                 self.settle();
                 // Whoever stopped it may be gone; the capture is stopped all the same.
                 let _ = reply.send(running);
             }
-            TaskCommand::Shutdown => self.input(Input::Stop),
+            TaskCommand::Shutdown => {
+                self.clock_due_ns = 0;
+                self.note_clock(self.clock.mono_ns());
+                self.input(Input::Stop);
+            }
         }
     }
 
@@ -401,8 +480,25 @@ impl Shell {
             (None, Some((plan, _))) => Some((plan.clone(), Counts::default(), true)),
             (None, None) => None,
         };
-        let (sensor, description) = (self.session.status().clone(), self.book.description.clone());
+        let mut sensor = self.session.status().clone();
+        // Exactly what the capture counts by, where one runs.
+        let stream = self.book.recorder.as_ref().and_then(Recorder::stream);
+        let accepted = self.book.accepted.map(|(kind, rate_hz)| (rate_hz, timebase(kind, self.book.counted)));
+        if let Some((rate_hz, timebase)) = stream.or(accepted) {
+            (sensor.rate_hz, sensor.timebase) = (Some(rate_hz), Some(timebase));
+        }
+        sensor.clock = self.device_clock.estimate();
+        let description = self.book.description.clone();
         progress.send_replace(Progress { sensor, description, capture });
+    }
+}
+
+/// What the times of these measurements rest on.
+fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
+    match (kind.has_device_time(), counted) {
+        (true, _) => Timebase::Device,
+        (false, true) => Timebase::SyncCounter,
+        (false, false) => Timebase::Arrival,
     }
 }
 
@@ -413,6 +509,7 @@ impl Book {
             match action {
                 Action::Accept(..)
                 | Action::AcceptAny
+                | Action::Counted(_)
                 | Action::Interrupt(_)
                 | Action::Event(..)
                 | Action::Describe(_) => {
@@ -433,9 +530,10 @@ impl Book {
                     MeasurementKind::Ascii(_) => BinaryAcceptance::Any,
                 });
                 if let Some(recorder) = &mut self.recorder {
-                    recorder.accept(rate_hz, kind.has_device_time(), &mut self.out);
+                    recorder.accept(rate_hz, timebase(kind, self.counted), &mut self.out);
                 }
             }
+            Action::Counted(counted) => self.counted = counted,
             Action::AcceptAny => self.filter = Some(BinaryAcceptance::Any),
             Action::Interrupt(cause) => {
                 self.filter = Some(BinaryAcceptance::Any);
@@ -467,7 +565,7 @@ impl Book {
 
     fn begin(&mut self, mut recorder: Recorder) {
         if let Some((kind, rate_hz)) = self.accepted {
-            recorder.accept(rate_hz, kind.has_device_time(), &mut self.out);
+            recorder.accept(rate_hz, timebase(kind, self.counted), &mut self.out);
         }
         if let Some(description) = &self.description {
             self.out.push(Record::Configuration(description.clone()));
@@ -480,11 +578,13 @@ impl Book {
         let Some(recorder) = &mut self.recorder else { return };
         if self.sink.room() <= RESERVE + self.out.len() {
             // The disk is too slow by more than the queue holds: a gap, whose length the sensor's clock will tell.
-            recorder.discard(DiscardCause::StorageBackpressure, 1);
             recorder.interrupt(GapCause::StorageBackpressure, &mut self.out);
+            recorder.refuse(DiscardCause::StorageBackpressure);
+            self.sink.tally(recorder.tally());
             return;
         }
         recorder.sample(sample(), &mut self.out);
+        self.sink.tally(recorder.tally());
         if self.overflow.is_empty() {
             let id = recorder.plan().id;
             for record in self.out.drain(..) {
@@ -501,6 +601,44 @@ impl Book {
         }
     }
 
+    fn refuse(&mut self, cause: DiscardCause) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.refuse(cause);
+            self.sink.tally(recorder.tally());
+        }
+    }
+
+    fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.blame_host(cause, until_mono_ns);
+        }
+    }
+
+    /// Civil time was stepped: nothing that is counted depends on it, but it is remembered, and where nobody had set the
+    /// host's clock before, what was written with it is corrected.
+    fn clock_stepped(&mut self, by_ns: i64, utc_ns: i64) {
+        let unset = utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS && utc_ns >= UTC_UNSET_BEFORE_NS;
+        let more = if unset { "; it had not been set, and what was recorded with it is corrected" } else { "" };
+        let message = format!("the host's clock was stepped by {:+.3} s{more}", by_ns as f64 / 1e9);
+        tracing::warn!(%message, "clock");
+        if self.recorder.is_some() {
+            if unset {
+                self.out.push(Record::UtcSet { by_ns, before_utc_ns: UTC_UNSET_BEFORE_NS });
+            }
+            let detail = Some(serde_json::json!({"by_s": by_ns as f64 / 1e9, "utc_back_filled": unset}));
+            self.out.push(Record::Event(EventRecord { utc_ns, kind: EventKind::ClockStep, message, detail }));
+            self.flush();
+        }
+    }
+
+    /// Writes down the estimate of the sensor's clock; `false` where there is no capture with samples.
+    fn device_clock(&mut self, estimate: ClockEstimate) -> bool {
+        let Some(epoch) = self.recorder.as_ref().and_then(Recorder::epoch) else { return false };
+        self.out.push(Record::DeviceClock { epoch, estimate });
+        self.flush();
+        true
+    }
+
     fn suspect(&mut self, cause: GapCause) {
         if let Some(recorder) = &mut self.recorder {
             recorder.suspect(cause);
@@ -514,20 +652,27 @@ impl Book {
         self.flush();
     }
 
-    fn stop(&mut self, utc_ns: i64) -> bool {
+    fn stop(&mut self, mono_ns: u64, utc_ns: i64) -> bool {
         let Some(recorder) = &mut self.recorder else { return false };
-        recorder.stop(utc_ns, &mut self.out);
+        recorder.stop(mono_ns, utc_ns, &mut self.out);
         true
     }
 
     /// Passes on what was written; `true` where the capture has ended.
     fn settle(&mut self) -> bool {
+        if let Some(recorder) = self.recorder.as_mut().filter(|recorder| recorder.has_ended()) {
+            // Measurements that came with the last one, but after the planned end.
+            recorder.write_discards(&mut self.out);
+        }
         self.flush();
         self.recorder.take_if(|recorder| recorder.has_ended()).is_some()
     }
 
     /// Writes what is to be written, in order; what finds no room waits (samples made sure of theirs before).
     fn flush(&mut self) {
+        if let Some(recorder) = &self.recorder {
+            self.sink.tally(recorder.tally());
+        }
         match self.recorder.as_ref().map(|recorder| recorder.plan().id) {
             Some(id) => self.overflow.extend(self.out.drain(..).map(|record| (id, record))),
             None => self.out.clear(),

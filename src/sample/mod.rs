@@ -1,7 +1,9 @@
 //! Samples: one instant of physical values, and the accounting of those that are missing. Pure.
 
 pub mod accounting;
+pub mod audit;
 pub mod channel;
+pub mod device_clock;
 pub mod gap;
 pub mod record;
 
@@ -21,6 +23,9 @@ pub struct Sample {
     pub host_mono_ns: u64,
     /// The same instant in UTC, ns since 1970; 0 for a recording without host time.
     pub host_utc_ns: i64,
+    /// Its number among all valid measurements that the capture has received, from 1, discarded ones included; 0 where
+    /// nobody counts.
+    pub frame: u64,
     channels: ChannelSet,
     values: [f64; Channel::COUNT],
 }
@@ -34,6 +39,7 @@ impl Sample {
             sync_count: None,
             host_mono_ns,
             host_utc_ns,
+            frame: 0,
             channels: ChannelSet::EMPTY,
             values: [0.0; Channel::COUNT],
         }

@@ -1,5 +1,6 @@
 //! Records: what a capture writes, in the order it happened. They carry samples from the reader to the store.
 
+use super::device_clock::ClockEstimate;
 use super::{ChannelSet, Gap, Sample};
 use serde::{Deserialize, Serialize};
 
@@ -52,21 +53,30 @@ pub enum DiscardCause {
     Malformed,
     /// A frame with a device time that was already there.
     Duplicate,
+    /// A frame that came after a later one: its place is counted as missing already.
+    OutOfOrder,
     /// A valid measurement of another type than the one configured.
     UnexpectedFormat,
     /// The queue to the disk was full.
     StorageBackpressure,
+    /// A frame that came after the capture's planned end.
+    AfterEnd,
+    /// A frame that came while the sensor was being found out or configured: not yet part of the stream.
+    Probing,
 }
 
 impl DiscardCause {
     /// All causes.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 9] = [
         Self::Checksum,
         Self::GarbageBytes,
         Self::Malformed,
         Self::Duplicate,
+        Self::OutOfOrder,
         Self::UnexpectedFormat,
         Self::StorageBackpressure,
+        Self::AfterEnd,
+        Self::Probing,
     ];
     /// The name in the database and JSON.
     #[must_use]
@@ -76,9 +86,18 @@ impl DiscardCause {
             Self::GarbageBytes => "garbage_bytes",
             Self::Malformed => "malformed",
             Self::Duplicate => "duplicate",
+            Self::OutOfOrder => "out_of_order",
             Self::UnexpectedFormat => "unexpected_format",
             Self::StorageBackpressure => "storage_backpressure",
+            Self::AfterEnd => "after_end",
+            Self::Probing => "probing",
         }
+    }
+    /// Whether what was discarded is a valid measurement, one of those that `received` counts; the other causes are of
+    /// bytes that never became one.
+    #[must_use]
+    pub fn is_frame(self) -> bool {
+        !matches!(self, Self::Checksum | Self::GarbageBytes | Self::Malformed)
     }
     /// The cause of that name.
     #[must_use]
@@ -177,9 +196,24 @@ pub enum Record {
         /// How many frames (bytes for [`DiscardCause::GarbageBytes`]).
         count: u64,
     },
+    /// The sensor's clock against the host's in this epoch, as estimated now; the latest one stands.
+    DeviceClock {
+        /// One run of the sensor's clock.
+        epoch: u32,
+        /// The estimate.
+        estimate: ClockEstimate,
+    },
+    /// The host's civil time had not been set and was set by so much: times of this capture before `before_utc_ns` are
+    /// corrected.
+    UtcSet {
+        /// By so much, ns.
+        by_ns: i64,
+        /// Times before this cannot be, UTC ns.
+        before_utc_ns: i64,
+    },
     /// The sensor's description and registers as read when (re)connected; stored with the capture.
     Configuration(serde_json::Value),
-    /// The end; nothing of this capture follows.
+    /// The end; nothing of this capture follows but what is discarded for coming later.
     Ended {
         /// How.
         how: CaptureEnd,

@@ -1,0 +1,122 @@
+//! Host watch: what the host's clocks say about the host itself: it stood, it slept, its civil time was stepped. Pure.
+//!
+//! Three clocks are compared from turn to turn of the reader's loop: one that runs on while the machine sleeps
+//! (`CLOCK_BOOTTIME`), one that does not (`CLOCK_MONOTONIC`), and civil time. NTP slews all of them alike, so that a change
+//! between civil and monotonic time is a step.
+
+/// A loop that was not run for this long beyond its tick: the host stood, ns.
+const STALL_NS: u64 = 1_000_000_000;
+/// What the clock that sleeps with the machine lacks, at least, for the machine to have slept, ns.
+const SLEEP_NS: u64 = 500_000_000;
+/// A step of civil time is at least this large, ns.
+const STEP_NS: i64 = 10_000_000;
+/// Clocks are read one after the other; a reading that took longer than this says nothing about steps, ns.
+const BRACKET_NS: u64 = 1_000_000;
+
+/// The host's clocks, read together, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reading {
+    /// Runs on while the machine sleeps; read before the others.
+    pub mono_ns: u64,
+    /// Stands while the machine sleeps.
+    pub awake_ns: u64,
+    /// Civil time.
+    pub utc_ns: i64,
+    /// As `mono_ns`, read after the others.
+    pub after_ns: u64,
+}
+
+/// What happened to the host since the last turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HostEvent {
+    /// The program did not run for so long, ns.
+    Stalled(u64),
+    /// The machine slept for so long, ns.
+    Slept(u64),
+    /// Civil time was stepped by so much, ns.
+    Stepped(i64),
+}
+
+/// Compares the clocks from turn to turn.
+#[derive(Debug, Clone, Default)]
+pub struct HostWatch {
+    last: Option<Reading>,
+    /// Civil minus monotonic time, as of the last good reading.
+    offset_ns: Option<i64>,
+}
+
+impl HostWatch {
+    /// Takes a reading; the loop is run at least every `tick_ns`.
+    pub fn turn(&mut self, now: Reading, tick_ns: u64) -> Vec<HostEvent> {
+        let mut events = Vec::new();
+        if let Some(last) = self.last.replace(now) {
+            let passed_ns = now.mono_ns.saturating_sub(last.mono_ns);
+            let awake_ns = now.awake_ns.saturating_sub(last.awake_ns);
+            let slept_ns = passed_ns.saturating_sub(awake_ns);
+            if slept_ns > SLEEP_NS {
+                events.push(HostEvent::Slept(slept_ns));
+            } else if awake_ns > tick_ns + STALL_NS {
+                events.push(HostEvent::Stalled(awake_ns));
+            }
+        }
+        if now.after_ns.saturating_sub(now.mono_ns) <= BRACKET_NS {
+            let offset_ns = now.utc_ns.saturating_sub_unsigned(now.mono_ns.midpoint(now.after_ns));
+            if let Some(before_ns) = self.offset_ns.replace(offset_ns) {
+                let by_ns = offset_ns.saturating_sub(before_ns);
+                if by_ns.saturating_abs() >= STEP_NS {
+                    events.push(HostEvent::Stepped(by_ns));
+                }
+            }
+        }
+        events
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::{Clock, ManualClock};
+    use std::time::Duration;
+
+    const TICK_NS: u64 = 200_000_000;
+
+    fn reading(clock: &ManualClock) -> Reading {
+        let mono_ns = clock.mono_ns();
+        Reading { mono_ns, awake_ns: clock.awake_ns(), utc_ns: clock.utc_ns(), after_ns: clock.mono_ns() }
+    }
+
+    #[test]
+    fn a_step_of_civil_time_is_told_with_its_size_and_nothing_else_is() {
+        let clock = ManualClock::new(1_800_000_000_000_000_000);
+        let mut watch = HostWatch::default();
+        assert!(watch.turn(reading(&clock), TICK_NS).is_empty());
+        for step_ns in
+            [-3_600_000_000_000, 3_600_000_000_000, -1_800_000_000_000_000_000, 1_800_000_000_000_000_000, 12_000_000]
+        {
+            clock.advance(Duration::from_millis(100));
+            assert!(watch.turn(reading(&clock), TICK_NS).is_empty());
+            clock.step_utc(step_ns);
+            assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Stepped(step_ns)]);
+        }
+        // A slow reading says nothing; the next good one does.
+        clock.step_utc(50_000_000);
+        let mut slow = reading(&clock);
+        slow.after_ns += 2_000_000;
+        assert!(watch.turn(slow, TICK_NS).is_empty());
+        assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Stepped(50_000_000)]);
+    }
+
+    /// D5.
+    #[test]
+    fn an_hour_of_sleep_is_no_stall_and_a_stall_is_no_sleep() {
+        let clock = ManualClock::new(0);
+        let mut watch = HostWatch::default();
+        watch.turn(reading(&clock), TICK_NS);
+        clock.suspend(Duration::from_secs(3600));
+        assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Slept(3_600_000_000_000)]);
+        clock.advance(Duration::from_secs(60));
+        assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Stalled(60_000_000_000)]);
+        clock.advance(Duration::from_millis(200));
+        assert!(watch.turn(reading(&clock), TICK_NS).is_empty());
+    }
+}

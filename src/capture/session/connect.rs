@@ -1,0 +1,211 @@
+//! Connecting: from the names of ports to a sensor that answers, and back when it is gone. Pure.
+
+use super::super::port::{Latency, OpenError};
+use super::{Action, Command, EventKind, GapCause, LOOK_NS, Output, Phase, Port, SensorState, Session, Step};
+use std::time::Duration;
+
+/// How long a baud rate is listened to before the next one is tried, ns.
+const SCAN_NS: u64 = 600_000_000;
+/// How long a sensor that is known may be silent behind a port that just opened: it boots for about 1.25 s.
+const BOOT_NS: u64 = 2_000_000_000;
+/// The longest wait where all that is missing is a sign of the right sensor: it is to stream within 3 s of it.
+const SILENT_WAIT: Duration = Duration::from_secs(1);
+
+impl Session {
+    pub(super) fn found(&mut self, ports: Vec<Port>, actions: &mut Vec<Action>) {
+        let waiting = matches!(self.phase, Phase::Backoff { .. }) && ports != self.ports;
+        if !(waiting || self.phase == Phase::Absent) || self.stopping {
+            return;
+        }
+        self.phase = Phase::Absent;
+        if ports != self.ports {
+            self.ports = ports;
+            self.port_index = 0;
+            self.failed_ports = 0;
+            self.backoff.reset();
+        }
+        let Some(port) = self.ports.get(self.port_index % self.ports.len().max(1)) else {
+            let hint = "no serial port is there: plug the sensor in, it is looked for all the time";
+            self.set_state(SensorState::Absent, Some(hint.to_owned()));
+            return;
+        };
+        let path = port.path.clone();
+        self.status.port = Some(path.display().to_string());
+        if self.failed_ports == 0 {
+            self.set_state(SensorState::Opening, None);
+        }
+        self.phase = Phase::Opening;
+        let baud = self.scan_list().first().copied().unwrap_or(115_200);
+        actions.push(Action::Open(path, baud));
+    }
+
+    /// Baud rates in the order to try: the one that worked last comes first.
+    fn bauds(&self) -> Vec<u32> {
+        let mut bauds = self.options.bauds.clone();
+        if let Some(good) = self.last_good_baud {
+            bauds.retain(|baud| *baud != good);
+            bauds.insert(0, good);
+        }
+        bauds
+    }
+
+    pub(super) fn opened(&mut self, now_ns: u64, latency: Latency, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        self.latency = latency;
+        self.registers.clear();
+        self.heard_any = false;
+        self.good_is_garbled = false;
+        if self.failed_ports == 0 {
+            self.set_state(SensorState::Probing, None);
+        }
+        self.scan(now_ns, 0, actions);
+    }
+
+    /// Baud rates in the order in which they are listened to. A sensor that is known and silent will most likely speak as
+    /// it did: its rate has every other turn.
+    fn scan_list(&self) -> Vec<u32> {
+        let bauds = self.bauds();
+        match (self.last_good_baud, bauds.split_first()) {
+            (Some(_), Some((good, others))) if !others.is_empty() => {
+                others.iter().flat_map(|other| [*good, *other]).chain([*good]).collect()
+            }
+            _ => bauds,
+        }
+    }
+
+    fn scan(&mut self, now_ns: u64, index: usize, actions: &mut Vec<Action>) {
+        self.status.baud = self.scan_list().get(index).copied();
+        self.phase = Phase::Scanning { index, since_ns: now_ns, heard: false, valid: false };
+        self.ask(now_ns, actions);
+    }
+
+    /// Asks who is there, and a second time where nobody answers.
+    pub(super) fn ask(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let who = Step::optional(Command::read(1));
+        self.script.begin(now_ns, vec![who.clone(), who], actions);
+    }
+
+    /// The first bytes at a baud rate: from now on it takes [`SCAN_NS`] to find out whether they are frames.
+    pub(super) fn heard(&mut self, now_ns: u64) {
+        if let Phase::Scanning { since_ns, heard, .. } = &mut self.phase
+            && !std::mem::replace(heard, true)
+        {
+            *since_ns = now_ns;
+        }
+    }
+
+    /// When the next baud rate has its turn, ns.
+    pub(super) fn scan_end_ns(&self) -> u64 {
+        let Phase::Scanning { index, since_ns, heard, .. } = self.phase else { return u64::MAX };
+        let booting = index == 0 && !heard && self.last_good_baud.is_some();
+        let patience_ns = if booting { BOOT_NS } else { SCAN_NS };
+        since_ns + patience_ns.max(2 * self.options.host_jitter_ns)
+    }
+
+    /// Nobody answered at this baud rate.
+    pub(super) fn scan_next(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let Phase::Scanning { index, valid, .. } = self.phase else { return };
+        if valid {
+            if self.options.output == Output::Keep {
+                self.last_good_baud = self.status.baud;
+                self.measure(now_ns);
+            } else {
+                let hint = "the sensor sends but does not answer commands: check the line from the host to the sensor, or set `output = \"keep\"` to record what it sends";
+                self.fail(now_ns, SensorState::Backoff, hint.to_owned(), actions);
+            }
+            return;
+        }
+        // A sensor that speaks, but not at the rate that was good, speaks at another one.
+        let spoke = matches!(self.phase, Phase::Scanning { heard: true, .. });
+        self.good_is_garbled |= spoke && self.status.baud == self.last_good_baud;
+        let step = if self.good_is_garbled && index % 2 == 1 { 2 } else { 1 };
+        if let Some(baud) = self.scan_list().get(index + step) {
+            actions.push(Action::SetBaud(*baud));
+            self.scan(now_ns, index + step, actions);
+        } else if self.heard_any {
+            let tried = self.bauds().iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+            let hint = format!(
+                "bytes arrive, but no valid frame at any of the baud rates {tried}: is this a VN-100, and is its baud rate among these?"
+            );
+            self.fail(now_ns, SensorState::NoValidFrames, hint, actions);
+        } else {
+            let hint = "the port opens, but nothing answers at any baud rate: check power and cable (port 1 of the Rugged is RS-232, port 2 is 3 V TTL)";
+            self.fail(now_ns, SensorState::Stalled, hint.to_owned(), actions);
+        }
+    }
+
+    pub(super) fn open_failed(&mut self, now_ns: u64, error: &OpenError, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        let state = match error {
+            OpenError::Gone { .. } => SensorState::Absent,
+            OpenError::Busy { .. } => SensorState::PortBusy,
+            OpenError::Permission { .. } => SensorState::NoPermission,
+            OpenError::Other { .. } => SensorState::Backoff,
+        };
+        self.fail(now_ns, state, error.to_string(), actions);
+    }
+
+    /// This try failed: say so once, close, and wait; with several ports the next one has its turn first.
+    pub(super) fn fail(&mut self, now_ns: u64, state: SensorState, hint: String, actions: &mut Vec<Action>) {
+        self.script.clear();
+        self.failed_ports += 1;
+        self.port_index += 1;
+        actions.push(Action::Close);
+        if self.status.hint.as_ref() != Some(&hint) {
+            actions.push(Action::Event(EventKind::Warning, hint.clone()));
+        }
+        self.set_state(state, Some(hint));
+        if state == SensorState::Absent {
+            self.phase = Phase::Absent;
+            self.next_look_ns = now_ns + LOOK_NS;
+        } else if !self.failed_ports.is_multiple_of(self.ports.len().max(1)) {
+            self.phase = Phase::Absent;
+            self.next_look_ns = now_ns;
+        } else {
+            self.wait(now_ns, state);
+        }
+    }
+
+    /// Waits before the next try; how long depends on the failures before and on what the next try may find.
+    pub(super) fn wait(&mut self, now_ns: u64, state: SensorState) {
+        let most = match state {
+            SensorState::Stalled if self.last_good_baud.is_some() => SILENT_WAIT,
+            SensorState::WrongUnit => SILENT_WAIT,
+            _ => super::super::backoff::LONGEST,
+        };
+        let wait = self.backoff.next(&mut self.random).min(most);
+        self.phase = Phase::Backoff { until_ns: now_ns + wait.as_nanos() as u64 };
+        self.next_look_ns = now_ns + LOOK_NS;
+    }
+
+    pub(super) fn disconnected(&mut self, now_ns: u64, reason: &str, actions: &mut Vec<Action>) {
+        if self.stopping {
+            self.end(actions);
+            return;
+        }
+        actions.push(Action::Interrupt(GapCause::Unplugged));
+        if !self.flowing {
+            // Gone before a sample came: a port that only ever says so must not cost a core.
+            self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
+            return;
+        }
+        self.flowing = false;
+        self.script.clear();
+        let port = self.status.port.clone().unwrap_or_default();
+        actions.push(Action::Event(EventKind::SensorLost, format!("{port} is gone: {reason}")));
+        actions.push(Action::Close);
+        self.set_state(
+            SensorState::Absent,
+            Some(format!("{port} is gone: plug the sensor in, it is looked for all the time")),
+        );
+        self.phase = Phase::Absent;
+        // The kernel gives the name free only once the port is closed.
+        self.next_look_ns = now_ns + LOOK_NS / 5;
+    }
+}
