@@ -118,6 +118,8 @@ pub struct NewCapture {
     pub configuration: Option<serde_json::Value>,
     /// Channels of which more is known than their unit.
     pub channels: Vec<ChannelRow>,
+    /// Names the request: given again, it answers the capture that it made ([`Store::withdraw`]).
+    pub token: Option<String>,
 }
 
 impl NewCapture {
@@ -135,6 +137,7 @@ impl NewCapture {
             sensor: None,
             configuration: None,
             channels: Vec::new(),
+            token: None,
         }
     }
 }
@@ -178,6 +181,8 @@ pub struct CaptureRow {
     pub rejected: BTreeMap<String, u64>,
     /// Whether it is kept from deletion.
     pub pinned: bool,
+    /// Not before this it is deleted to keep within `[storage]`'s limits; null where it stays.
+    pub delete_at: Option<UtcNs>,
     /// Its channels, in column order.
     pub channels: Vec<Channel>,
     /// Unit, resolution and conversion of each channel.
@@ -224,6 +229,10 @@ pub struct Unfinished {
     pub missing: u64,
     /// Gaps recorded.
     pub gaps: u64,
+    /// Valid measurements received, as of the last commit; `None` where nobody counted.
+    pub received: Option<u64>,
+    /// What arrived and did not become a sample, by cause.
+    pub rejected: BTreeMap<String, u64>,
     /// Sample time held so far, received and missing, ns.
     pub sample_time_ns: u64,
     /// Rate and timebase of the last segment.
@@ -236,6 +245,8 @@ pub struct Unfinished {
     pub epoch_first_device_ns: Option<u64>,
     /// Device, host monotonic and UTC time of the last sample.
     pub last: Option<(Option<u64>, u64, i64)>,
+    /// Serial count of the last sample.
+    pub last_sync_count: Option<u32>,
 }
 
 impl Store {
@@ -249,6 +260,20 @@ impl Store {
         }
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| create(transaction, &capture, utc_ns, "live", None))
+    }
+
+    /// Takes back a request to make a capture of which nobody knows whether it succeeded: the capture with this token, if
+    /// it was made and has no samples, is deleted.
+    ///
+    /// # Errors
+    /// What the database says: the request may be given again.
+    pub fn withdraw(&self, token: &str) -> Result<(), StoreError> {
+        let token = token.to_owned();
+        self.execute(move |transaction| {
+            let sql = "UPDATE capture SET lifecycle = 'deleted', state = 'stopped' WHERE token = ?1 AND samples = 0";
+            transaction.execute(sql, [token])?;
+            Ok(())
+        })
     }
 
     /// Sets what the capture is doing; `utc_ns` becomes its start (`Capturing`, where it has none) or its end.
@@ -275,7 +300,10 @@ impl Store {
     /// [`StoreError::NoSuchCapture`], or what the database says.
     pub fn pin(&self, id: i64, pinned: bool) -> Result<(), StoreError> {
         self.execute(move |transaction| {
-            let sql = "UPDATE capture SET pinned = ?2 WHERE id = ?1 AND lifecycle = 'live'";
+            let sql = "UPDATE capture SET pinned = ?2, \
+                       deletion_said_utc_ns = CASE WHEN ?2 THEN NULL ELSE deletion_said_utc_ns END, \
+                       delete_at_utc_ns = CASE WHEN ?2 THEN NULL ELSE delete_at_utc_ns END \
+                       WHERE id = ?1 AND lifecycle = 'live'";
             changed_one(id, transaction.execute(sql, params![id, pinned])?)
         })
     }
@@ -328,6 +356,14 @@ impl Store {
                 )?
                 .execute(params![id, DELETE_ROWS])?;
             if deleted > 0 {
+                return Ok(true);
+            }
+            let batches = transaction.execute(
+                "DELETE FROM batch WHERE capture_id = ?1 AND first_seq IN \
+                 (SELECT first_seq FROM batch WHERE capture_id = ?1 ORDER BY first_seq LIMIT ?2)",
+                params![id, DELETE_ROWS],
+            )?;
+            if batches > 0 {
                 return Ok(true);
             }
             for table in ["gap", "event", "configuration", "result", "job"] {
@@ -399,6 +435,13 @@ pub(super) fn create(
     lifecycle: &str,
     fingerprint: Option<&str>,
 ) -> Result<i64, StoreError> {
+    if let Some(token) = &capture.token {
+        let sql = "SELECT id FROM capture WHERE token = ?1";
+        let made = transaction.prepare_cached(sql)?.query_row([token], |row| row.get(0)).optional()?;
+        if let Some(id) = made {
+            return Ok(id);
+        }
+    }
     let name = match &capture.name {
         Some(name) => name.clone(),
         None => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
@@ -406,8 +449,8 @@ pub(super) fn create(
     let json = |value: &Option<serde_json::Value>| value.as_ref().map(serde_json::Value::to_string);
     let rows = transaction.execute(
         "INSERT INTO capture (name, source, state, lifecycle, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
-         started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
+         started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint, token, received) \
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, 0)",
         params![
             name,
             capture.source,
@@ -422,6 +465,7 @@ pub(super) fn create(
             json(&capture.configuration),
             SOFTWARE,
             fingerprint,
+            capture.token,
         ],
     );
     match rows {
@@ -486,7 +530,8 @@ fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
 fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
     let mut statement = connection.prepare(
         "SELECT id, name, state, planned_duration_ns, start_at_utc_ns, started_utc_ns, sensor, configuration, samples, \
-         missing, gaps, sample_time_ns FROM capture \
+         missing, gaps, sample_time_ns, received, \
+         (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id) FROM capture \
          WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live' ORDER BY id",
     )?;
     let mut rows = statement.query([])?;
@@ -505,11 +550,14 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
             missing: row.get::<_, i64>(9)? as u64,
             gaps: row.get::<_, i64>(10)? as u64,
             sample_time_ns: row.get::<_, i64>(11)? as u64,
+            received: row.get::<_, Option<i64>>(12)?.map(|received| received as u64),
+            rejected: serde_json::from_str(&row.get::<_, String>(13)?)?,
             stream: None,
             segment: 0,
             epoch: 0,
             epoch_first_device_ns: None,
             last: None,
+            last_sync_count: None,
         };
         add_position(connection, &mut capture)?;
         captures.push(capture);
@@ -542,6 +590,8 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
             Ok((device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?))
         })
         .optional()?;
+    let sql = "SELECT sync_count FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
+    capture.last_sync_count = connection.query_row(sql, [capture.id], |row| row.get(0)).optional()?.flatten();
     Ok(())
 }
 
@@ -549,7 +599,7 @@ const CAPTURE_COLUMNS: &str = "id, name, source, state, created_utc_ns, start_at
     planned_duration_ns, sample_time_ns, rate_hz, rate_assumed, samples, missing, gaps, segments, \
     (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), pinned, \
     (SELECT json_group_array(json_array(channel, unit, resolution, original_unit, factor)) \
-        FROM channel WHERE capture_id = capture.id), sensor, configuration, software";
+        FROM channel WHERE capture_id = capture.id), sensor, configuration, software, delete_at_utc_ns";
 
 fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
     type Raw = (String, String, Option<f64>, Option<String>, Option<f64>);
@@ -585,6 +635,7 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
         segments: count(15)?,
         rejected: serde_json::from_str(&row.get::<_, String>(16)?)?,
         pinned: row.get(17)?,
+        delete_at: time(22)?,
         channels: names,
         units,
         sensor: object(19)?,

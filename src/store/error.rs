@@ -24,6 +24,20 @@ pub enum StoreError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A file could not be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file is in the way.
+    #[error("{path} exists already: choose another name, or say --force to replace it")]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// There is no database to read.
     #[error("there is no database at {path}: capture or import something first, or name its directory with --data-dir")]
     NoDatabase {
@@ -43,7 +57,7 @@ pub enum StoreError {
     /// The file is something else.
     #[error(
         "{path} is not a vn100d database (application id {found:#010x}, expected {expected:#010x}): it was left \
-         untouched, choose another data directory"
+         untouched, choose another data directory (or, if it was one and is damaged, salvage it with `vn100d recover`)"
     )]
     Foreign {
         /// The file.
@@ -87,10 +101,49 @@ pub enum StoreError {
     #[error("the schema could not be brought up to date: {0}")]
     Migration(#[from] rusqlite_migration::Error),
     /// The database is damaged.
-    #[error("the database is damaged ({report}): copy it away, then salvage what is intact with `vn100d recover`")]
+    #[error("the database is damaged ({report}): salvage what is intact with `vn100d recover`")]
     Damaged {
-        /// What SQLite's check reports.
+        /// What was found.
         report: String,
+    },
+    /// The database is damaged and is not opened for writing.
+    #[error(
+        "{path} is damaged ({report}): nothing is written to it; salvage what is intact with \
+         `vn100d recover {path} --out FILE` and put that file in its place"
+    )]
+    RefusedDamaged {
+        /// The database.
+        path: PathBuf,
+        /// What was found.
+        report: String,
+    },
+    /// What was committed is not there: the log was taken away, or an older file was put in its place.
+    #[error(
+        "{path} lacks {lost} batches that were committed: its log `-wal` was taken away, or an older copy was put in \
+         its place; put the right files back, or salvage it with `vn100d recover`, or remove {lock} to go on with what \
+         is there"
+    )]
+    LogMissing {
+        /// The database.
+        path: PathBuf,
+        /// Batches between the last that was committed and the last that is there.
+        lost: i64,
+        /// The file that remembers.
+        lock: PathBuf,
+    },
+    /// The disk refuses for now.
+    #[error("the database takes nothing for now: {reason}")]
+    Refusing {
+        /// The last error.
+        reason: String,
+    },
+    /// The file under the database's path is another one.
+    #[error("the database {path} was deleted or replaced: {detail}")]
+    Lost {
+        /// The database.
+        path: PathBuf,
+        /// What is done.
+        detail: &'static str,
     },
     /// SQLite refused.
     #[error("database: {0}")]
@@ -148,6 +201,12 @@ pub enum StoreError {
         /// How it ended.
         state: &'static str,
     },
+    /// So many jobs wait already.
+    #[error("{queued} jobs wait already: submit again once some are done (`vn100d jobs` lists them)")]
+    QueueFull {
+        /// How many.
+        queued: u64,
+    },
     /// A cursor that this program did not give out.
     #[error("`{found}` is not a cursor of this list: take the one that the previous page gave as `next`")]
     BadCursor {
@@ -196,15 +255,24 @@ impl StoreError {
     #[must_use]
     pub fn kind(&self) -> StoreErrorKind {
         match self {
-            Self::Locked { .. } | Self::Create { .. } | Self::NetworkFileSystem { .. } | Self::Foreign { .. } => {
-                StoreErrorKind::CannotCreate
-            }
+            Self::Locked { .. }
+            | Self::Create { .. }
+            | Self::Exists { .. }
+            | Self::NetworkFileSystem { .. }
+            | Self::Foreign { .. } => StoreErrorKind::CannotCreate,
             Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,
-            Self::Damaged { .. } | Self::Thread(_) | Self::Unwritten { .. } => StoreErrorKind::Io,
+            Self::Read { .. }
+            | Self::Damaged { .. }
+            | Self::RefusedDamaged { .. }
+            | Self::LogMissing { .. }
+            | Self::Thread(_)
+            | Self::Unwritten { .. } => StoreErrorKind::Io,
             Self::NoDatabase { .. } | Self::NoSuchCapture { .. } | Self::NoSuchJob { .. } => StoreErrorKind::NotFound,
             Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } => StoreErrorKind::Conflict,
             Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
-            Self::Closed => StoreErrorKind::Unavailable,
+            Self::Closed | Self::QueueFull { .. } | Self::Refusing { .. } | Self::Lost { .. } => {
+                StoreErrorKind::Unavailable
+            }
             Self::Sqlite(error) => kind_of(error),
             Self::Migration(rusqlite_migration::Error::RusqliteError { err, .. }) => kind_of(err),
             Self::SqliteTooOld { .. } | Self::Migration(_) | Self::Json(_) | Self::Unknown { .. } => {
@@ -223,6 +291,7 @@ impl StoreError {
                 Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => StorageState::StorageLocked,
                 _ => StorageState::StorageError,
             },
+            Self::Lost { .. } => StorageState::StorageLost,
             _ => StorageState::StorageError,
         }
     }

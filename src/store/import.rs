@@ -102,7 +102,7 @@ impl Import {
     fn write(&mut self) -> Result<(), StoreError> {
         let records = std::mem::replace(&mut self.pending, Vec::with_capacity(STEP));
         let utc_ns = self.store.utc_ns();
-        self.store.execute(move |transaction| insert(transaction, &records, utc_ns).map(drop))
+        self.store.execute(move |transaction| insert(transaction, &records, utc_ns, 0).map(drop))
     }
 
     /// Shows the capture to everybody. `ended_utc_ns` is when its recording ended, where that is known.

@@ -8,6 +8,8 @@
 //! [`Inserted::refused`]: it must not hold up what comes behind it.
 
 use super::StoreError;
+use super::batch::{self, Run, StoredRow};
+use crate::sample::device_clock::ClockEstimate;
 use crate::sample::record::CaptureEnd;
 use crate::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
 use crate::units::NANOS_PER_SECOND;
@@ -40,6 +42,10 @@ struct Added {
     ended: Option<(CaptureEnd, i64)>,
     first_utc_ns: Option<i64>,
     next_seq: u64,
+    /// Measurements received as of the last record; None where nobody counts.
+    received: Option<u64>,
+    /// Consecutive samples that were added, for their checksum.
+    run: Option<Run>,
 }
 
 #[derive(Default)]
@@ -54,8 +60,14 @@ const INSERT_SAMPLE: &str = "INSERT INTO sample (capture_id, segment_id, seq, de
     sync_count) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21) \
     ON CONFLICT DO NOTHING";
 
-/// Writes the records in their order. `utc_ns` is the time of configurations, which carry none of their own.
-pub(super) fn insert(connection: &Connection, records: &[(i64, Record)], utc_ns: i64) -> Result<Inserted, StoreError> {
+/// Writes the records in their order. `utc_ns` is the time of configurations, which carry none of their own; `number` is
+/// the batch's, 0 for an import.
+pub(super) fn insert(
+    connection: &Connection,
+    records: &[(i64, Record)],
+    utc_ns: i64,
+    number: i64,
+) -> Result<Inserted, StoreError> {
     let mut captures: BTreeMap<i64, Option<Added>> = BTreeMap::new();
     let mut inserted = Inserted::default();
     let mut sample_statement = connection.prepare_cached(INSERT_SAMPLE)?;
@@ -70,14 +82,28 @@ pub(super) fn insert(connection: &Connection, records: &[(i64, Record)], utc_ns:
         };
         let outcome = match record {
             Record::Sample { seq, segment, sample } => {
-                insert_sample(&mut sample_statement, *capture_id, *segment, *seq, sample, added)
+                let row = StoredRow::of(*seq, *segment, sample);
+                let outcome = insert_sample(&mut sample_statement, *capture_id, *segment, *seq, sample, added);
+                outcome.and_then(|new| if new { cover(connection, *capture_id, &row, number, added) } else { Ok(()) })
             }
             Record::Segment(segment) => insert_segment(connection, *capture_id, segment, added),
             Record::Gap(gap) => insert_gap(connection, *capture_id, gap, added),
             Record::Event(event) => insert_event(connection, *capture_id, event),
             Record::Discarded { cause, count } => {
                 *added.rejected.entry(*cause).or_default() += count;
+                if cause.is_frame() {
+                    added.received = added.received.map(|received| received + count);
+                }
                 Ok(())
+            }
+            Record::DeviceClock { epoch, estimate } => insert_clock(connection, *capture_id, *epoch, estimate),
+            Record::UtcSet { by_ns, before_utc_ns } => {
+                if let Some(run) = added.run.take() {
+                    run.store(connection, *capture_id, number)?;
+                }
+                let intact = batch::intact_of(connection, *capture_id)?;
+                correct_utc(connection, *capture_id, *by_ns, *before_utc_ns, added)
+                    .and_then(|()| batch::renew(connection, &intact))
             }
             Record::Configuration(registers) => {
                 insert_configuration(connection, *capture_id, registers, added.next_seq, utc_ns)
@@ -95,7 +121,10 @@ pub(super) fn insert(connection: &Connection, records: &[(i64, Record)], utc_ns:
             other => other?,
         }
     }
-    for (capture_id, added) in captures {
+    for (capture_id, mut added) in captures {
+        if let Some(run) = added.as_mut().and_then(|added| added.run.take()) {
+            run.store(connection, capture_id, number)?;
+        }
         let Some(added) = added else {
             tracing::error!(message = "Records of a capture that does not exist were dropped.", capture_id);
             continue;
@@ -109,13 +138,14 @@ pub(super) fn insert(connection: &Connection, records: &[(i64, Record)], utc_ns:
 /// What the capture has so far; None where there is no such capture.
 fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, StoreError> {
     let mut statement = connection.prepare_cached(
-        "SELECT samples, (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1) \
+        "SELECT samples, received, (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1) \
          FROM capture WHERE id = ?1",
     )?;
     let mut rows = statement.query([capture_id])?;
     let Some(row) = rows.next()? else { return Ok(None) };
     let next_seq = row.get::<_, i64>(0)? as u64;
-    Ok(Some(Added { next_seq, rate_hz: row.get(1)?, ..Added::default() }))
+    let received = row.get::<_, Option<i64>>(1)?.map(|received| received as u64);
+    Ok(Some(Added { next_seq, received, rate_hz: row.get(2)?, ..Added::default() }))
 }
 
 fn insert_sample(
@@ -125,7 +155,7 @@ fn insert_sample(
     seq: u64,
     sample: &Sample,
     added: &mut Added,
-) -> Result<(), StoreError> {
+) -> Result<bool, StoreError> {
     statement.raw_bind_parameter(1, capture_id)?;
     statement.raw_bind_parameter(2, segment)?;
     statement.raw_bind_parameter(3, seq as i64)?;
@@ -138,10 +168,15 @@ fn insert_sample(
     }
     statement.raw_bind_parameter(7 + Channel::COUNT, sample.sync_count)?;
     if statement.raw_execute()? == 0 {
-        return Ok(());
+        return Ok(false);
     }
     added.samples += 1;
     added.next_seq = seq + 1;
+    if sample.frame == 0 {
+        added.received = None;
+    }
+    // The reader's own count, whatever came between: a measurement that got lost on the way here shows as a difference.
+    added.received = added.received.map(|_| sample.frame);
     if let Some(rate_hz) = added.rate_hz {
         added.sample_time_ns += NANOS_PER_SECOND as f64 / rate_hz;
     }
@@ -149,6 +184,21 @@ fn insert_sample(
     end.samples += 1;
     end.device_time_ns = sample.device_time_ns;
     end.utc_ns = sample.host_utc_ns;
+    Ok(true)
+}
+
+/// Adds a row to the checksum of its batch; a hole in `seq` (samples that were there already) begins another.
+fn cover(
+    connection: &Connection,
+    capture_id: i64,
+    row: &StoredRow,
+    number: i64,
+    added: &mut Added,
+) -> Result<(), StoreError> {
+    if let Some(run) = added.run.take_if(|run| run.next_seq() != row.seq) {
+        run.store(connection, capture_id, number)?;
+    }
+    added.run.get_or_insert_with(|| Run::new(row.seq)).push(row);
     Ok(())
 }
 
@@ -232,6 +282,60 @@ fn insert_event(connection: &Connection, capture_id: i64, event: &EventRecord) -
     Ok(())
 }
 
+fn insert_clock(
+    connection: &Connection,
+    capture_id: i64,
+    epoch: u32,
+    estimate: &ClockEstimate,
+) -> Result<(), StoreError> {
+    connection
+        .prepare_cached(
+            "INSERT OR REPLACE INTO device_clock (capture_id, epoch, skew_ppm, skew_ppm_uncertainty, offset_s, \
+             latency_mean_ms, latency_max_ms, span_s) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+        )?
+        .execute(params![
+            capture_id,
+            epoch,
+            estimate.skew_ppm,
+            estimate.skew_ppm_uncertainty,
+            estimate.offset_s,
+            estimate.latency_mean_ms,
+            estimate.latency_max_ms,
+            estimate.span_s,
+        ])?;
+    Ok(())
+}
+
+/// Moves every time of the capture that lies before `before_utc_ns` by `by_ns`: what was written while nobody had set the
+/// host's clock.
+fn correct_utc(
+    connection: &Connection,
+    capture_id: i64,
+    by_ns: i64,
+    before_utc_ns: i64,
+    added: &mut Added,
+) -> Result<(), StoreError> {
+    for (table, key, column) in [
+        ("sample", "capture_id", "host_utc_ns"),
+        ("segment", "capture_id", "first_utc_ns"),
+        ("segment", "capture_id", "last_utc_ns"),
+        ("gap", "capture_id", "from_utc_ns"),
+        ("gap", "capture_id", "to_utc_ns"),
+        ("event", "capture_id", "utc_ns"),
+        ("configuration", "capture_id", "utc_ns"),
+        ("capture", "id", "created_utc_ns"),
+        ("capture", "id", "started_utc_ns"),
+    ] {
+        let sql = format!("UPDATE {table} SET {column} = {column} + ?2 WHERE {key} = ?1 AND {column} < ?3");
+        connection.prepare_cached(&sql)?.execute(params![capture_id, by_ns, before_utc_ns])?;
+    }
+    let ends = added.ends.values_mut().map(|end| &mut end.utc_ns);
+    for utc_ns in ends.chain(&mut added.first_utc_ns).filter(|utc_ns| **utc_ns < before_utc_ns) {
+        *utc_ns += by_ns;
+    }
+    Ok(())
+}
+
 fn insert_configuration(
     connection: &Connection,
     capture_id: i64,
@@ -295,7 +399,7 @@ fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64
             "UPDATE capture SET samples = samples + ?2, missing = missing + ?3, gaps = gaps + ?4, \
              segments = segments + ?5, sample_time_ns = sample_time_ns + ?6, rate_hz = coalesce(?7, rate_hz), \
              started_utc_ns = coalesce(started_utc_ns, ?8), state = coalesce(?9, CASE WHEN state = 'waiting' AND ?5 > 0 THEN 'capturing' ELSE state END), \
-             ended_utc_ns = coalesce(?10, ended_utc_ns) WHERE id = ?1 RETURNING samples",
+             ended_utc_ns = coalesce(?10, ended_utc_ns), received = ?11 WHERE id = ?1 RETURNING samples",
         )?
         .query_row(
             params![
@@ -309,6 +413,7 @@ fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64
                 added.first_utc_ns,
                 state,
                 added.ended.map(|(_, utc_ns)| utc_ns),
+                added.received.map(|received| received as i64),
             ],
             |row| row.get(0),
         )?;

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// Starts without a checkpoint in between after which a job is taken to be the cause of the program's ends.
 pub const ATTEMPTS_MAX: u32 = 3;
+/// Jobs that may wait at once before further ones that somebody asks for are refused.
+pub const QUEUE_JOBS_MAX: u64 = 100;
 
 /// What a job is doing or how it ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
@@ -85,6 +87,10 @@ pub struct JobRow {
     pub error: Option<String>,
     /// The id of its result.
     pub result_id: Option<i64>,
+    /// The program that it was submitted to, or that took it over.
+    pub software: String,
+    /// Whether that is another version than this one: submit it again for a new result, the old one stays.
+    pub stale: bool,
 }
 
 /// Where a job goes on.
@@ -97,11 +103,12 @@ pub struct JobCheckpoint {
 }
 
 const JOB_COLUMNS: &str = "id, kind, capture_id, params, end_seq, state, progress, created_utc_ns, started_utc_ns, \
-    finished_utc_ns, error, result_id";
+    finished_utc_ns, error, result_id, software";
 
 fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
     let state: String = row.get(5)?;
     let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));
+    let software: String = row.get(12)?;
     Ok(JobRow {
         id: row.get(0)?,
         kind: row.get(1)?,
@@ -115,6 +122,8 @@ fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
         finished_at: time(9)?,
         error: row.get(10)?,
         result_id: row.get(11)?,
+        stale: software != SOFTWARE,
+        software,
     })
 }
 
@@ -147,13 +156,14 @@ fn canonical(value: &serde_json::Value) -> String {
 
 impl Store {
     /// Queues a job over the samples that are on disk now; answers it, and whether it is new. The same submission (kind,
-    /// capture, samples, parameters, software) is the same job, unless that one failed or was cancelled.
+    /// capture, samples, parameters, software) is the same job, unless that one failed or was cancelled; while the capture
+    /// still grows, one that waits or runs is the same whatever samples it takes in. `queue_max` bounds how many may wait.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
-    pub fn submit_job(&self, new: NewJob) -> Result<(JobRow, bool), StoreError> {
+    /// [`StoreError::NoSuchCapture`], [`StoreError::QueueFull`], or what the database says.
+    pub fn submit_job(&self, new: NewJob, queue_max: u64) -> Result<(JobRow, bool), StoreError> {
         let utc_ns = self.utc_ns();
-        self.execute(move |transaction| submit(transaction, &new, utc_ns))
+        self.execute(move |transaction| submit(transaction, &new, queue_max, utc_ns))
     }
 
     /// Takes the oldest queued job and marks it as running. One that was begun [`ATTEMPTS_MAX`] times and never reached
@@ -174,6 +184,7 @@ impl Store {
             let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
                 return Ok(None);
             };
+            take_over(transaction, id)?;
             transaction.execute(
                 "UPDATE job SET state = 'running', attempts = attempts + 1, \
                  started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1",
@@ -197,10 +208,11 @@ impl Store {
             if running == 1 {
                 transaction
                     .prepare_cached(
-                        "INSERT INTO job_checkpoint (job_id, next_seq, state) VALUES (?1, ?2, ?3) \
-                         ON CONFLICT (job_id) DO UPDATE SET next_seq = excluded.next_seq, state = excluded.state",
+                        "INSERT INTO job_checkpoint (job_id, next_seq, state, software) VALUES (?1, ?2, ?3, ?4) \
+                         ON CONFLICT (job_id) DO UPDATE SET next_seq = excluded.next_seq, state = excluded.state, \
+                         software = excluded.software",
                     )?
-                    .execute(params![id, checkpoint.next_seq as i64, checkpoint.state])?;
+                    .execute(params![id, checkpoint.next_seq as i64, checkpoint.state, SOFTWARE])?;
             }
             Ok(running == 1)
         })
@@ -282,29 +294,62 @@ impl Store {
     }
 }
 
-fn submit(transaction: &Transaction<'_>, new: &NewJob, utc_ns: i64) -> Result<(JobRow, bool), StoreError> {
-    let sql = "SELECT samples FROM capture WHERE id = ?1 AND lifecycle = 'live'";
-    let end_seq: i64 = transaction
-        .query_row(sql, [new.capture_id], |row| row.get(0))
+fn submit(
+    transaction: &Transaction<'_>,
+    new: &NewJob,
+    queue_max: u64,
+    utc_ns: i64,
+) -> Result<(JobRow, bool), StoreError> {
+    let sql = "SELECT samples, state IN ('waiting', 'capturing') FROM capture WHERE id = ?1 AND lifecycle = 'live'";
+    let (end_seq, growing): (i64, bool) = transaction
+        .query_row(sql, [new.capture_id], |row| Ok((row.get(0)?, row.get(1)?)))
         .optional()?
         .ok_or_else(|| StoreError::NoSuchCapture { asked: new.capture_id.to_string() })?;
-    let fingerprint = canonical(&serde_json::json!({
-        "kind": new.kind, "capture": new.capture_id, "end_seq": end_seq, "params": new.params, "software": SOFTWARE,
-    }));
+    let params = canonical(&new.params);
+    let fingerprint = fingerprint(&new.kind, new.capture_id, end_seq, &new.params);
     let sql = "SELECT id FROM job WHERE fingerprint = ?1 AND state IN ('queued', 'running', 'done')";
-    let known: Option<i64> = transaction.query_row(sql, [&fingerprint], |row| row.get(0)).optional()?;
+    let mut known: Option<i64> = transaction.query_row(sql, [&fingerprint], |row| row.get(0)).optional()?;
+    if known.is_none() && growing {
+        let sql = "SELECT id FROM job WHERE capture_id = ?1 AND kind = ?2 AND params = ?3 AND software = ?4 \
+                   AND state IN ('queued', 'running') ORDER BY id DESC LIMIT 1";
+        let of = params![new.capture_id, new.kind, params, SOFTWARE];
+        known = transaction.query_row(sql, of, |row| row.get(0)).optional()?;
+    }
     let (id, is_new) = match known {
         Some(id) => (id, false),
         None => {
+            let sql = "SELECT count(*) FROM job WHERE state = 'queued'";
+            let queued = transaction.query_row(sql, [], |row| row.get::<_, i64>(0))? as u64;
+            if queued >= queue_max {
+                return Err(StoreError::QueueFull { queued });
+            }
             transaction.execute(
-                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, state, created_utc_ns) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, 'queued', ?6)",
-                params![new.kind, new.capture_id, new.params.to_string(), end_seq, fingerprint, utc_ns],
+                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7)",
+                params![new.kind, new.capture_id, params, end_seq, fingerprint, SOFTWARE, utc_ns],
             )?;
             (transaction.last_insert_rowid(), true)
         }
     };
     Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?, is_new))
+}
+
+fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &serde_json::Value) -> String {
+    canonical(&serde_json::json!({
+        "kind": kind, "capture": capture_id, "end_seq": end_seq, "params": params, "software": SOFTWARE,
+    }))
+}
+
+/// A job that an older program left in the queue becomes one of this program: its result will be.
+fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
+    let Some(old) = job(transaction, id)?.filter(|job| job.stale) else { return Ok(()) };
+    let fingerprint = fingerprint(&old.kind, old.capture, old.end_seq as i64, &old.params);
+    // Where the same was submitted to this program already, the old one is worked off under its old name.
+    transaction.execute(
+        "UPDATE OR IGNORE job SET fingerprint = ?2, software = ?3, attempts = 0 WHERE id = ?1",
+        params![id, fingerprint, SOFTWARE],
+    )?;
+    Ok(())
 }
 
 impl Reader {
@@ -359,14 +404,32 @@ impl Reader {
         rows.next()?.map(job_of).transpose()
     }
 
-    /// Where a job goes on; None before its first checkpoint.
+    /// The jobs that have taken in all samples of this capture below `end_seq`, the latest first, at most 1000.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn jobs_over(&self, capture_id: i64, kind: &str, end_seq: u64) -> Result<Vec<JobRow>, StoreError> {
+        let sql = format!(
+            "SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 AND end_seq = ?3 ORDER BY id DESC LIMIT 1000"
+        );
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query(params![capture_id, kind, end_seq as i64])?;
+        let mut jobs = Vec::new();
+        while let Some(row) = rows.next()? {
+            jobs.push(job_of(row)?);
+        }
+        Ok(jobs)
+    }
+
+    /// Where a job goes on; None before its first checkpoint, and where another version of the program made it: sums of
+    /// two programs are never mixed.
     ///
     /// # Errors
     /// What the database says.
     pub fn checkpoint(&self, job_id: i64) -> Result<Option<JobCheckpoint>, StoreError> {
-        let sql = "SELECT next_seq, state FROM job_checkpoint WHERE job_id = ?1";
+        let sql = "SELECT next_seq, state FROM job_checkpoint WHERE job_id = ?1 AND software = ?2";
         let read = |row: &Row<'_>| Ok(JobCheckpoint { next_seq: row.get::<_, i64>(0)? as u64, state: row.get(1)? });
-        Ok(self.connection.prepare_cached(sql)?.query_row([job_id], read).optional()?)
+        Ok(self.connection.prepare_cached(sql)?.query_row(params![job_id, SOFTWARE], read).optional()?)
     }
 
     /// How many jobs are in a state.

@@ -3,14 +3,30 @@
 use super::StoreError;
 use rustix::fs::FlockOperation;
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, Write};
+use std::io::Read;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// Holds `<database>.lock` with this process's id in it; the kernel lets go of it when the process ends, however.
+///
+/// Its second line remembers the last batch that was acknowledged ([`Mark`]): outside the database, so that a log that is
+/// taken away is noticed.
 #[derive(Debug)]
 pub(super) struct WriterLock {
-    _file: File,
+    file: File,
+    /// What an earlier writer left.
+    pub(super) previous: Option<Mark>,
 }
+
+/// The last batch that was acknowledged, and of which database.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Mark {
+    pub(super) identity: String,
+    pub(super) batch: i64,
+}
+
+/// Bytes of the first line, so that the second can be written in its place.
+const PID_WIDTH: usize = 20;
 
 impl WriterLock {
     /// Takes the lock, at once or not at all.
@@ -19,26 +35,55 @@ impl WriterLock {
         let create = |source| StoreError::Create { path: path.clone(), source };
         let mut file =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(create)?;
-        if let Err(error) = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        let locked = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive);
+        let mut text = String::new();
+        // A lock file torn by a power loss says nothing.
+        let _ = file.read_to_string(&mut text);
+        let mut lines = text.lines();
+        let pid = lines.next().map(str::trim).filter(|pid| !pid.is_empty()).unwrap_or("(unknown)").to_owned();
+        if let Err(error) = locked {
             if error != rustix::io::Errno::WOULDBLOCK {
                 return Err(create(error.into()));
             }
-            let mut pid = String::new();
-            file.read_to_string(&mut pid).map_err(create)?;
-            let pid = match pid.trim() {
-                "" => "(unknown)".to_owned(),
-                text => text.to_owned(),
-            };
             return Err(StoreError::Locked { path: database.to_owned(), pid });
         }
-        file.set_len(0).map_err(create)?;
-        file.rewind().map_err(create)?;
-        writeln!(file, "{}", std::process::id()).map_err(create)?;
-        Ok(Self { _file: file })
+        let previous = lines.next().and_then(Mark::read);
+        let lock = Self { file, previous };
+        let line = format!("{:<PID_WIDTH$}\n", std::process::id());
+        lock.file.write_all_at(line.as_bytes(), 0).map_err(create)?;
+        Ok(lock)
+    }
+
+    /// Remembers the last acknowledged batch. It is not synced: a mark that is older than the database does no harm.
+    pub(super) fn mark(&self, mark: &Mark) -> std::io::Result<()> {
+        let line = format!("{} {:020}\n", mark.identity, mark.batch);
+        self.file.write_all_at(line.as_bytes(), PID_WIDTH as u64 + 1)
     }
 }
 
-fn lock_path(database: &Path) -> PathBuf {
+impl Mark {
+    fn read(line: &str) -> Option<Self> {
+        let (identity, batch) = line.split_once(' ')?;
+        let whole = identity.len() == 32 && batch.len() == 20;
+        Some(Self { identity: identity.to_owned(), batch: batch.parse().ok()? }).filter(|_| whole)
+    }
+}
+
+/// Whether another process writes the database; leaves everything as it is.
+pub(super) fn refuse_writer(database: &Path) -> Result<(), StoreError> {
+    let Ok(mut file) = File::open(lock_path(database)) else { return Ok(()) };
+    match rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared) {
+        Err(rustix::io::Errno::WOULDBLOCK) => {
+            let mut text = String::new();
+            let _ = file.read_to_string(&mut text);
+            let pid = text.lines().next().unwrap_or_default().trim().to_owned();
+            Err(StoreError::Locked { path: database.to_owned(), pid })
+        }
+        _ => Ok(()),
+    }
+}
+
+pub(super) fn lock_path(database: &Path) -> PathBuf {
     let mut path = database.as_os_str().to_owned();
     path.push(".lock");
     PathBuf::from(path)

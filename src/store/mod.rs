@@ -11,15 +11,24 @@
 //! Methods of [`Store`] block until their transaction is committed: from asynchronous code call them through
 //! [`Store::offload`].
 
+mod accounting;
+mod backup;
+mod batch;
 mod captures;
+mod check;
 mod error;
 mod import;
 mod insert;
 mod jobs;
 mod lock;
+mod lost;
 mod page;
+mod progress;
+mod queue;
 mod reader;
+mod recover;
 mod results;
+mod retention;
 mod samples;
 mod schema;
 mod times;
@@ -29,28 +38,39 @@ mod writer;
 #[cfg(test)]
 mod data_model;
 #[cfg(test)]
+mod safety;
+#[cfg(test)]
 mod tests;
 
+pub use accounting::DeviceClockRow;
+pub use backup::BackupReport;
 pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NewCapture, Unfinished};
+pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};
-pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob};
+pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX};
 pub use page::{Page, PageRequest};
+pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
+pub use queue::{RecordSender, Refused};
 pub use reader::{Interrupt, PooledReader, Reader, ReaderPool};
+pub use recover::{RecoverReport, RecoveredCapture, recover};
 pub use results::ResultRow;
+pub use retention::RetentionRow;
 pub use samples::{Chunk, SeqRange, Times};
 pub use schema::{APPLICATION_ID, schema_version};
 pub use times::UtcNs;
 pub use trail::{ConfigurationRow, EventRow, GapRow, SegmentRow};
-pub use writer::{BYTES_PER_SAMPLE, COMMIT_AFTER, COMMIT_RECORDS, RecordSender, Refused, WriterProgress};
+pub use writer::{COMMIT_AFTER, COMMIT_RECORDS};
 
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageStatus;
+use progress::SharedProgress;
 use rusqlite::Transaction;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
-use writer::{Command, Failure, SharedProgress, Writer};
+use writer::{Command, Failure, Writer, WriterParts};
 
 /// Name and version of this program, as captures and results keep it.
 pub const SOFTWARE: &str = concat!("vn100d ", env!("CARGO_PKG_VERSION"));
@@ -70,11 +90,20 @@ pub struct StoreOptions {
     pub queue: usize,
     /// The clock that rows without a time of their own are stamped with.
     pub clock: Arc<dyn Clock>,
+    /// How often it is looked whether the path still names the file that is open.
+    pub file_check: Duration,
+    /// Size of the write-ahead log in bytes above which [`Store::status`] warns.
+    pub wal_alarm_bytes: u64,
 }
 
 impl Default for StoreOptions {
     fn default() -> Self {
-        Self { queue: QUEUE_MIN, clock: Arc::new(SystemClock) }
+        Self {
+            queue: QUEUE_MIN,
+            clock: Arc::new(SystemClock),
+            file_check: Duration::from_secs(10),
+            wal_alarm_bytes: 256_000_000,
+        }
     }
 }
 
@@ -91,6 +120,7 @@ struct Inner {
     records: RecordSender,
     commands: mpsc::UnboundedSender<Command>,
     progress: SharedProgress,
+    wal_alarm_bytes: u64,
     thread: Mutex<Option<std::thread::JoinHandle<Result<(), StoreError>>>>,
 }
 
@@ -113,29 +143,28 @@ impl Store {
         };
         lock::refuse_network_file_system(&path)?;
         let writer_lock = lock::WriterLock::take(&path)?;
-        let mut connection = schema::open_and_migrate(&path)?;
+        let mut connection = schema::open_and_migrate(&path, writer_lock.previous.as_ref())?;
         captures::tidy_after_start(&mut connection)?;
 
         let (record_sender, record_receiver) = mpsc::channel(options.queue);
         let (command_sender, command_receiver) = mpsc::unbounded_channel();
         let progress = SharedProgress::default();
-        let writer = Writer::new(
-            path.clone(),
-            Arc::clone(&options.clock),
+        let writer = Writer::new(WriterParts {
+            path: path.clone(),
+            clock: Arc::clone(&options.clock),
             connection,
-            record_receiver,
-            command_receiver,
-            Arc::clone(&progress),
-        )?;
+            records: record_receiver,
+            commands: command_receiver,
+            progress: Arc::clone(&progress),
+            lock: writer_lock,
+            file_check: options.file_check,
+            wal_alarm_bytes: options.wal_alarm_bytes,
+        })?;
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(StoreError::Thread)?;
         let thread = std::thread::Builder::new()
             .name("writer".to_owned())
-            .spawn(move || {
-                let outcome = runtime.block_on(writer.run());
-                drop(writer_lock);
-                outcome
-            })
+            .spawn(move || runtime.block_on(writer.run()))
             .map_err(StoreError::Thread)?;
         Ok(Self {
             inner: Arc::new(Inner {
@@ -144,6 +173,7 @@ impl Store {
                 records: RecordSender(record_sender),
                 commands: command_sender,
                 progress,
+                wal_alarm_bytes: options.wal_alarm_bytes,
                 thread: Mutex::new(Some(thread)),
             }),
         })
@@ -164,7 +194,14 @@ impl Store {
     /// How the writer is; from memory.
     #[must_use]
     pub fn progress(&self) -> WriterProgress {
-        writer::locked(&self.inner.progress).clone()
+        progress::locked(&self.inner.progress).clone()
+    }
+
+    /// The id under which a capture is in the database: another than the one it was started with only where the file was
+    /// replaced by one that has that id already.
+    #[must_use]
+    pub fn stored_id(&self, id: i64) -> i64 {
+        progress::locked(&self.inner.progress).moved.get(&id).copied().unwrap_or(id)
     }
 
     /// The same for the status page; from memory, never waits for the disk.
@@ -172,14 +209,15 @@ impl Store {
     pub fn status(&self) -> StorageStatus {
         let progress = self.progress();
         let now = SystemClock.mono_ns();
-        let growth = progress.samples_per_s * BYTES_PER_SAMPLE;
         StorageStatus {
-            state: progress.state,
+            state: progress.state_now(now),
+            time_to_full_s: progress.time_to_full_s(),
+            low_space: progress.low_space(),
+            warning: progress.warning(self.inner.wal_alarm_bytes),
             database: self.inner.path.display().to_string(),
             database_bytes: progress.database_bytes,
             wal_bytes: progress.wal_bytes,
             free_bytes: progress.free_bytes,
-            time_to_full_s: (growth > 1.0).then(|| progress.free_bytes as f64 / growth),
             last_commit_age_s: progress.last_commit_mono_ns.map(|at| now.saturating_sub(at) as f64 / 1e9),
             last_commit_s: progress.last_commit.map(|took| took.as_secs_f64()),
             queued: (self.inner.records.queued() + progress.in_flight) as u64,

@@ -33,6 +33,11 @@ impl PageRequest {
         Self { limit: Some(LIMIT_MAX), cursor: None }
     }
 
+    /// One row: the one after this key.
+    pub(super) fn one_after(list: &str, key: i64) -> Self {
+        Self { limit: Some(1), cursor: Some(format!("{list}-1-{}", base36(key))) }
+    }
+
     pub(super) fn limit(&self) -> usize {
         self.limit.unwrap_or(LIMIT).clamp(1, LIMIT_MAX) as usize
     }

@@ -3,6 +3,7 @@
 //! Every method is one short query; none leaves a read transaction open, because an open one keeps the log from being
 //! emptied (an hour's worth of data: 168 MB).
 
+use super::lost::FileId;
 use super::{StoreError, schema};
 use rusqlite::{Connection, InterruptHandle};
 use std::path::{Path, PathBuf};
@@ -15,6 +16,7 @@ const IDLE_MAX: usize = 16;
 #[derive(Debug)]
 pub struct Reader {
     pub(super) connection: Connection,
+    file: FileId,
 }
 
 impl Reader {
@@ -24,7 +26,9 @@ impl Reader {
     /// [`StoreError::NoDatabase`], [`StoreError::Foreign`], [`StoreError::NewerSchema`], [`StoreError::OlderSchema`] or
     /// what SQLite says.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        Ok(Self { connection: schema::reader_connection(path)? })
+        // Before the connection: a file that is replaced in between is taken for lost, never the other way.
+        let file = FileId::of(path);
+        Ok(Self { connection: schema::reader_connection(path)?, file })
     }
 
     /// A handle with which another thread ends a query of this reader that takes too long.
@@ -70,8 +74,12 @@ impl ReaderPool {
     /// # Errors
     /// As [`Reader::open`].
     pub fn get(&self) -> Result<PooledReader, StoreError> {
-        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let reader = match idle {
+        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        // A file that was deleted or replaced is not read on.
+        idle.retain(|reader| !reader.file.is_lost(&self.path));
+        let reader = idle.pop();
+        drop(idle);
+        let reader = match reader {
             Some(reader) => reader,
             None => Reader::open(&self.path)?,
         };

@@ -164,6 +164,17 @@ impl Reader {
         }
         Ok(low)
     }
+
+    /// Segment, device time and civil time of one sample.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] where it is not there, or what the database says.
+    pub fn sample_clocks(&self, capture_id: i64, seq: u64) -> Result<(u32, Option<u64>, i64), StoreError> {
+        let sql = "SELECT segment_id, device_time_ns, host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2";
+        let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, Option<i64>>(1)?.map(|ns| ns as u64), row.get(2)?));
+        let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], read);
+        found.optional()?.ok_or_else(|| StoreError::Damaged { report: format!("sample {seq} is not there") })
+    }
 }
 
 fn push(chunk: &mut Chunk, row: &Row<'_>) -> Result<(), StoreError> {

@@ -1,6 +1,8 @@
 //! Opening: the one place that says which file is ours, what its schema is and which pragmas a connection has.
 
 use super::StoreError;
+use super::lock::Mark;
+use super::lost::refuse_replaced;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
 use std::path::Path;
@@ -11,8 +13,14 @@ pub const APPLICATION_ID: i32 = 0x564E_3130;
 /// First SQLite without the WAL-reset race (sqlite.org/wal.html#walresetbug).
 const SQLITE_NEEDED: (i32, &str) = (3_051_003, "3.51.3");
 /// In order, never edited after a release.
-const MIGRATIONS: &[&str] =
-    &[include_str!("../../migrations/0001_captures.sql"), include_str!("../../migrations/0002_jobs.sql")];
+const MIGRATIONS: &[&str] = &[
+    include_str!("../../migrations/0001_captures.sql"),
+    include_str!("../../migrations/0002_jobs.sql"),
+    include_str!("../../migrations/0003_accounting.sql"),
+    include_str!("../../migrations/0004_batches.sql"),
+    include_str!("../../migrations/0005_retention.sql"),
+    include_str!("../../migrations/0006_job_software.sql"),
+];
 /// How long the writer waits for a foreign lock before it reports it.
 const WRITER_BUSY: Duration = Duration::from_millis(5000);
 /// How long a reader waits.
@@ -38,14 +46,23 @@ pub(super) fn check_sqlite() -> Result<(), StoreError> {
 }
 
 /// The writer's connection to a database that exists or is made; its schema is brought up to date.
-pub(super) fn open_and_migrate(path: &Path) -> Result<Connection, StoreError> {
+///
+/// A database that is damaged is not opened: until it has passed, only a connection that cannot write has touched it.
+pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Connection, StoreError> {
     check_sqlite()?;
     let existing = std::fs::metadata(path).is_ok_and(|file| file.len() > 0);
     if existing {
         // A foreign file is looked at through a connection that cannot write.
         let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
-        refuse_foreign(&connection, path)?;
-        refuse_newer(&connection, path)?;
+        let ours = refuse_foreign(&connection, path).and_then(|()| refuse_newer(&connection, path));
+        ours.map_err(|error| match error {
+            StoreError::Sqlite(error) if says_damaged(&error) => {
+                StoreError::RefusedDamaged { path: path.to_owned(), report: error.to_string() }
+            }
+            other => other,
+        })?;
+        connection.busy_timeout(WRITER_BUSY)?;
+        super::check::at_start(&connection, path, mark)?;
     }
     let mut connection = writer_connection(path, OpenFlags::SQLITE_OPEN_CREATE)?;
     migrations().to_latest(&mut connection)?;
@@ -59,12 +76,37 @@ pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
+/// Makes a copy a database of its own: another identity, and nothing left in a log.
+pub(super) fn make_independent(path: &Path) -> Result<(), StoreError> {
+    let connection = writer_connection(path, OpenFlags::empty())?;
+    connection.execute("UPDATE writer SET identity = lower(hex(randomblob(16)))", [])?;
+    connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))?;
+    connection.close().map_err(|(_, error)| StoreError::Sqlite(error))
+}
+
+/// Empties the log and shortens its file, where no reader prevents it; never waits.
+pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error> {
+    connection.busy_timeout(Duration::ZERO)?;
+    let emptied = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
+    connection.busy_timeout(WRITER_BUSY)?;
+    emptied
+}
+
+/// Whether the error says that the file is not as SQLite wrote it.
+pub(super) fn says_damaged(error: &rusqlite::Error) -> bool {
+    use rusqlite::ErrorCode as Code;
+    matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
+        || matches!(error, rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::FromSqlConversionFailure(..))
+}
+
 fn writer_connection(path: &Path, more: OpenFlags) -> Result<Connection, StoreError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX | more;
     let connection = Connection::open_with_flags(path, flags)?;
     connection.busy_timeout(WRITER_BUSY)?;
     // A new file has no pages yet: it takes the id before it takes WAL mode.
     if connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0))? == 0 {
+        // Before the first table: what is deleted can then be given back to the file system in small steps.
+        connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
         connection.pragma_update(None, "application_id", APPLICATION_ID)?;
     }
     connection.pragma_update(None, "journal_mode", "WAL")?;
@@ -85,6 +127,7 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     }
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let mut connection = Connection::open_with_flags(path, flags)?;
+    refuse_replaced(path)?;
     connection.busy_timeout(READER_BUSY)?;
     if let Err(StoreError::Sqlite(error)) = refuse_foreign(&connection, path) {
         // WAL mode needs a shared-memory file; where none can be made and no log is left the file itself is complete.
@@ -120,6 +163,12 @@ pub(super) fn wal_path(path: &Path) -> std::path::PathBuf {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     log.into()
+}
+
+pub(super) fn shm_path(path: &Path) -> std::path::PathBuf {
+    let mut shared = path.as_os_str().to_owned();
+    shared.push("-shm");
+    shared.into()
 }
 
 /// The characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
@@ -160,7 +209,7 @@ mod tests {
     #[test]
     fn the_writer_has_the_pragmas_that_make_a_commit_durable() {
         let directory = tempfile::tempdir().unwrap();
-        let connection = open_and_migrate(&directory.path().join("a.db")).unwrap();
+        let connection = open_and_migrate(&directory.path().join("a.db"), None).unwrap();
         let text = |name| connection.pragma_query_value(None, name, |row| row.get::<_, String>(0)).unwrap();
         let number = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0)).unwrap();
         assert_eq!(text("journal_mode"), "wal");
@@ -168,6 +217,7 @@ mod tests {
         assert_eq!(number("application_id"), i64::from(APPLICATION_ID));
         assert_eq!(number("user_version"), schema_version());
         assert_eq!(number("foreign_keys"), 1);
+        assert_eq!(number("auto_vacuum"), 2, "space can be given back");
         assert_eq!(number("cell_size_check"), 1);
         assert_eq!(number("trusted_schema"), 0);
         assert_eq!(number("busy_timeout"), 5000);
@@ -177,7 +227,7 @@ mod tests {
     fn a_reader_cannot_write() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a?b#c%.db");
-        drop(open_and_migrate(&path).unwrap());
+        drop(open_and_migrate(&path, None).unwrap());
         let reader = reader_connection(&path).unwrap();
         assert!(reader.execute("UPDATE writer SET batch = 7", []).is_err());
         assert_eq!(reader.query_row("SELECT batch FROM writer", [], |row| row.get::<_, i64>(0)).unwrap(), 0);

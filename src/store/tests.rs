@@ -261,19 +261,26 @@ fn a_batch_that_is_there_although_its_commit_failed_is_not_written_twice() {
     let (_, commands_in) = mpsc::unbounded_channel();
     let clock = Arc::new(SystemClock);
     let progress = SharedProgress::default();
-    let mut writer = tokio::runtime::Builder::new_current_thread()
-        .build()
-        .unwrap()
-        .block_on(async {
-            Writer::new(world.store.path().to_owned(), clock, connection, records_in, commands_in, progress.clone())
-        })
-        .unwrap();
+    let lock = lock::WriterLock::take(&world.directory.path().join("another")).unwrap();
+    let parts = WriterParts {
+        path: world.store.path().to_owned(),
+        clock,
+        connection,
+        records: records_in,
+        commands: commands_in,
+        progress: progress.clone(),
+        lock,
+        file_check: Duration::from_secs(10),
+        wal_alarm_bytes: 1 << 28,
+    };
+    let mut writer =
+        tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(async { Writer::new(parts) }).unwrap();
     writer.pretend_failed_commit(records);
     assert_eq!(world.one::<i64>("SELECT count(*) FROM event"), 1);
     writer.retry_now();
     assert_eq!(world.one::<i64>("SELECT count(*) FROM event"), 1);
     assert_eq!(world.reader().capture(id).unwrap().samples, 1);
-    assert_eq!(writer::locked(&progress).committed[&id], 1);
+    assert_eq!(super::progress::locked(&progress).committed[&id], 1);
 }
 
 #[test]
@@ -540,7 +547,7 @@ fn the_same_submission_is_the_same_job() {
     world.send(id, a_capture());
     world.store.flush_blocking().unwrap();
     let submit = |params: serde_json::Value| {
-        world.store.submit_job(NewJob { kind: "allan".to_owned(), capture_id: id, params }).unwrap()
+        world.store.submit_job(NewJob { kind: "allan".to_owned(), capture_id: id, params }, u64::MAX).unwrap()
     };
     let (job, new) = submit(serde_json::json!({"b": 1, "a": [1, {"y": 2, "x": 1}]}));
     assert!(new);
@@ -559,7 +566,7 @@ fn a_job_that_brings_the_program_down_three_times_fails() {
     let world = World::new();
     let id = world.capturing();
     let job = NewJob { kind: "allan".to_owned(), capture_id: id, params: serde_json::json!({}) };
-    let job = world.store.submit_job(job).unwrap().0.id;
+    let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     let mut store = world.store.clone();
     for _ in 0..3 {
         assert_eq!(store.claim_job().unwrap().unwrap().id, job);
@@ -578,7 +585,7 @@ fn a_job_goes_on_at_its_checkpoint_and_its_progress_never_goes_back() {
     let world = World::new();
     let id = world.capturing();
     let job = NewJob { kind: "allan".to_owned(), capture_id: id, params: serde_json::json!({}) };
-    let job = world.store.submit_job(job).unwrap().0.id;
+    let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     world.store.claim_job().unwrap();
     let checkpoint = |next_seq| JobCheckpoint { next_seq, state: vec![7; 3] };
     assert!(world.store.checkpoint_job(job, checkpoint(10), 0.5).unwrap());

@@ -111,6 +111,29 @@ impl Reader {
         })
     }
 
+    /// One segment.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] where samples belong to a segment that is not there, or what the database says.
+    pub fn segment(&self, capture_id: i64, segment: u32) -> Result<SegmentRow, StoreError> {
+        let before = i64::from(segment.saturating_sub(1));
+        let rows = self.segments(capture_id, &PageRequest::one_after("segments", before))?.rows;
+        rows.into_iter().next().filter(|row| row.segment == segment).ok_or_else(|| StoreError::Damaged {
+            report: format!("segment {segment} of capture {capture_id} is not there"),
+        })
+    }
+
+    /// Civil time minus device time, ns, where an epoch of the sensor's clock was first met; None where its segments have
+    /// no device time.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn epoch_offset_ns(&self, capture_id: i64, epoch: u32) -> Result<Option<i64>, StoreError> {
+        let sql = "SELECT first_utc_ns - first_device_time_ns FROM segment WHERE capture_id = ?1 AND epoch = ?2 \
+                   AND first_device_time_ns IS NOT NULL ORDER BY segment_id LIMIT 1";
+        Ok(self.connection.prepare_cached(sql)?.query_row(params![capture_id, epoch], |row| row.get(0)).optional()?)
+    }
+
     /// The rate of one segment in Hz.
     ///
     /// # Errors
@@ -139,8 +162,9 @@ impl Reader {
     /// # Errors
     /// [`StoreError::BadCursor`], or what the database says.
     pub fn gaps(&self, capture_id: i64, page: &PageRequest) -> Result<Page<GapRow>, StoreError> {
+        // `+`: by the key from the cursor on. By the index of captures each page would sort all the gaps of its capture.
         let sql = "SELECT gap_id, from_utc_ns, to_utc_ns, missing, missing_exact, cause, before_seq, from_device_ns, \
-                   to_device_ns FROM gap WHERE capture_id = ?1 AND gap_id > ?2 ORDER BY gap_id LIMIT ?3";
+                   to_device_ns FROM gap WHERE +capture_id = ?1 AND gap_id > ?2 ORDER BY gap_id LIMIT ?3";
         self.page(sql, capture_id, page, "gaps", |row| {
             let cause: String = row.get(5)?;
             let device = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(|ns| ns as u64));

@@ -6,18 +6,21 @@
 //! absorbs what arrives), tries again with a capped delay, and says so in [`WriterProgress`].
 //!
 //! A failed commit may be on disk all the same, and after a failed fsync the kernel may have dropped what it was given.
-//! So after an I/O error the connection is closed and reopened, the file checked, the log copied into the file, and the
-//! batch's number read back: there it is acknowledged, otherwise it is written again.
+//! So after an I/O error the connection is closed and reopened, the file checked, and the batch's number read back. Where
+//! it is not there it is written again, in new pages that a new fsync vouches for. Where it is there it is made durable
+//! first: the log is copied into the file or, where a reader prevents that, written over itself.
 
 use super::insert::insert;
+use super::lock::{Mark, WriterLock};
+use super::lost::{FileId, Lost};
+use super::progress::{IO_FAILURES, SLOW, SharedProgress, locked};
 use super::{StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
 use crate::sample::Record;
 use rusqlite::{Connection, Transaction, TransactionBehavior};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
@@ -28,130 +31,32 @@ pub const COMMIT_AFTER: Duration = Duration::from_millis(900);
 pub const COMMIT_RECORDS: usize = 8192;
 /// First and longest delay before a failed commit is tried again.
 const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(1));
-/// A commit that takes longer than this is slow.
-const SLOW: Duration = Duration::from_secs(1);
+/// The same after an I/O error: with the third the process ends, so that a disk which recovers has some seconds.
+const RETRY_IO: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 /// How long the check after an I/O error may take: a large database is then taken as it is.
-const QUICK_CHECK: Duration = Duration::from_secs(5);
+const QUICK_CHECK: Duration = Duration::from_secs(2);
 /// How long the end may wait for a disk that refuses.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
-/// What a row of table `sample` takes in the file, with its share of the tree (measured: benches/store.rs).
-pub const BYTES_PER_SAMPLE: f64 = 190.0;
-
-/// How the writer is, as of its last step.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct WriterProgress {
-    /// How commits go.
-    pub state: StorageState,
-    /// The last error, while `state` is not ok.
-    pub error: Option<String>,
-    /// Samples on disk by capture, of captures written since the start.
-    pub committed: BTreeMap<i64, u64>,
-    /// Commits of batches since the start.
-    pub commits: u64,
-    /// Failed attempts since the start.
-    pub failures: u64,
-    /// Real times (monotonic, ns) of the last three failures that were I/O errors, oldest first.
-    pub io_failures_mono_ns: Vec<u64>,
-    /// Records that the schema refused: faults of this program.
-    pub refused: u64,
-    /// When the last commit succeeded, real monotonic ns.
-    pub last_commit_mono_ns: Option<u64>,
-    /// How long it took.
-    pub last_commit: Option<Duration>,
-    /// Records taken from the queue and not committed.
-    pub in_flight: usize,
-    /// Grows as long as the thread is alive, at least once a second; stands still while a commit hangs.
-    pub ticks: u64,
-    /// Size of the database file in bytes.
-    pub database_bytes: u64,
-    /// Size of the write-ahead log in bytes.
-    pub wal_bytes: u64,
-    /// Free space of the file system in bytes.
-    pub free_bytes: u64,
-    /// Samples committed per real second, averaged over half a minute.
-    pub samples_per_s: f64,
-}
-
-/// Progress shared between the thread and whoever asks.
-pub(super) type SharedProgress = Arc<Mutex<WriterProgress>>;
-
-pub(super) fn locked(progress: &Mutex<WriterProgress>) -> MutexGuard<'_, WriterProgress> {
-    progress.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Puts records into the writer's queue.
-#[derive(Debug, Clone)]
-pub struct RecordSender(pub(super) mpsc::Sender<(i64, Record)>);
-
-/// A record that was not taken.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Refused {
-    /// The queue is full.
-    Full(Record),
-    /// The writer has ended.
-    Closed(Record),
-}
-
-impl RecordSender {
-    /// Puts a capture's record into the queue; never waits.
-    ///
-    /// # Errors
-    /// [`Refused`] with the record where the queue is full or the writer has ended.
-    #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
-    pub fn try_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.try_send((capture_id, record)).map_err(|error| match error {
-            mpsc::error::TrySendError::Full((_, record)) => Refused::Full(record),
-            mpsc::error::TrySendError::Closed((_, record)) => Refused::Closed(record),
-        })
-    }
-
-    /// Puts a capture's record into the queue, waiting for room: for a reader that may hold its source back.
-    ///
-    /// # Errors
-    /// [`Refused::Closed`] where the writer has ended.
-    pub async fn send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.send((capture_id, record)).await.map_err(|error| Refused::Closed(error.0.1))
-    }
-
-    /// As [`Self::send`], from a thread outside the asynchronous runtime.
-    ///
-    /// # Errors
-    /// [`Refused::Closed`] where the writer has ended.
-    #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
-    pub fn blocking_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.blocking_send((capture_id, record)).map_err(|error| Refused::Closed(error.0.1))
-    }
-
-    /// Records that wait in the queue.
-    #[must_use]
-    pub fn queued(&self) -> usize {
-        self.0.max_capacity() - self.0.capacity()
-    }
-
-    /// Records that still fit.
-    #[must_use]
-    pub fn room(&self) -> usize {
-        self.0.capacity()
-    }
-
-    /// Whether the writer has ended.
-    #[must_use]
-    pub fn is_closed(&self) -> bool {
-        self.0.is_closed()
-    }
-}
+/// Less free space than this explains an error that does not name its cause.
+const NO_SPACE_BYTES: u64 = 1 << 20;
 
 /// A storage error, apart from its typed origin.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
-    state: StorageState,
+    pub(super) state: StorageState,
     text: String,
     sound: bool,
 }
 
 impl Failure {
     pub(super) fn of(error: &StoreError) -> Self {
-        Self { state: error.storage_state(), text: error.to_string(), sound: error.connection_is_sound() }
+        let text = match error {
+            StoreError::Sqlite(rusqlite::Error::SqliteFailure(code, _)) => {
+                format!("{error} (SQLite {})", code.extended_code)
+            }
+            other => other.to_string(),
+        };
+        Self { state: error.storage_state(), text, sound: error.connection_is_sound() }
     }
 }
 
@@ -185,7 +90,20 @@ pub(super) fn concerns_storage(error: &StoreError) -> bool {
         error.sqlite_error_code(),
         Some(Code::DiskFull | Code::ReadOnly | Code::DatabaseBusy | Code::DatabaseLocked | Code::SystemIoFailure
             | Code::DatabaseCorrupt | Code::CannotOpen | Code::NotADatabase | Code::PermissionDenied)
-    ))
+    )) || matches!(error, StoreError::Damaged { .. } | StoreError::Lost { .. } | StoreError::RefusedDamaged { .. })
+}
+
+/// What the writer is made of.
+pub(super) struct WriterParts {
+    pub(super) path: PathBuf,
+    pub(super) clock: Arc<dyn Clock>,
+    pub(super) connection: Connection,
+    pub(super) records: mpsc::Receiver<(i64, Record)>,
+    pub(super) commands: mpsc::UnboundedReceiver<Command>,
+    pub(super) progress: SharedProgress,
+    pub(super) lock: WriterLock,
+    pub(super) file_check: Duration,
+    pub(super) wal_alarm_bytes: u64,
 }
 
 pub(super) struct Writer {
@@ -194,7 +112,17 @@ pub(super) struct Writer {
     records: mpsc::Receiver<(i64, Record)>,
     commands: mpsc::UnboundedReceiver<Command>,
     progress: SharedProgress,
+    lock: WriterLock,
     connection: Option<Connection>,
+    /// Which file it is, and since when that is known.
+    file: FileId,
+    file_checked: Instant,
+    file_check: Duration,
+    /// The file was lost: what goes into the one that took its place.
+    lost: Lost,
+    identity: String,
+    wal_alarm_bytes: u64,
+    warned: bool,
     /// Taken from the queue, not yet committed.
     batch: Vec<(i64, Record)>,
     /// The number the batch will have.
@@ -215,21 +143,25 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    pub(super) fn new(
-        path: PathBuf,
-        clock: Arc<dyn Clock>,
-        connection: Connection,
-        records: mpsc::Receiver<(i64, Record)>,
-        commands: mpsc::UnboundedReceiver<Command>,
-        progress: SharedProgress,
-    ) -> Result<Self, StoreError> {
+    pub(super) fn new(parts: WriterParts) -> Result<Self, StoreError> {
+        let WriterParts { path, clock, connection, records, commands, progress, lock, file_check, wal_alarm_bytes } =
+            parts;
         let number = last_batch(&connection)? + 1;
+        let identity = identity_of(&connection)?;
         let mut writer = Self {
+            file: FileId::written(&path),
+            file_checked: Instant::now(),
+            file_check,
+            lost: Lost::default(),
+            identity,
+            wal_alarm_bytes,
+            warned: false,
             path,
             clock,
             records,
             commands,
             progress,
+            lock,
             connection: Some(connection),
             batch: Vec::with_capacity(COMMIT_RECORDS),
             number,
@@ -242,8 +174,15 @@ impl Writer {
             measured_at: Instant::now(),
             samples_since: 0,
         };
+        writer.remember();
         writer.measure();
         Ok(writer)
+    }
+
+    /// Writes down outside the database what was acknowledged. Also tells why a disk refuses: SQLite does not say.
+    fn remember(&self) -> Option<std::io::Error> {
+        let mark = Mark { identity: self.identity.clone(), batch: self.number - 1 };
+        self.lock.mark(&mark).err()
     }
 
     /// Works until told to stop or every sender is gone.
@@ -276,6 +215,9 @@ impl Writer {
                 self.commit();
             }
             self.answer_flushes(0);
+            if now >= self.file_checked + self.file_check {
+                self.check_file();
+            }
             if now >= tick {
                 self.measure();
             }
@@ -289,6 +231,12 @@ impl Writer {
     fn run_command(&mut self, work: Work) {
         if self.retry_at.is_none() {
             self.commit();
+        }
+        if self.retry_at.is_some() && self.connection.is_none() {
+            // Only the batch tries the disk again, at its own pace: a command that asks now hears so at once.
+            let reason = locked(&self.progress).error.clone().unwrap_or_default();
+            work(Err(StoreError::Refusing { reason }));
+            return;
         }
         let failure = match self.connection() {
             Ok(connection) => work(Ok(connection)),
@@ -305,15 +253,52 @@ impl Writer {
 
     fn connection(&mut self) -> Result<&mut Connection, StoreError> {
         if self.connection.is_none() {
-            let connection = schema::reopen(&self.path)?;
-            if self.suspect {
-                quick_check(&connection, QUICK_CHECK)?;
-                copy_log(&connection)?;
-                self.suspect = false;
+            if self.file.is_lost(&self.path) {
+                self.take_new_file()?;
+            } else {
+                let connection = schema::reopen(&self.path)?;
+                if self.suspect {
+                    quick_check(&connection, QUICK_CHECK)?;
+                    self.suspect = false;
+                }
+                self.connection = Some(connection);
             }
-            self.connection = Some(connection);
         }
         self.connection.as_mut().ok_or(StoreError::Closed)
+    }
+
+    /// Whether the path still names the file that is open. A database that was deleted takes data in vain.
+    fn check_file(&mut self) {
+        self.file_checked = Instant::now();
+        if !self.file.is_lost(&self.path) {
+            return;
+        }
+        if let Some(connection) = self.connection.take() {
+            self.lost.note(&connection);
+            self.file.let_go(&self.path, connection);
+            let detail = "a new file takes what comes, from what was not yet committed on";
+            let lost = StoreError::Lost { path: self.path.clone(), detail };
+            self.fail(Failure::of(&lost));
+        }
+    }
+
+    /// Opens what stands in the lost file's place, or a new file, and lets the captures go on there.
+    fn take_new_file(&mut self) -> Result<(), StoreError> {
+        self.file.clear_remains();
+        let mut connection = schema::open_and_migrate(&self.path, None)?;
+        let moved = self.lost.settle(&mut connection, self.clock.utc_ns())?;
+        self.number = last_batch(&connection)? + 1;
+        self.identity = identity_of(&connection)?;
+        self.in_doubt = false;
+        self.suspect = false;
+        self.file = FileId::written(&self.path);
+        self.connection = Some(connection);
+        self.remember();
+        let mut progress = locked(&self.progress);
+        progress.committed = self.lost.acknowledged();
+        progress.moved = moved;
+        tracing::warn!(message = "A new database file takes what comes.", path = %self.path.display());
+        Ok(())
     }
 
     fn commit(&mut self) {
@@ -327,13 +312,16 @@ impl Writer {
             return;
         }
         let started = SystemClock.mono_ns();
-        match self.write_batch() {
+        locked(&self.progress).committing_since_mono_ns = Some(started);
+        let written = self.write_batch();
+        locked(&self.progress).committing_since_mono_ns = None;
+        match written {
             Ok(inserted) => {
                 let now = SystemClock.mono_ns();
                 let took = Duration::from_nanos(now - started);
                 let written = self.batch.len();
                 self.batch.clear();
-                self.number += 1;
+                self.remember_commit();
                 self.in_doubt = false;
                 self.due = None;
                 self.samples_since += inserted.samples;
@@ -345,7 +333,9 @@ impl Writer {
                     progress.commits += 1;
                     progress.last_commit_mono_ns = Some(now);
                     progress.last_commit = Some(took);
+                    progress.slowest_commit = progress.slowest_commit.max(took);
                     if took > SLOW {
+                        progress.slow_commits += 1;
                         progress.state = StorageState::Slow;
                     }
                 }
@@ -358,25 +348,35 @@ impl Writer {
         }
     }
 
+    /// The batch is acknowledged: the next one has the next number.
+    fn remember_commit(&mut self) {
+        self.number += 1;
+        // A mark that could not be written is only older than it might be.
+        let _ = self.remember();
+    }
+
     fn write_batch(&mut self) -> Result<super::insert::Inserted, StoreError> {
-        let (number, in_doubt, utc_ns) = (self.number, self.in_doubt, self.clock.utc_ns());
         self.connection()?;
+        let (number, in_doubt, utc_ns) = (self.number, self.in_doubt, self.clock.utc_ns());
         let Some(connection) = self.connection.as_mut() else { return Err(StoreError::Closed) };
-        if in_doubt && last_batch(connection)? == number {
+        let batch = self.lost.translated(&self.batch);
+        let inserted = if in_doubt && last_batch(connection)? == number {
             tracing::warn!(message = "A batch whose commit had failed is there.", number);
-            return committed_of(connection, &self.batch);
-        }
-        let batch = &self.batch;
-        in_transaction(connection, |transaction| {
-            let inserted = insert(transaction, batch, utc_ns)?;
-            transaction.prepare_cached("UPDATE writer SET batch = ?1")?.execute([number])?;
-            Ok(inserted)
-        })
+            make_durable(connection, &self.path)?;
+            committed_of(connection, &batch)?
+        } else {
+            in_transaction(connection, |transaction| {
+                let inserted = insert(transaction, &batch, utc_ns, number)?;
+                transaction.prepare_cached("UPDATE writer SET batch = ?1")?.execute([number])?;
+                Ok(inserted)
+            })?
+        };
+        Ok(self.lost.named(inserted))
     }
 
     fn recovered(&mut self) {
         self.retry_at = None;
-        self.retry_after = RETRY.0;
+        self.retry_after = Duration::ZERO;
         let mut progress = locked(&self.progress);
         if !matches!(progress.state, StorageState::Ok | StorageState::Slow) {
             tracing::info!(message = "The database takes data again.");
@@ -385,26 +385,54 @@ impl Writer {
         progress.error = None;
     }
 
-    fn fail(&mut self, failure: Failure) {
+    fn fail(&mut self, mut failure: Failure) {
         if !failure.sound {
+            if self.connection.is_some() && self.file.is_lost(&self.path) {
+                self.check_file();
+                return;
+            }
             self.connection = None;
             self.suspect |= failure.state == StorageState::StorageError;
         }
+        if failure.state == StorageState::StorageError {
+            failure.state = self.cause();
+        }
+        let retry = if failure.state == StorageState::StorageError { RETRY_IO } else { RETRY };
+        self.retry_after = self.retry_after.clamp(retry.0, retry.1);
+        if failure.state == StorageState::StorageLost {
+            // Long enough to be seen.
+            self.retry_after = RETRY.1;
+        }
         self.retry_at = Some(Instant::now() + self.retry_after);
-        self.retry_after = (self.retry_after * 2).min(RETRY.1);
+        self.retry_after = match failure.state {
+            StorageState::StorageError => RETRY_IO.1,
+            _ => (self.retry_after * 2).min(RETRY.1),
+        };
         let mut progress = locked(&self.progress);
         if progress.error.as_ref() != Some(&failure.text) {
             tracing::error!(message = "The database does not take data; it is kept in memory.", error = failure.text);
         }
         progress.failures += 1;
+        progress.busy += u64::from(failure.state == StorageState::StorageLocked);
         if failure.state == StorageState::StorageError {
             progress.io_failures_mono_ns.push(SystemClock.mono_ns());
-            if progress.io_failures_mono_ns.len() > 3 {
+            if progress.io_failures_mono_ns.len() > IO_FAILURES {
                 progress.io_failures_mono_ns.remove(0);
             }
         }
         progress.state = failure.state;
         progress.error = Some(failure.text);
+    }
+
+    /// What an I/O error comes from, as the system says it of a small write beside the database.
+    fn cause(&self) -> StorageState {
+        let full = || lock::free_bytes(&self.path).is_ok_and(|free| free < NO_SPACE_BYTES);
+        match self.remember().map(|error| error.kind()) {
+            Some(std::io::ErrorKind::ReadOnlyFilesystem) => StorageState::StorageReadonly,
+            Some(std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) => StorageState::StorageFull,
+            _ if full() => StorageState::StorageFull,
+            _ => StorageState::StorageError,
+        }
     }
 
     fn answer_flushes(&mut self, written: usize) {
@@ -439,10 +467,24 @@ impl Writer {
         if let Ok(free) = free {
             progress.free_bytes = free;
         }
+        let warning = progress.warning(self.wal_alarm_bytes);
+        let had = std::mem::replace(&mut self.warned, warning.is_some());
+        match warning {
+            Some(warning) if !had => tracing::warn!("{warning}"),
+            None if had => tracing::info!("the database has room again"),
+            _ => {}
+        }
+        drop(progress);
+        let swollen = self.retry_at.is_none() && wal > self.wal_alarm_bytes;
+        if let Some(connection) = self.connection.as_ref().filter(|_| swollen)
+            && let Err(error) = schema::shrink_log(connection)
+        {
+            tracing::debug!(message = "The log cannot be emptied yet.", %error);
+        }
     }
 
     /// Writes everything that is there, copies the log into the file and closes it.
-    fn stop(mut self) -> Result<(), StoreError> {
+    fn stop(&mut self) -> Result<(), StoreError> {
         self.records.close();
         let patience = Instant::now() + STOP_PATIENCE;
         loop {
@@ -463,7 +505,7 @@ impl Writer {
                     let records = self.batch.len() + self.records.len();
                     return Err(StoreError::Unwritten { records, reason });
                 }
-                std::thread::sleep(self.retry_after);
+                std::thread::sleep(self.retry_after.min(RETRY.1));
             }
         }
         self.answer_flushes(0);
@@ -477,6 +519,12 @@ impl Writer {
             connection.close().map_err(|(_, error)| StoreError::Sqlite(error))?;
         }
         Ok(())
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        FileId::forget(&self.path);
     }
 }
 
@@ -496,6 +544,10 @@ impl Writer {
         self.commit();
         assert!(self.batch.is_empty());
     }
+}
+
+fn identity_of(connection: &Connection) -> Result<String, StoreError> {
+    Ok(connection.query_row("SELECT identity FROM writer", [], |row| row.get(0))?)
 }
 
 fn last_batch(connection: &Connection) -> Result<i64, StoreError> {
@@ -519,16 +571,43 @@ fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> Result<supe
     Ok(inserted)
 }
 
-/// Copies the whole log into the database file, synced, so that nothing rests on what a failed fsync may have dropped.
-fn copy_log(connection: &Connection) -> Result<(), StoreError> {
+/// Makes what is committed durable without trusting an fsync that has failed before: the log's pages are copied into the
+/// file, which is synced. Where a reader prevents that the log is written over itself, byte by byte the same, which makes
+/// its pages dirty again, and synced.
+fn make_durable(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     let (log, copied): (i64, i64) =
-        connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| Ok((row.get(1)?, row.get(2)?)))?;
+        connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |row| Ok((row.get(1)?, row.get(2)?)))?;
     if log > copied {
-        let busy = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_BUSY);
-        let text = Some("a reader keeps the log from being copied".to_owned());
-        return Err(StoreError::Sqlite(rusqlite::Error::SqliteFailure(busy, text)));
+        rewrite(&schema::wal_path(path))
+            .map_err(|source| StoreError::Create { path: schema::wal_path(path), source })?;
     }
     Ok(())
+}
+
+pub(super) fn rewrite(path: &Path) -> std::io::Result<()> {
+    use std::os::unix::fs::FileExt;
+    let file = std::fs::OpenOptions::new().read(true).write(true).open(path)?;
+    let mut buffer = vec![0; 1 << 20];
+    let mut at = 0;
+    loop {
+        let count = file.read_at(&mut buffer, at)?;
+        if count == 0 {
+            return file.sync_all();
+        }
+        file.write_all_at(&buffer[..count], at)?;
+        at += count as u64;
+    }
+}
+
+/// Copies the whole log into the database file and empties it.
+fn copy_log(connection: &Connection) -> Result<(), StoreError> {
+    connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))?;
+    Ok(())
+}
+
+/// SQLite's report without its headline.
+pub(super) fn one_line(report: &str) -> String {
+    report.trim_start_matches("*** in database main ***").trim().replace('\n', "; ")
 }
 
 /// SQLite's quick check; one that takes longer than `limit` is given up and taken as passed.
@@ -539,7 +618,7 @@ pub(super) fn quick_check(connection: &Connection, limit: Duration) -> Result<()
     connection.progress_handler(0, None::<fn() -> bool>)?;
     match report {
         Ok(report) if report == "ok" => Ok(()),
-        Ok(report) => Err(StoreError::Damaged { report }),
+        Ok(report) => Err(StoreError::Damaged { report: one_line(&report) }),
         Err(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::OperationInterrupted) => {
             tracing::warn!(message = "The database is too large to be checked in passing.", ?limit);
             Ok(())

@@ -1,0 +1,124 @@
+//! Backup: a copy of a database as it stands at one instant, also while a daemon writes it.
+//!
+//! One read transaction on the source, copied in steps through SQLite's backup API: in WAL mode a reader never holds the
+//! writer up, and because the transaction stays open the copy does not begin again at each of the writer's commits. The
+//! copy is made beside its place, synced, and appears under its name whole or not at all.
+
+use super::{Reader, StoreError, schema};
+use rusqlite::Connection;
+use rusqlite::backup::{Backup, StepResult};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Pages copied in one step: 16 MiB.
+const STEP: i32 = 4096;
+/// How long another reader's lock is waited for in all.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What a backup came to.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct BackupReport {
+    /// Size of the copy in bytes.
+    pub bytes: u64,
+    /// How long it took in s.
+    pub seconds: f64,
+}
+
+impl Reader {
+    /// Copies the database to `out`; `progress` hears how many bytes are copied and how many there are. An existing
+    /// file is replaced only with `replace`.
+    ///
+    /// # Errors
+    /// [`StoreError::Exists`], [`StoreError::Create`] where the copy cannot be written, or what SQLite says; then `out`
+    /// is as it was.
+    pub fn backup(
+        &self,
+        out: &Path,
+        replace: bool,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<BackupReport, StoreError> {
+        let begun = Instant::now();
+        let new = NewFile::beside(out, replace)?;
+        let mut copy = Connection::open(new.path())?;
+        // The file is synced as a whole at the end.
+        copy.pragma_update(None, "synchronous", "OFF")?;
+        copy.pragma_update(None, "journal_mode", "OFF")?;
+        let snapshot = self.connection.unchecked_transaction()?;
+        let page: u64 = snapshot.query_row("PRAGMA page_size", [], |row| row.get::<_, i64>(0))? as u64;
+        // A transaction holds nothing before it has read.
+        snapshot.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0))?;
+        {
+            let backup = Backup::new(&snapshot, &mut copy)?;
+            let mut waited = Duration::ZERO;
+            loop {
+                let step = backup.step(STEP)?;
+                let at = backup.progress();
+                progress((at.pagecount - at.remaining) as u64 * page, at.pagecount as u64 * page);
+                match step {
+                    StepResult::Done => break,
+                    StepResult::More => waited = Duration::ZERO,
+                    _ if waited >= PATIENCE => {
+                        let busy = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_BUSY);
+                        return Err(rusqlite::Error::SqliteFailure(busy, None).into());
+                    }
+                    _ => {
+                        std::thread::sleep(Duration::from_millis(20));
+                        waited += Duration::from_millis(20);
+                    }
+                }
+            }
+        }
+        drop(snapshot);
+        copy.close().map_err(|(_, error)| error)?;
+        schema::make_independent(new.path())?;
+        let bytes = new.finish()?;
+        Ok(BackupReport { bytes, seconds: begun.elapsed().as_secs_f64() })
+    }
+}
+
+/// A file in the making: it appears under its name when it is whole and synced; dropped before, it is gone.
+#[derive(Debug)]
+pub(super) struct NewFile {
+    file: tempfile::NamedTempFile,
+    out: std::path::PathBuf,
+    directory: std::path::PathBuf,
+    replace: bool,
+}
+
+impl NewFile {
+    /// Begins a file in the directory of `out`.
+    pub(super) fn beside(out: &Path, replace: bool) -> Result<Self, StoreError> {
+        if !replace && out.symlink_metadata().is_ok() {
+            return Err(StoreError::Exists { path: out.to_owned() });
+        }
+        let directory =
+            out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
+        let file = tempfile::Builder::new()
+            .prefix(".vn100d-")
+            .suffix(".part")
+            .tempfile_in(&directory)
+            .map_err(|source| StoreError::Create { path: out.to_owned(), source })?;
+        Ok(Self { file, out: out.to_owned(), directory, replace })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Syncs it, gives it its name, and syncs the directory that holds the name. Answers its size in bytes.
+    pub(super) fn finish(self) -> Result<u64, StoreError> {
+        let Self { file, out, directory, replace } = self;
+        let create = |source| StoreError::Create { path: out.clone(), source };
+        // Through the path: SQLite wrote it under another descriptor.
+        let written = std::fs::File::open(file.path()).map_err(create)?;
+        written.sync_all().map_err(create)?;
+        let bytes = written.metadata().map_err(create)?.len();
+        let persisted = if replace { file.persist(&out) } else { file.persist_noclobber(&out) };
+        persisted.map_err(|error| match error.error.kind() {
+            std::io::ErrorKind::AlreadyExists => StoreError::Exists { path: out.clone() },
+            _ => create(error.error),
+        })?;
+        std::fs::File::open(&directory).and_then(|directory| directory.sync_all()).map_err(create)?;
+        Ok(bytes)
+    }
+}

@@ -1,0 +1,388 @@
+//! Check: whether a database is whole, structure and content; in passing at every start, in full for `vn100d check`.
+//!
+//! SQLite's own check sees the structure. The values are seen by the checksums of table `batch`, the rest by counters that
+//! must agree with the rows they count.
+
+use super::batch::{BatchRow, batch_row, is_intact};
+use super::lock::Mark;
+use super::{Reader, StoreError, schema};
+use rusqlite::{Connection, OptionalExtension, params};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// How long the check at a start may take: a larger database is checked as far as that goes, its newest batches first.
+const AT_START: Duration = Duration::from_secs(2);
+/// Findings of one kind that are listed.
+const LISTED: usize = 100;
+/// Batches asked for at once.
+const PAGE: i64 = 1000;
+
+/// Something that is not as it must be.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// Which check: `integrity` `foreign_keys` `checksum` `samples` `segments` `gaps` `accounting` `unreadable` `log`.
+    pub check: &'static str,
+    /// The capture concerned.
+    pub capture: Option<i64>,
+    /// One sentence.
+    pub message: String,
+}
+
+/// One capture as it was found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct CheckedCapture {
+    /// Its id.
+    pub id: i64,
+    /// Its name.
+    pub name: String,
+    /// Samples it says it has.
+    pub samples: u64,
+    /// Samples it says it lacks.
+    pub missing: u64,
+    /// Batches whose checksum is right.
+    pub batches: u64,
+    /// Samples of no batch: written by a version that kept no checksums.
+    pub without_checksum: u64,
+}
+
+/// What a check found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct CheckReport {
+    /// The database.
+    pub database: PathBuf,
+    /// The captures.
+    pub captures: Vec<CheckedCapture>,
+    /// What is wrong; empty where all is well.
+    pub findings: Vec<Finding>,
+}
+
+/// Checks the database at `path` in full; reads only, also beside a running daemon.
+///
+/// # Errors
+/// [`StoreError`] where there is nothing that can be checked: no database, a foreign file, another schema.
+pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
+    let mut report = CheckReport { database: path.to_owned(), captures: Vec::new(), findings: Vec::new() };
+    let reader = match Reader::open(path) {
+        Ok(reader) => reader,
+        Err(StoreError::Sqlite(error)) if schema::says_damaged(&error) => {
+            report.add("unreadable", None, format!("the database cannot be opened: {error}"));
+            return Ok(report);
+        }
+        Err(error) => return Err(error),
+    };
+    let connection = &reader.connection;
+    if let Some(problem) = truncated(connection, path) {
+        report.add("integrity", None, problem);
+    }
+    report.lines(connection, "integrity", "PRAGMA integrity_check(100)", |line| {
+        (line != "ok").then(|| super::writer::one_line(line))
+    });
+    report.lines(
+        connection,
+        "foreign_keys",
+        "SELECT printf('table %s, row %s refers to a row of %s that is not there', \"table\", rowid, parent) \
+         FROM pragma_foreign_key_check LIMIT 100",
+        |line| Some(line.to_owned()),
+    );
+    for id in report.ids(connection) {
+        report.capture(&reader, id);
+    }
+    Ok(report)
+}
+
+impl CheckReport {
+    /// Whether all is well.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        self.findings.is_empty()
+    }
+
+    fn add(&mut self, check: &'static str, capture: Option<i64>, message: String) {
+        let same = self.findings.iter().filter(|finding| finding.check == check && finding.capture == capture).count();
+        if same < LISTED {
+            self.findings.push(Finding { check, capture, message });
+        }
+    }
+
+    fn lines(
+        &mut self,
+        connection: &Connection,
+        check: &'static str,
+        sql: &str,
+        finding: impl Fn(&str) -> Option<String>,
+    ) {
+        let lines = || -> Result<Vec<String>, rusqlite::Error> {
+            connection.prepare(sql)?.query_map([], |row| row.get(0))?.collect()
+        };
+        match lines() {
+            Ok(lines) => lines.iter().filter_map(|line| finding(line)).for_each(|line| self.add(check, None, line)),
+            Err(error) => self.add("unreadable", None, format!("the {check} check ended early: {error}")),
+        }
+    }
+
+    fn ids(&mut self, connection: &Connection) -> Vec<i64> {
+        let mut ids = Vec::new();
+        let mut read = || -> Result<(), rusqlite::Error> {
+            let mut statement = connection.prepare("SELECT id FROM capture WHERE lifecycle = 'live' ORDER BY id")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                ids.push(row.get(0)?);
+            }
+            Ok(())
+        };
+        if let Err(error) = read() {
+            self.add("unreadable", None, format!("the list of captures ends early: {error}"));
+        }
+        ids
+    }
+
+    fn capture(&mut self, reader: &Reader, id: i64) {
+        let mut findings = Vec::new();
+        match check_capture(&reader.connection, id, &mut |check, message| findings.push((check, message))) {
+            Ok(Some(capture)) => {
+                self.captures.push(capture);
+                match reader.accounting_of_every_row(id) {
+                    Ok(report) => findings.extend(report.violations.into_iter().map(|said| ("accounting", said))),
+                    Err(StoreError::NoSuchCapture { .. }) => {}
+                    Err(error) => findings.push(("unreadable", format!("the accounting cannot be made: {error}"))),
+                }
+            }
+            // It was deleted meanwhile.
+            Ok(None) => findings.clear(),
+            Err(error) => findings.push(("unreadable", format!("capture {id} cannot be read: {error}"))),
+        }
+        for (check, message) in findings {
+            self.add(check, Some(id), message);
+        }
+    }
+}
+
+type Found<'a> = &'a mut dyn FnMut(&'static str, String);
+
+/// One segment as its row says.
+struct SegmentCount {
+    number: i64,
+    first_seq: i64,
+    samples: i64,
+}
+
+fn check_capture(connection: &Connection, id: i64, found: Found<'_>) -> Result<Option<CheckedCapture>, StoreError> {
+    // One short transaction: the counters and what they count are of the same instant, also while a daemon writes.
+    let snapshot = connection.unchecked_transaction()?;
+    let row = snapshot
+        .query_row(
+            "SELECT name, samples, missing, gaps, segments FROM capture WHERE id = ?1 AND lifecycle = 'live'",
+            [id],
+            |row| Ok((row.get::<_, String>(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?)),
+        )
+        .optional()?;
+    let Some((name, samples, missing, gaps, segments)): Option<(String, i64, i64, i64, i64)> = row else {
+        return Ok(None);
+    };
+    let listed = segments_of(&snapshot, id)?;
+    let (gap_count, gap_missing, last_gap): (i64, i64, i64) = snapshot.query_row(
+        "SELECT count(*), coalesce(sum(missing), 0), coalesce(max(before_seq), 0) FROM gap WHERE capture_id = ?1",
+        [id],
+        |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
+    )?;
+    let last_seq: Option<i64> =
+        snapshot.query_row("SELECT max(seq) FROM sample WHERE capture_id = ?1", [id], |row| row.get(0))?;
+    drop(snapshot);
+
+    if last_seq.map_or(0, |seq| seq + 1) != samples {
+        let end = last_seq.map_or_else(|| "there is none".to_owned(), |seq| format!("the last is {seq}"));
+        found("samples", format!("the capture counts {samples} samples, of its rows {end}"));
+    }
+    if listed.len() as i64 != segments {
+        found("segments", format!("the capture counts {segments} segments, there are {}", listed.len()));
+    }
+    if (gap_count, gap_missing) != (gaps, missing) {
+        found(
+            "gaps",
+            format!("the capture counts {missing} missing in {gaps} gaps, there are {gap_missing} in {gap_count}"),
+        );
+    }
+    if last_gap > samples {
+        found("gaps", format!("a gap lies before sample {last_gap}, beyond the {samples} that there are"));
+    }
+    check_segments(connection, id, samples, &listed, found);
+    let mut capture =
+        CheckedCapture { id, name, samples: samples as u64, missing: missing as u64, batches: 0, without_checksum: 0 };
+    check_batches(connection, &mut capture, found)?;
+    Ok(Some(capture))
+}
+
+fn segments_of(connection: &Connection, id: i64) -> Result<Vec<SegmentCount>, rusqlite::Error> {
+    let sql = "SELECT segment_id, first_seq, samples FROM segment WHERE capture_id = ?1 ORDER BY segment_id";
+    connection
+        .prepare_cached(sql)?
+        .query_map([id], |row| Ok(SegmentCount { number: row.get(0)?, first_seq: row.get(1)?, samples: row.get(2)? }))?
+        .collect()
+}
+
+fn check_segments(connection: &Connection, id: i64, samples: i64, segments: &[SegmentCount], found: Found<'_>) {
+    let mut next = 0;
+    for segment in segments {
+        let SegmentCount { number, first_seq, samples: count } = segment;
+        if *first_seq != next {
+            found("segments", format!("segment {number} begins at sample {first_seq}, not at {next}"));
+        }
+        next = first_seq + count;
+        let rows = connection
+            .prepare_cached(
+                "SELECT count(*), count(*) FILTER (WHERE segment_id <> ?4) FROM sample \
+                 WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3",
+            )
+            .and_then(|mut statement| {
+                statement.query_row(params![id, first_seq, next, number], |row| Ok((row.get(0)?, row.get(1)?)))
+            });
+        match rows {
+            Ok((rows, foreign)) => {
+                let (rows, foreign): (i64, i64) = (rows, foreign);
+                if rows != *count || foreign > 0 {
+                    found(
+                        "samples",
+                        format!(
+                            "segment {number} counts {count} samples, there are {rows}, {foreign} of other segments"
+                        ),
+                    );
+                }
+            }
+            Err(error) => found("unreadable", format!("samples of segment {number} cannot be read: {error}")),
+        }
+    }
+    if next != samples {
+        found("segments", format!("the segments hold {next} samples, the capture counts {samples}"));
+    }
+}
+
+/// Every batch's checksum; samples between batches are counted.
+fn check_batches(connection: &Connection, capture: &mut CheckedCapture, found: Found<'_>) -> Result<(), StoreError> {
+    let samples = capture.samples as i64;
+    let mut next = 0;
+    loop {
+        let batches = batches_of(
+            connection,
+            "SELECT capture_id, first_seq, count, crc FROM batch WHERE capture_id = ?1 AND first_seq >= ?2 \
+             ORDER BY first_seq LIMIT ?3",
+            params![capture.id, next, PAGE],
+        )?;
+        let Some(last) = batches.last() else { break };
+        let after = last.first_seq + last.count;
+        for batch in &batches {
+            // What came after the counters were read is not looked at.
+            if batch.first_seq >= samples {
+                break;
+            }
+            let (from, to) = (batch.first_seq, batch.first_seq + batch.count - 1);
+            if from < next {
+                found("checksum", format!("the batch of samples {from}–{to} overlaps the one before"));
+            }
+            capture.without_checksum += (from - next).max(0) as u64;
+            next = to + 1;
+            match is_intact(connection, batch) {
+                Ok(true) => capture.batches += 1,
+                Ok(false) => found("checksum", format!("samples {from}–{to} are not what was committed")),
+                Err(error) => found("unreadable", format!("samples {from}–{to} cannot be read: {error}")),
+            }
+        }
+        if after >= samples {
+            break;
+        }
+        next = next.max(after);
+    }
+    capture.without_checksum += (samples - next).max(0) as u64;
+    Ok(())
+}
+
+fn batches_of(
+    connection: &Connection,
+    sql: &str,
+    values: impl rusqlite::Params,
+) -> Result<Vec<BatchRow>, rusqlite::Error> {
+    connection.prepare_cached(sql)?.query_map(values, batch_row)?.collect()
+}
+
+/// The check before a database is opened for writing, through a connection that cannot write.
+pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>) -> Result<(), StoreError> {
+    let refused = |report: String| StoreError::RefusedDamaged { path: path.to_owned(), report };
+    let damaged = |error: StoreError| match error {
+        StoreError::Sqlite(error) if schema::says_damaged(&error) => refused(error.to_string()),
+        StoreError::Damaged { report } => refused(report),
+        other => other,
+    };
+    if let Some(problem) = truncated(connection, path) {
+        return Err(refused(problem));
+    }
+    if let Some(mark) = mark {
+        not_behind(connection, path, mark).map_err(damaged)?;
+    }
+    let until = Instant::now() + AT_START;
+    super::writer::quick_check(connection, AT_START / 2).map_err(damaged)?;
+    newest_batches(connection, until).map_err(damaged)
+}
+
+/// A file that is shorter than it says. A log that is not empty may hold what the file lacks.
+fn truncated(connection: &Connection, path: &Path) -> Option<String> {
+    let log = std::fs::metadata(schema::wal_path(path)).map_or(0, |log| log.len());
+    let number = |name: &str| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0)).ok();
+    let wanted = number("page_count")? * number("page_size")?;
+    let there = std::fs::metadata(path).ok()?.len() as i64;
+    (log == 0 && there < wanted).then(|| format!("the file has {there} bytes of {wanted}"))
+}
+
+/// A database that has fewer batches than were acknowledged lost its log.
+fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
+    let sql = "SELECT identity, batch FROM writer";
+    let found = connection.query_row(sql, [], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)));
+    match found {
+        Ok((identity, batch)) if identity == mark.identity && batch < mark.batch => Err(StoreError::LogMissing {
+            path: path.to_owned(),
+            lost: mark.batch - batch,
+            lock: super::lock::lock_path(path),
+        }),
+        Ok(_) => Ok(()),
+        // An older schema has no identity. One without the table is that of a file whose very beginning was in the log.
+        Err(error) if !schema::says_damaged(&error) => {
+            let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'writer')";
+            let has_table: bool = connection.query_row(sql, [], |row| row.get(0))?;
+            if has_table || mark.batch == 0 {
+                return Ok(());
+            }
+            Err(StoreError::LogMissing { path: path.to_owned(), lost: mark.batch, lock: super::lock::lock_path(path) })
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn newest_batches(connection: &Connection, until: Instant) -> Result<(), StoreError> {
+    let has_batches: bool =
+        connection
+            .query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'batch')", [], |row| row.get(0))?;
+    if !has_batches {
+        return Ok(());
+    }
+    let mut next = Some((i64::MAX, i64::MAX));
+    while let Some((capture, before)) = next {
+        let batches = batches_of(
+            connection,
+            "SELECT capture_id, first_seq, count, crc FROM batch WHERE (capture_id, first_seq) < (?1, ?2) \
+             AND capture_id IN (SELECT id FROM capture WHERE lifecycle = 'live') \
+             ORDER BY capture_id DESC, first_seq DESC LIMIT 100",
+            params![capture, before],
+        )?;
+        for batch in &batches {
+            if !is_intact(connection, batch)? {
+                let (from, to) = (batch.first_seq, batch.first_seq + batch.count - 1);
+                let report = format!("samples {from}–{to} of capture {} are not what was committed", batch.capture_id);
+                return Err(StoreError::Damaged { report });
+            }
+            if Instant::now() > until {
+                return Ok(());
+            }
+        }
+        next = batches.last().map(|batch| (batch.capture_id, batch.first_seq));
+    }
+    Ok(())
+}

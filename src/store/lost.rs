@@ -1,0 +1,337 @@
+//! Lost: what happens when the database's file is deleted or replaced while it is open.
+//!
+//! The open file takes data that nobody will find again. So the path's file is compared with the open one now and then;
+//! where they differ, what stands there (or a new file) takes what comes: the running capture goes on in it under its name,
+//! numbered from 0, with its remaining duration and an event that says so. Nothing that was not committed is lost.
+
+use super::captures::name_is_free;
+use super::insert::{Inserted, timebase_from_name};
+use super::{SOFTWARE, StoreError, schema};
+use crate::sample::{Channel, EventKind, Gap, Record, Segment};
+use rusqlite::{Connection, OptionalExtension, params};
+use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+type Id = (u64, u64);
+
+/// Which file this process writes under a path. For the whole process, because SQLite's own bookkeeping is: a reader that
+/// opened a file which has just taken the place of the written one would take the written one's log for its.
+static WRITTEN: Mutex<BTreeMap<PathBuf, Id>> = Mutex::new(BTreeMap::new());
+
+fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
+    WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// To be asked between opening a connection, which opens the file, and its first read, which opens the log.
+pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
+    match written().get(path) {
+        Some(id) if id_of(path) != Some(*id) => Err(StoreError::Lost {
+            path: path.to_owned(),
+            detail: "it is read again once another file takes its place",
+        }),
+        _ => Ok(()),
+    }
+}
+
+fn id_of(path: &Path) -> Option<Id> {
+    std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
+}
+
+/// Which files are open: the database, its log, its shared memory.
+#[derive(Debug, Clone)]
+pub(super) struct FileId {
+    database: Option<Id>,
+    remains: Vec<(PathBuf, Id)>,
+}
+
+impl FileId {
+    pub(super) fn of(path: &Path) -> Self {
+        Self { database: id_of(path), remains: Vec::new() }
+    }
+
+    /// The file that this process writes from now on.
+    pub(super) fn written(path: &Path) -> Self {
+        let file = Self::of(path);
+        match file.database {
+            Some(id) => written().insert(path.to_owned(), id),
+            None => written().remove(path),
+        };
+        file
+    }
+
+    /// Nothing is written any more.
+    pub(super) fn forget(path: &Path) {
+        written().remove(path);
+    }
+
+    /// Whether the path names another file, or none.
+    pub(super) fn is_lost(&self, path: &Path) -> bool {
+        match std::fs::metadata(path) {
+            Ok(file) => Some((file.dev(), file.ino())) != self.database,
+            Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+        }
+    }
+
+    /// Closes the connection to the lost file, complete for whoever has it under another name, and notes which log and
+    /// shared memory belonged to it.
+    pub(super) fn let_go(&mut self, path: &Path, connection: Connection) {
+        let beside = [schema::wal_path(path), schema::shm_path(path)];
+        self.remains = beside.into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
+        let copied = connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
+        if let Err(error) = copied {
+            tracing::warn!(message = "The lost file could not be completed.", %error);
+        }
+        if let Err((_, error)) = connection.close() {
+            tracing::warn!(message = "The lost file could not be closed.", %error);
+        }
+        self.clear_remains();
+    }
+
+    /// Takes log and shared memory of the lost file away: with another file they would destroy it.
+    pub(super) fn clear_remains(&mut self) {
+        for (remains, id) in std::mem::take(&mut self.remains) {
+            if id_of(&remains) == Some(id)
+                && let Err(error) = std::fs::remove_file(&remains)
+            {
+                tracing::warn!(message = "What a lost file left cannot be removed.", path = %remains.display(), %error);
+            }
+        }
+    }
+}
+
+/// A capture of the lost file that goes on.
+#[derive(Debug, Clone)]
+struct Seed {
+    id: i64,
+    name: String,
+    source: String,
+    state: String,
+    start_at: Option<i64>,
+    planned: Option<i64>,
+    held: i64,
+    samples: i64,
+    sensor: Option<String>,
+    configuration: Option<String>,
+    segment: Option<Segment>,
+}
+
+/// How a capture's records are numbered in the new file.
+#[derive(Debug, Clone, Default)]
+struct Moved {
+    to: i64,
+    /// Samples that were acknowledged in files that are gone.
+    base: u64,
+    seq: Option<u64>,
+    segments: u32,
+    segment: Option<Segment>,
+}
+
+/// What was lost, and where it goes on.
+#[derive(Debug, Default)]
+pub(super) struct Lost {
+    seeds: Vec<Seed>,
+    moved: BTreeMap<i64, Moved>,
+}
+
+impl Lost {
+    /// Notes the captures that run, from the lost file, which is still open.
+    pub(super) fn note(&mut self, connection: &Connection) {
+        match seeds(connection) {
+            Ok(seeds) => self.seeds = seeds,
+            Err(error) => tracing::error!(message = "The lost file cannot be read any more.", %error),
+        }
+    }
+
+    /// Makes the captures in the new file; answers the ids of those that could not keep theirs.
+    pub(super) fn settle(
+        &mut self,
+        connection: &mut Connection,
+        utc_ns: i64,
+    ) -> Result<BTreeMap<i64, i64>, StoreError> {
+        let transaction = connection.transaction()?;
+        let mut moved = BTreeMap::new();
+        for seed in &self.seeds {
+            // The task knows a capture by its first id, however often its file was lost.
+            let known = self.moved.iter().find(|(_, moved)| moved.to == seed.id).map_or(seed.id, |(id, _)| *id);
+            let base = self.moved.get(&known).map_or(0, |moved| moved.base) + seed.samples as u64;
+            let to = seed.create(&transaction, utc_ns)?;
+            moved.insert(known, Moved { to, base, segment: seed.segment.clone(), ..Moved::default() });
+        }
+        transaction.commit()?;
+        self.moved = moved;
+        Ok(self.moved.iter().filter(|(id, moved)| **id != moved.to).map(|(id, moved)| (*id, moved.to)).collect())
+    }
+
+    /// The records as the new file numbers them; borrowed where nothing was lost.
+    pub(super) fn translated<'a>(&mut self, batch: &'a [(i64, Record)]) -> std::borrow::Cow<'a, [(i64, Record)]> {
+        if self.moved.is_empty() {
+            return std::borrow::Cow::Borrowed(batch);
+        }
+        let mut records = Vec::with_capacity(batch.len() + 1);
+        for (id, record) in batch {
+            match self.moved.get_mut(id) {
+                Some(moved) => moved.translate(record, &mut records),
+                None => records.push((*id, record.clone())),
+            }
+        }
+        std::borrow::Cow::Owned(records)
+    }
+
+    /// What was inserted, by the ids that the task knows; acknowledged is also what files had that are gone.
+    pub(super) fn named(&self, mut inserted: Inserted) -> Inserted {
+        for (id, moved) in &self.moved {
+            if let Some(samples) = inserted.committed.remove(&moved.to) {
+                inserted.committed.insert(*id, samples + moved.base);
+            }
+        }
+        inserted
+    }
+
+    /// What was acknowledged so far, in files that are gone.
+    pub(super) fn acknowledged(&self) -> BTreeMap<i64, u64> {
+        self.moved.iter().map(|(id, moved)| (*id, moved.base)).collect()
+    }
+}
+
+impl Moved {
+    fn translate(&mut self, record: &Record, records: &mut Vec<(i64, Record)>) {
+        let to = self.to;
+        let record = match record {
+            Record::Sample { seq, segment, sample } => {
+                if self.seq.is_none() {
+                    self.seq = Some(*seq);
+                    self.segments = segment.saturating_sub(1);
+                }
+                let base = self.seq.unwrap_or(0);
+                // In the middle of a segment: it goes on as the new file's first.
+                if *seq == base
+                    && let Some(segment) = &self.segment
+                {
+                    records.push((
+                        to,
+                        Record::Segment(Segment {
+                            number: 1,
+                            first_seq: 0,
+                            first_device_time_ns: sample.device_time_ns,
+                            first_utc_ns: sample.host_utc_ns,
+                            ..segment.clone()
+                        }),
+                    ));
+                }
+                let seq = seq.saturating_sub(base);
+                Record::Sample { seq, segment: segment.saturating_sub(self.segments), sample: sample.clone() }
+            }
+            Record::Segment(segment) => {
+                if self.seq.is_none() {
+                    self.seq = Some(segment.first_seq);
+                    self.segments = segment.number.saturating_sub(1);
+                    self.segment = None;
+                }
+                Record::Segment(Segment {
+                    number: segment.number.saturating_sub(self.segments),
+                    first_seq: segment.first_seq.saturating_sub(self.seq.unwrap_or(0)),
+                    ..segment.clone()
+                })
+            }
+            Record::Gap(gap) => {
+                let before_seq = gap.before_seq.saturating_sub(self.seq.unwrap_or(gap.before_seq));
+                Record::Gap(Gap { before_seq, ..gap.clone() })
+            }
+            other => other.clone(),
+        };
+        records.push((to, record));
+    }
+}
+
+impl Seed {
+    fn create(&self, connection: &Connection, utc_ns: i64) -> Result<i64, StoreError> {
+        let taken = "SELECT EXISTS (SELECT 1 FROM capture WHERE id = ?1)";
+        let taken: bool = connection.query_row(taken, [self.id], |row| row.get(0))?;
+        let mut name = self.name.clone();
+        let mut number = 2;
+        while !name_is_free(connection, &name)? {
+            name = format!("{}-{number}", self.name);
+            number += 1;
+        }
+        connection.execute(
+            "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, sensor, \
+             configuration, software) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
+            params![
+                (!taken).then_some(self.id),
+                name,
+                self.source,
+                self.state,
+                utc_ns,
+                self.start_at,
+                self.planned.map(|planned| (planned - self.held).max(1)),
+                self.sensor,
+                self.configuration,
+                SOFTWARE,
+            ],
+        )?;
+        let id = connection.last_insert_rowid();
+        let message = format!(
+            "the database file was deleted or replaced: {} earlier samples of this capture were in it",
+            self.samples
+        );
+        connection.execute(
+            "INSERT INTO event (capture_id, utc_ns, kind, message) VALUES (?1, ?2, ?3, ?4)",
+            params![id, utc_ns, EventKind::Warning.name(), message],
+        )?;
+        Ok(id)
+    }
+}
+
+fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
+    let mut statement = connection.prepare(
+        "SELECT id, name, source, state, start_at_utc_ns, planned_duration_ns, sample_time_ns, samples, sensor, \
+         configuration FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live'",
+    )?;
+    let found: Result<Vec<Seed>, rusqlite::Error> = statement
+        .query_map([], |row| {
+            Ok(Seed {
+                id: row.get(0)?,
+                name: row.get(1)?,
+                source: row.get(2)?,
+                state: row.get(3)?,
+                start_at: row.get(4)?,
+                planned: row.get(5)?,
+                held: row.get(6)?,
+                samples: row.get(7)?,
+                sensor: row.get(8)?,
+                configuration: row.get(9)?,
+                segment: None,
+            })
+        })?
+        .collect();
+    let mut found = found?;
+    for seed in &mut found {
+        seed.segment = last_segment(connection, seed.id)?;
+    }
+    Ok(found)
+}
+
+fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, StoreError> {
+    let sql =
+        "SELECT rate_hz, timebase, channels, epoch FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
+    let row = connection
+        .query_row(sql, [id], |row| {
+            Ok((row.get::<_, f64>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get(3)?))
+        })
+        .optional()?;
+    let Some((rate_hz, timebase, channels, epoch)) = row else { return Ok(None) };
+    let names: Vec<String> = serde_json::from_str(&channels)?;
+    Ok(Some(Segment {
+        number: 1,
+        epoch,
+        first_seq: 0,
+        rate_hz,
+        timebase: timebase_from_name(&timebase)
+            .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+        channels: names.iter().filter_map(|name| Channel::from_name(name)).collect(),
+        first_device_time_ns: None,
+        first_utc_ns: 0,
+    }))
+}

@@ -1,0 +1,208 @@
+//! What holds when commits fail, clocks are set and requests are repeated.
+
+use super::tests::{World, a_capture, gap, sample, segment};
+use super::*;
+use crate::sample::Record;
+
+const PERIOD_NS: u64 = 25_000_000;
+
+/// The sensor's clock runs on over `missing` samples before `from`: the fixtures count on without them.
+fn late(record: Record, from: u64, missing: u64) -> Record {
+    let shift = missing * PERIOD_NS;
+    match record {
+        Record::Sample { seq, segment, mut sample } if seq >= from => {
+            sample.device_time_ns = sample.device_time_ns.map(|ns| ns + shift);
+            Record::Sample { seq, segment, sample }
+        }
+        Record::Segment(mut segment) if segment.first_seq >= from => {
+            segment.first_device_time_ns = segment.first_device_time_ns.map(|ns| ns + shift);
+            Record::Segment(segment)
+        }
+        other => other,
+    }
+}
+
+fn whole() -> Vec<Record> {
+    a_capture().into_iter().map(|record| late(record, 100, 3)).collect()
+}
+
+fn one<T: rusqlite::types::FromSql>(world: &World, sql: &str) -> T {
+    world.reader().connection.query_row(sql, [], |row| row.get(0)).unwrap()
+}
+
+#[test]
+fn every_commit_leaves_a_checksum_that_the_check_confirms() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, whole());
+    world.store.flush_blocking().unwrap();
+    let report = check(world.store.path()).unwrap();
+    assert_eq!(report.findings, []);
+    assert_eq!((report.captures[0].samples, report.captures[0].without_checksum), (150, 0));
+    let path = world.store.path().to_owned();
+    world.store.close().unwrap();
+    let foreign = rusqlite::Connection::open(&path).unwrap();
+    foreign.execute("UPDATE sample SET gyro_x = gyro_x + 1e-12 WHERE seq = 77", []).unwrap();
+    drop(foreign);
+    let report = check(&path).unwrap();
+    assert_eq!(report.findings.len(), 1, "{report:?}");
+    assert_eq!(report.findings[0].check, "checksum");
+    let refused = Store::open(&path, StoreOptions::default()).map(drop).unwrap_err();
+    assert_eq!(refused.kind(), StoreErrorKind::Io);
+    assert!(refused.to_string().contains("vn100d recover"), "{refused}");
+}
+
+#[test]
+fn counters_that_lie_are_found() {
+    for (sql, check_name) in [
+        ("UPDATE capture SET samples = samples + 1", "samples"),
+        ("UPDATE capture SET missing = missing + 1", "gaps"),
+        ("DELETE FROM gap", "gaps"),
+        ("UPDATE segment SET first_seq = 99 WHERE segment_id = 2", "segments"),
+        ("UPDATE sample SET segment_id = 2 WHERE seq = 3", "samples"),
+        ("DELETE FROM sample WHERE seq = 12", "checksum"),
+        ("UPDATE batch SET crc = crc + 1 WHERE first_seq = 0", "checksum"),
+    ] {
+        let world = World::new();
+        let id = world.capturing();
+        world.send(id, whole());
+        world.store.flush_blocking().unwrap();
+        let path = world.store.path().to_owned();
+        world.store.close().unwrap();
+        rusqlite::Connection::open(&path).unwrap().execute(sql, []).unwrap();
+        let report = check(&path).unwrap();
+        assert!(report.findings.iter().any(|finding| finding.check == check_name), "{sql}: {report:?}");
+    }
+}
+
+#[test]
+fn a_civil_time_that_is_set_later_keeps_the_checksums_right() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, [segment(1, 0)].into_iter().chain((0..50).map(|seq| sample(1, seq))));
+    world.store.flush_blocking().unwrap();
+    world.send(id, (50..60).map(|seq| sample(1, seq)));
+    let first: i64 = one(&world, "SELECT min(host_utc_ns) FROM sample");
+    world.send(id, [Record::UtcSet { by_ns: 1_000, before_utc_ns: i64::MAX }, sample(1, 60)]);
+    world.store.flush_blocking().unwrap();
+    assert_eq!(one::<i64>(&world, "SELECT min(host_utc_ns) FROM sample"), first + 1_000);
+    let report = check(world.store.path()).unwrap();
+    assert!(!report.findings.iter().any(|finding| finding.check == "checksum"), "{report:?}");
+    assert_eq!(report.captures[0].without_checksum, 0);
+}
+
+#[test]
+fn the_same_request_makes_one_capture_and_can_be_taken_back() {
+    let world = World::new();
+    let capture = NewCapture { token: Some("request".to_owned()), ..NewCapture::new("pty", CaptureState::Capturing) };
+    let id = world.store.create_capture(capture.clone()).unwrap();
+    assert_eq!(world.store.create_capture(capture.clone()).unwrap(), id);
+    world.store.withdraw("request").unwrap();
+    assert!(world.reader().capture(id).is_err());
+    assert_eq!(world.store.unfinished().unwrap(), []);
+    // One that has samples stays.
+    let capture = NewCapture { token: Some("another".to_owned()), ..capture };
+    let id = world.store.create_capture(capture).unwrap();
+    world.send(id, [segment(1, 0), sample(1, 0)]);
+    world.store.flush_blocking().unwrap();
+    world.store.withdraw("another").unwrap();
+    assert_eq!(world.reader().capture(id).unwrap().samples, 1);
+}
+
+#[test]
+fn a_log_written_over_itself_is_the_same_log() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, whole());
+    world.store.flush_blocking().unwrap();
+    let log = schema::wal_path(world.store.path());
+    let before = std::fs::read(&log).unwrap();
+    assert!(before.len() > 10_000);
+    writer::rewrite(&log).unwrap();
+    assert!(std::fs::read(&log).unwrap() == before);
+    assert_eq!(check(world.store.path()).unwrap().findings, []);
+}
+
+#[test]
+fn a_healthy_database_is_recovered_as_it_is() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, whole());
+    world.store.flush_blocking().unwrap();
+    world.store.pin(id, true).unwrap();
+    let before = world.reader().capture(id).unwrap();
+    let gaps = world.reader().gaps(id, &PageRequest::default()).unwrap().rows;
+    let path = world.store.path().to_owned();
+    // As a killed process leaves it: everything in the log.
+    let copy = world.directory.path().join("killed.db");
+    std::fs::copy(&path, &copy).unwrap();
+    std::fs::copy(schema::wal_path(&path), schema::wal_path(&copy)).unwrap();
+    let out = world.directory.path().join("out.db");
+    let report = recover(&copy, &out, false).unwrap();
+    assert!(!report.has_damage(), "{report:?}");
+    assert!(matches!(recover(&copy, &out, false), Err(StoreError::Exists { .. })));
+    assert!(matches!(recover(&path, &out, true), Err(StoreError::Locked { .. })));
+    let reader = Reader::open(&out).unwrap();
+    let after = reader.capture(id).unwrap();
+    assert_eq!(after, before);
+    assert_eq!(reader.gaps(id, &PageRequest::default()).unwrap().rows, gaps);
+    assert_eq!(reader.events(id, &PageRequest::default()).unwrap().rows.len(), 1);
+    assert_eq!(check(&out).unwrap().findings, []);
+}
+
+#[test]
+fn lost_samples_become_a_gap_in_the_recovered_database() {
+    let world = World::new();
+    let id = world.capturing();
+    for batch in 0..10 {
+        let first = batch * 100;
+        world.send(id, (batch == 0).then(|| segment(1, 0)));
+        if batch == 5 {
+            world.send(id, [gap(500, 7), late(segment(2, 500), 500, 7)]);
+        }
+        let samples = (first..first + 100).map(|seq| sample(if seq < 500 { 1 } else { 2 }, seq));
+        world.send(id, samples.map(|record| late(record, 500, 7)));
+        world.store.flush_blocking().unwrap();
+    }
+    let path = world.store.path().to_owned();
+    world.store.close().unwrap();
+    let foreign = rusqlite::Connection::open(&path).unwrap();
+    foreign.execute("UPDATE sample SET accel_z = 5 WHERE seq IN (250, 810)", []).unwrap();
+    drop(foreign);
+    let out = world.directory.path().join("out.db");
+    let report = recover(&path, &out, false).unwrap();
+    let capture = &report.captures[0];
+    assert_eq!((capture.samples, capture.samples_lost, capture.batches_lost), (800, 200, 2));
+    assert_eq!(capture.lost, [(200, 299), (800, 899)]);
+    let reader = Reader::open(&out).unwrap();
+    let row = reader.capture(id).unwrap();
+    assert_eq!((row.samples, row.missing, row.gaps, row.segments), (800, 207, 3, 4));
+    let gaps = reader.gaps(id, &PageRequest::default()).unwrap().rows;
+    let seen: Vec<(u64, u64, &str)> = gaps.iter().map(|gap| (gap.before_seq, gap.missing, gap.cause.name())).collect();
+    assert_eq!(seen, [(200, 100, "source"), (400, 7, "checksum"), (700, 100, "source")]);
+    assert_eq!(check(&out).unwrap().findings, []);
+}
+
+#[test]
+fn a_backup_is_whole_and_a_database_of_its_own() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, whole());
+    world.store.flush_blocking().unwrap();
+    let out = world.directory.path().join("copy.db");
+    let mut steps = Vec::new();
+    let report = world.reader().backup(&out, false, &mut |done, all| steps.push((done, all))).unwrap();
+    assert_eq!(report.bytes, std::fs::metadata(&out).unwrap().len());
+    assert!(steps.last().is_some_and(|(done, all)| done == all && *all > 0), "{steps:?}");
+    assert_eq!(check(&out).unwrap().findings, []);
+    let identity = |path: &std::path::Path| -> String {
+        let reader = Reader::open(path).unwrap();
+        reader.connection.query_row("SELECT identity FROM writer", [], |row| row.get(0)).unwrap()
+    };
+    assert_ne!(identity(&out), identity(world.store.path()));
+    assert!(matches!(world.reader().backup(&out, false, &mut |_, _| ()), Err(StoreError::Exists { .. })));
+    world.reader().backup(&out, true, &mut |_, _| ()).unwrap();
+    let left: Vec<_> =
+        std::fs::read_dir(world.directory.path()).unwrap().flatten().map(|file| file.file_name()).collect();
+    assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".part")), "{left:?}");
+}
