@@ -1,5 +1,8 @@
-//! Control: what the HTTP interface and the command line may ask of the running capture.
+//! Control: what the HTTP interface and the command line may ask of the running daemon.
 
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 
@@ -87,4 +90,124 @@ impl CaptureControl {
         self.0.send(Command::Stop(id, reply)).await.map_err(|_| ControlError::Stopping)?;
         answer.await.map_err(|_| ControlError::Stopping)?
     }
+}
+
+/// How files begin in which recordings are put aside beside the database while they are imported.
+pub const IMPORT_PREFIX: &str = ".import-";
+
+/// A recording that shall become a capture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportRequest {
+    /// Where its bytes are.
+    pub file: PathBuf,
+    /// What it is called: where it came from, and what its capture is named after.
+    pub called: String,
+    /// Samples per second of a recording without stamps.
+    pub rate_hz: Option<f64>,
+    /// Name of the capture.
+    pub name: Option<String>,
+}
+
+/// What an import came to, as `vn100d import --json` and `POST /v1/imports` answer it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ImportReport {
+    /// What the recording is called.
+    pub file: String,
+    /// Id of its capture.
+    pub capture: i64,
+    /// False where the same recording was imported before.
+    pub new: bool,
+    /// Samples.
+    pub samples: u64,
+    /// Samples missing between them.
+    pub missing: u64,
+    /// Gaps.
+    pub gaps: u64,
+    /// Rate in Hz.
+    pub rate_hz: f64,
+    /// Whether the rate was not told by anything.
+    pub rate_assumed: bool,
+    /// Lines or messages that are no sample, by cause.
+    pub rejected: BTreeMap<String, u64>,
+    /// The first of them.
+    pub first_rejected: Vec<RejectedReport>,
+    /// What its times are: `none`, `relative` or `unix`.
+    pub stamps: String,
+    /// Which of several stamps its times are, and how regular each is.
+    #[schema(value_type = Option<Object>)]
+    pub stamp_choice: Option<serde_json::Value>,
+    /// Figures of its times and values.
+    #[schema(value_type = Object)]
+    pub findings: serde_json::Value,
+    /// What a person should know about it, a sentence each.
+    pub remarks: Vec<String>,
+    /// Columns that are no channel.
+    pub ignored_columns: Vec<String>,
+    /// Channels that came in another unit.
+    pub conversions: Vec<ConversionReport>,
+}
+
+/// A line or message that did not become a sample.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct RejectedReport {
+    /// `line`, or `message` of a bag.
+    pub entry: String,
+    /// Its number, from 1.
+    pub line: u64,
+    /// Why.
+    pub cause: String,
+    /// Its text, at most 256 characters.
+    pub text: String,
+}
+
+/// A channel that came in another unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ConversionReport {
+    /// The channel.
+    pub channel: String,
+    /// The column's name in the file.
+    pub column: String,
+    /// The unit it came in.
+    pub original_unit: String,
+    /// Value in the channel's unit = factor × value in the file.
+    pub factor: f64,
+}
+
+/// Why a recording did not become a capture.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImportError {
+    /// It cannot be read, or not as a recording.
+    #[error("{reason}")]
+    Recording {
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The name is taken.
+    #[error("{reason}")]
+    NameTaken {
+        /// Which, and what to do.
+        reason: String,
+    },
+    /// The name cannot be one.
+    #[error("{reason}")]
+    NameRefused {
+        /// Why.
+        reason: String,
+    },
+    /// The database did not take it.
+    #[error("the database did not take the recording: {reason}")]
+    Store {
+        /// What the database said.
+        reason: String,
+    },
+}
+
+/// Makes recordings captures; blocks until it is done.
+pub trait Importer: std::fmt::Debug + Send + Sync {
+    /// Imports one recording, whole or not at all; the same one twice is one capture.
+    ///
+    /// # Errors
+    /// [`ImportError`]; nothing of the recording stays.
+    fn import(&self, request: ImportRequest) -> Result<ImportReport, ImportError>;
 }

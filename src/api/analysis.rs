@@ -6,10 +6,10 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
-use crate::jobs::{JobError, JobKind, StatisticsReport};
+use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::AllanReport;
-use crate::store::{JobRow, JobState, PageRequest, Reader, ResultRow, SOFTWARE, StoreError};
+use crate::store::{JobRow, JobState, Reader, ResultRow, SOFTWARE, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -44,7 +44,7 @@ enum Found {
 /// Moments, histogram and a test for normality of every channel. While the capture runs: of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/statistics", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
-    (status = 200, body = StatisticsReport, headers(("ETag" = String, description = "Of a finished result"))),
+    (status = 200, body = SoFar<StatisticsReport>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
@@ -63,7 +63,7 @@ pub(super) async fn statistics(
 /// Overlapping Allan deviation of every analysed channel. While the capture runs: of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/allan", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
-    (status = 200, body = AllanReport, headers(("ETag" = String, description = "Of a finished result"))),
+    (status = 200, body = SoFar<AllanReport>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
@@ -82,7 +82,7 @@ pub(super) async fn allan(
 /// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units. While the capture runs: of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/noise", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
-    (status = 200, body = NoiseReport, headers(("ETag" = String, description = "Of a finished result"))),
+    (status = 200, body = SoFar<NoiseReport>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
@@ -143,12 +143,10 @@ fn find(
     if capture.state.is_open() {
         return Ok(Found::Open(id));
     }
-    // A capture has few jobs, the latest of them first.
-    let jobs = reader.jobs(Some(id), None, &PageRequest::first())?.rows;
-    let usual_jobs: Vec<JobRow> = jobs
-        .into_iter()
-        .filter(|row| row.kind == kind.name() && row.end_seq == capture.samples && row.params == *usual)
-        .collect();
+    let jobs = reader.jobs_over(id, kind.name(), capture.samples)?;
+    // What another version of the program could not do, this one may.
+    let counts = |row: &JobRow| row.params == *usual && !(row.state == JobState::Failed && row.stale);
+    let usual_jobs: Vec<JobRow> = jobs.into_iter().filter(counts).collect();
     for state in [JobState::Done, JobState::Running, JobState::Queued, JobState::Failed] {
         if let Some(row) = usual_jobs.iter().find(|row| row.state == state) {
             return with_result(reader, row.clone());

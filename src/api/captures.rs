@@ -5,7 +5,8 @@ use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::control::CaptureRequest;
-use crate::store::{CaptureFilter, CaptureRow, CaptureState, EventRow, GapRow, SegmentRow, StoreError};
+use crate::sample::audit::Report;
+use crate::store::{CaptureFilter, CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
 use crate::units::{format_duration, parse_duration};
 use axum::Json;
 use axum::extract::State;
@@ -60,6 +61,17 @@ pub(super) struct StartBody {
 pub(super) struct PinBody {
     /// True (also without a body): it is not deleted, by nobody.
     pinned: bool,
+}
+
+/// A capture with the check of its numbers.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct CaptureWithAccounting {
+    #[serde(flatten)]
+    capture: CaptureRow,
+    /// Whether its numbers agree with each other and with the sensor's ticks.
+    accounting: Report,
+    /// The sensor's clock against the host's, by epoch (the first hundred).
+    clocks: Vec<DeviceClockRow>,
 }
 
 /// A page of gaps.
@@ -138,16 +150,22 @@ pub(super) async fn start(State(state): State<ApiState>, J(body): J<StartBody>) 
 /// One capture with its counts.
 #[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
-    (status = 200, body = CaptureRow),
+    (status = 200, body = CaptureWithAccounting),
     (status = 404, body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureRow>, ApiError> {
-    let capture = state
+pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureWithAccounting>, ApiError> {
+    let (capture, accounting, clocks) = state
         .read(move |reader| {
             let id = reader.resolve(&name)?;
-            reader.capture(id)
+            Ok((reader.capture(id)?, reader.accounting(id)?, reader.device_clocks(id)?))
         })
         .await?;
-    Ok(Json(capture))
+    // While it runs, what is on its way to the disk counts too.
+    let running = state.status().capture.filter(|running| running.id == capture.id && capture.state.is_open());
+    let accounting = match running {
+        Some(now) => accounting.at_this_instant(now.received, now.committed, now.in_flight, now.discarded),
+        None => accounting,
+    };
+    Ok(Json(CaptureWithAccounting { capture, accounting, clocks }))
 }
 
 /// Deletes a capture with all its samples. One that runs, waits or is pinned stays.

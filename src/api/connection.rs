@@ -1,5 +1,5 @@
-//! A connection whose reader must go on reading: writing that makes no progress for a while is an error, which ends the
-//! connection and with it the stream and its query.
+//! A connection whose reader must go on reading: writing that makes too little progress for a while is an error, which
+//! ends the connection and with it the stream and its query.
 
 use std::io;
 use std::pin::Pin;
@@ -9,12 +9,23 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep};
 
+/// Bytes that a reader which holds the writer up takes at least within the patience: less is as good as none, and a
+/// reader of one byte a second would hold a query for days.
+const PROGRESS_BYTES: usize = 16 * 1024;
+
 /// A TCP connection on which a write may stand still for `patience` at most.
 #[derive(Debug)]
 pub(super) struct Guarded {
     stream: TcpStream,
     patience: Duration,
-    stalled: Option<Pin<Box<Sleep>>>,
+    stalled: Option<Stall>,
+}
+
+/// Since the writer was last held up.
+#[derive(Debug)]
+struct Stall {
+    alarm: Pin<Box<Sleep>>,
+    moved: usize,
 }
 
 impl Guarded {
@@ -22,15 +33,25 @@ impl Guarded {
         Self { stream, patience, stalled: None }
     }
 
-    /// A write that is ready clears the alarm; one that is not sets it, and fails once it has gone off.
-    fn watch<T>(&mut self, context: &mut Context<'_>, write: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
-        if write.is_ready() {
-            self.stalled = None;
-            return write;
+    /// A write that is not ready sets the alarm, enough bytes clear it; once it has gone off, writing fails.
+    fn watch(&mut self, context: &mut Context<'_>, write: Poll<io::Result<usize>>) -> Poll<io::Result<usize>> {
+        match (&write, &mut self.stalled) {
+            (Poll::Ready(Ok(bytes)), Some(stall)) => {
+                stall.moved += bytes;
+                if stall.moved >= PROGRESS_BYTES {
+                    self.stalled = None;
+                }
+                return write;
+            }
+            (Poll::Ready(_), _) => return write,
+            (Poll::Pending, _) => {}
         }
         let patience = self.patience;
-        let alarm = self.stalled.get_or_insert_with(|| Box::pin(tokio::time::sleep_until(Instant::now() + patience)));
-        match alarm.as_mut().poll(context) {
+        let stall = self.stalled.get_or_insert_with(|| Stall {
+            alarm: Box::pin(tokio::time::sleep_until(Instant::now() + patience)),
+            moved: 0,
+        });
+        match stall.alarm.as_mut().poll(context) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }
@@ -64,8 +85,9 @@ impl AsyncWrite for Guarded {
         self.stream.is_write_vectored()
     }
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let flush = Pin::new(&mut self.stream).poll_flush(context);
-        self.watch(context, flush)
+        // Everything was handed over: whoever writes next begins anew.
+        self.stalled = None;
+        Pin::new(&mut self.stream).poll_flush(context)
     }
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_shutdown(context)

@@ -46,11 +46,15 @@ pub(super) async fn readyz(State(state): State<ApiState>) -> Result<Json<Ready>,
 #[utoipa::path(get, path = "/metrics", tag = "daemon", responses(
     (status = 200, body = String, content_type = "application/openmetrics-text")))]
 pub(super) async fn metrics(State(state): State<ApiState>) -> Result<Response, ApiError> {
+    crate::observe::provoke::provoke(crate::observe::provoke::Point::Handler);
     let progress = state.parts.store.progress();
     let writer = WriterFigures {
         commits: progress.commits,
         failures: progress.failures,
         committed: progress.committed.values().sum(),
+        busy: progress.busy,
+        slow_commits: progress.slow_commits,
+        slowest_commit_s: progress.slowest_commit.as_secs_f64(),
         refused: progress.refused,
         samples_per_s: progress.samples_per_s,
     };
@@ -115,7 +119,10 @@ mod tests {
             samples: 0,
             missing: 0,
             gaps: 0,
+            received: 0,
             committed: 0,
+            in_flight: 0,
+            discarded: Default::default(),
             last_sample_age_s: None,
             gap_open_since: None,
         })

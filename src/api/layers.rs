@@ -2,12 +2,10 @@
 
 use super::problem::{self, ApiError, ProblemType};
 use super::state::ApiState;
-use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::any::Any;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -35,6 +33,31 @@ pub(super) async fn observe(State(state): State<ApiState>, request: Request, nex
     }
     response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     response
+}
+
+/// On loopback the host that is asked must be this machine by a name that no foreign name server can give: a page whose
+/// name was rebound to 127.0.0.1 could otherwise read and change everything.
+pub(super) async fn check_host(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    let asked = request.uri().authority().map(|authority| authority.as_str().to_owned());
+    let asked = asked.or_else(|| {
+        let host = request.headers().get(header::HOST)?;
+        // What is no text is no host of ours.
+        Some(host.to_str().unwrap_or("?").to_owned())
+    });
+    match asked {
+        Some(host) if state.parts.loopback && !is_local(&host) => ApiError::foreign_host(&host).into_response(),
+        _ => next.run(request).await,
+    }
+}
+
+/// Whether `host` (with or without a port) is an address, or `localhost`.
+fn is_local(host: &str) -> bool {
+    let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((address, _)) => address,
+        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    };
+    let name = name.trim_end_matches('.').to_ascii_lowercase();
+    name == "localhost" || name.ends_with(".localhost") || name.parse::<std::net::IpAddr>().is_ok()
 }
 
 /// Requests that change something need the token beyond loopback, and may not come from another site's page.
@@ -76,7 +99,11 @@ fn same(given: &[u8], expected: &[u8]) -> bool {
 }
 
 /// An answer's head must be sent within the time; a stream goes on as long as it is read.
+/// An import has limits of its own.
 pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    if request.uri().path() == super::imports::PATH {
+        return next.run(request).await;
+    }
     let limit = state.parts.limits.answer;
     tokio::time::timeout(limit, next.run(request)).await.unwrap_or_else(|_| {
         ApiError::new(
@@ -85,12 +112,6 @@ pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, 
         )
         .into_response()
     })
-}
-
-/// In builds that unwind a panic ends its request alone.
-pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response<Body> {
-    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    ApiError::internal(format!("panic: {}", text.unwrap_or("without a message"))).into_response()
 }
 
 #[cfg(test)]
@@ -112,6 +133,27 @@ mod tests {
             assert!(!authorized(wrong), "{wrong}");
         }
         assert!(!bears(&HeaderMap::new(), "0123456789abcdef"));
+    }
+
+    #[test]
+    fn a_name_that_a_name_server_can_give_is_not_this_machine() {
+        for host in [
+            "localhost",
+            "LOCALHOST:8100",
+            "127.0.0.1:8100",
+            "127.0.0.1",
+            "[::1]:8100",
+            "[::1]",
+            "192.168.1.5:80",
+            "a.localhost",
+        ] {
+            assert!(is_local(host), "{host}");
+        }
+        for host in
+            ["", "x", "evil.example", "evil.example:8100", "localhost.evil.example", "127.0.0.1.evil.example", "?"]
+        {
+            assert!(!is_local(host), "{host}");
+        }
     }
 
     #[test]

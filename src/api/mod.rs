@@ -5,7 +5,8 @@
 //! blocking work, a bounded number at a time. Promises: every error is a problem document (RFC 9457), no number is NaN,
 //! no request makes the capture wait. Refuses: heads that take longer than 5 s, bodies above 64 KiB, more than 1024
 //! connections, more than 16 large queries at once, readers that stop reading for 30 s, changes without the token beyond
-//! loopback. Knows neither the serial port nor SQL. `docs/api.md` describes each route, `docs/openapi.json` is the
+//! loopback, on loopback any other host's name. A panic ends the process on purpose: what is
+//! committed is safe, and a new start is better than half a program. Knows neither the serial port nor SQL. `docs/api.md` describes each route, `docs/openapi.json` is the
 //! machine's description.
 
 mod analysis;
@@ -14,6 +15,7 @@ mod conditional;
 mod connection;
 mod extract;
 mod health;
+mod imports;
 mod jobs;
 mod layers;
 mod openapi;

@@ -38,9 +38,25 @@ pub fn document() -> String {
 }
 
 fn text(document: &Document) -> String {
+    let mut document = document.clone();
+    for item in document.paths.paths.values_mut() {
+        for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
+            let responses = &mut operation.responses.responses;
+            responses.insert("default".to_owned(), any_error().into());
+        }
+    }
     let mut text = document.to_pretty_json().unwrap_or_default();
     text.push('\n');
     text
+}
+
+/// What every operation may answer besides what is its own.
+fn any_error() -> utoipa::openapi::Response {
+    let schema = utoipa::openapi::Ref::from_schema_name("Problem");
+    utoipa::openapi::ResponseBuilder::new()
+        .description("Any other error: docs/api.md, Problems")
+        .content(super::PROBLEM_JSON, utoipa::openapi::Content::new(Some(schema)))
+        .build()
 }
 
 /// `GET /openapi.json`.

@@ -4,7 +4,7 @@
 //! sees every answer last, writes the body with the request's id, and does so too for whatever else ended with an error
 //! status (an unknown path, a method that is not allowed), so that no error leaves in another form.
 
-use crate::control::ControlError;
+use crate::control::{ControlError, ImportError};
 use crate::jobs::JobError;
 use crate::store::{StoreError, StoreErrorKind};
 use axum::body::Body;
@@ -185,6 +185,19 @@ impl ApiError {
         );
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
+    /// On loopback the request names a host that is not this machine.
+    #[must_use]
+    pub fn foreign_host(host: &str) -> Self {
+        let host: String = host.chars().take(100).collect();
+        let error = Self::new(
+            ProblemType::NotAuthorized,
+            format!(
+                "the header `Host` names `{host}`, but only this machine is served: ask for localhost or an address; a \
+                 proxy sets `Host: localhost`"
+            ),
+        );
+        Self { status: StatusCode::FORBIDDEN, ..error }
+    }
     /// This cannot be answered now.
     #[must_use]
     pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
@@ -213,6 +226,9 @@ impl ApiError {
 impl From<StoreError> for ApiError {
     fn from(error: StoreError) -> Self {
         let detail = error.to_string();
+        if matches!(error, StoreError::QueueFull { .. }) {
+            return Self::unavailable(detail, 10);
+        }
         match error.kind() {
             StoreErrorKind::NotFound => Self::new(ProblemType::NotFound, detail),
             StoreErrorKind::Conflict => Self::new(ProblemType::Conflict, detail),
@@ -238,6 +254,18 @@ impl From<JobError> for ApiError {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }
             error => Self::internal(error.to_string()),
+        }
+    }
+}
+
+impl From<ImportError> for ApiError {
+    fn from(error: ImportError) -> Self {
+        let detail = error.to_string();
+        match error {
+            ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
+            ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
+            ImportError::NameRefused { .. } => Self::bad_request(detail),
+            ImportError::Store { .. } => Self::unavailable(detail, 5),
         }
     }
 }

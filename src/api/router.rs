@@ -2,11 +2,10 @@
 
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
-use super::{analysis, captures, health, jobs, openapi, samples, status};
+use super::{analysis, captures, health, imports, jobs, openapi, samples, status};
 use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
-use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{Predicate, SizeAbove};
 use utoipa_axum::router::OpenApiRouter;
@@ -32,6 +31,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(captures::segments))
         .routes(routes!(captures::events))
         .routes(routes!(samples::samples))
+        .routes(routes!(imports::import))
         .routes(routes!(analysis::statistics))
         .routes(routes!(analysis::allan))
         .routes(routes!(analysis::noise))
@@ -53,7 +53,7 @@ pub fn router(parts: ApiParts) -> Router {
         .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))
         .layer(middleware::from_fn_with_state(state.clone(), layers::authorize))
         .layer(DefaultBodyLimit::max(BODY_BYTES))
-        .layer(CatchPanicLayer::custom(layers::panicked))
+        .layer(middleware::from_fn_with_state(state.clone(), layers::check_host))
         .layer(middleware::from_fn_with_state(state.clone(), layers::observe))
         .layer(compress)
         .with_state(state)

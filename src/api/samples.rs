@@ -16,7 +16,6 @@ use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use chrono::DateTime;
 use serde::Deserialize;
-use std::collections::BTreeMap;
 use std::io;
 
 /// Samples in one answer at most, where they are not decimated: 7 hours at 40 Hz, 21 minutes at 800 Hz.
@@ -25,8 +24,8 @@ const SAMPLES_MAX: u64 = 1_000_000;
 const DECIMATED_MAX: u64 = 86_400_000;
 /// Rows of a decimated answer at most.
 const POINTS_MAX: u32 = 100_000;
-/// Samples read at once.
-const CHUNK: usize = 8192;
+/// Samples read at once: a piece is then some 300 KiB, of which four are on their way to a reader that has stopped.
+const CHUNK: usize = 2048;
 
 /// Which samples are wanted and how.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -179,61 +178,74 @@ impl Range {
     fn read(reader: &Reader, name: &str, from: Option<Moment>, to: Option<Moment>) -> Result<Self, StoreError> {
         let id = reader.resolve(name)?;
         let capture = reader.capture(id)?;
-        let axis = TimeAxis::read(reader, id)?;
+        let mut axis = TimeAxis::read(reader, id)?;
         let end = reader.seq_range(id)?.map_or(0, |range| range.last + 1);
-        let seq = |moment: Option<Moment>, otherwise: u64| match moment {
-            None => Ok(otherwise),
-            Some(Moment::Utc(utc_ns)) => reader.seq_at(id, utc_ns),
-            Some(Moment::Since(ns)) => reader.seq_at(id, axis.origin_ns.saturating_add(ns)),
-        };
-        let (from_seq, to_seq) = (seq(from, 0)?, seq(to, end)?);
+        let from_seq = from.map_or(Ok(0), |from| axis.seq_at(reader, from, end))?;
+        let to_seq = to.map_or(Ok(end), |to| axis.seq_at(reader, to, end))?;
         Ok(Self { capture, axis, from_seq, to_seq: to_seq.max(from_seq) })
     }
 }
 
 /// When each sample was taken: by the sensor's clock within each of its epochs, by the rate where the sensor sends no
-/// time, by the stamps of a recording.
-#[derive(Debug, Default)]
+/// time, by the stamps of a recording. It keeps one segment at a time, however many there are.
+#[derive(Debug)]
 struct TimeAxis {
+    capture_id: i64,
     origin_ns: i64,
-    segments: BTreeMap<u32, (SegmentRow, i64)>,
+    segment: Option<(SegmentRow, i64)>,
 }
 
 impl TimeAxis {
-    fn read(reader: &Reader, id: i64) -> Result<Self, StoreError> {
-        let mut axis = Self::default();
-        let mut epochs: BTreeMap<u32, i64> = BTreeMap::new();
-        let mut page = PageRequest::first();
-        loop {
-            let found = reader.segments(id, &page)?;
-            for segment in found.rows {
-                if axis.segments.is_empty() {
-                    axis.origin_ns = segment.from.0;
-                }
-                // One offset per epoch: host times vary by the latency, the sensor's own do not.
-                let device_ns = segment.first_device_time_ns.unwrap_or(0) as i64;
-                let offset_ns = *epochs.entry(segment.epoch).or_insert(segment.from.0 - device_ns);
-                axis.segments.insert(segment.segment, (segment, offset_ns));
-            }
-            let Some(next) = found.next else { return Ok(axis) };
-            page.cursor = Some(next);
+    fn read(reader: &Reader, capture_id: i64) -> Result<Self, StoreError> {
+        let first = PageRequest { limit: Some(1), cursor: None };
+        let origin_ns = reader.segments(capture_id, &first)?.rows.first().map_or(0, |segment| segment.from.0);
+        Ok(Self { capture_id, origin_ns, segment: None })
+    }
+
+    /// `seq` of the first sample at or after the moment, `end` where none is. Found by bisection: where the axis itself
+    /// goes back (the host's clock was stepped while the sensor was away) it is one of the places in question.
+    fn seq_at(&mut self, reader: &Reader, moment: Moment, end: u64) -> Result<u64, StoreError> {
+        let wanted_ns = match moment {
+            Moment::Since(ns) => ns,
+            Moment::Utc(utc_ns) => utc_ns.saturating_sub(self.origin_ns),
+        };
+        let (mut low, mut high) = (0, end);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let (segment, device_ns, host_utc_ns) = reader.sample_clocks(self.capture_id, middle)?;
+            let at_ns = self.time_ns(reader, segment, middle, device_ns, host_utc_ns)?;
+            if at_ns < wanted_ns { low = middle + 1 } else { high = middle }
         }
+        Ok(low)
     }
 
     /// Since the capture's first sample, ns.
-    fn time_ns(&self, segment: u32, seq: u64, device_ns: Option<u64>, host_utc_ns: i64) -> i64 {
-        let utc_ns = match self.segments.get(&segment) {
+    fn time_ns(
+        &mut self,
+        reader: &Reader,
+        segment: u32,
+        seq: u64,
+        device_ns: Option<u64>,
+        host_utc_ns: i64,
+    ) -> Result<i64, StoreError> {
+        if self.segment.as_ref().is_none_or(|(row, _)| row.segment != segment) {
+            let row = reader.segment(self.capture_id, segment)?;
+            // One offset per epoch: host times vary by the latency, the sensor's own do not.
+            let offset_ns = reader.epoch_offset_ns(self.capture_id, row.epoch)?.unwrap_or(0);
+            self.segment = Some((row, offset_ns));
+        }
+        let utc_ns = match &self.segment {
             Some((row, offset_ns)) => match (row.timebase, device_ns) {
-                (Timebase::Device, Some(device_ns)) => offset_ns + device_ns as i64,
+                (Timebase::Device, Some(device_ns)) => offset_ns.saturating_add(device_ns as i64),
                 (Timebase::SyncCounter | Timebase::Arrival | Timebase::Rate, _) => {
                     let steps = seq.saturating_sub(row.first_seq) as f64;
-                    row.from.0 + (steps * period_ns(row.rate_hz)).round() as i64
+                    row.from.0.saturating_add((steps * period_ns(row.rate_hz)).round() as i64)
                 }
                 (Timebase::Device | Timebase::Stamps, _) => host_utc_ns,
             },
             None => host_utc_ns,
         };
-        utc_ns - self.origin_ns
+        Ok(utc_ns.saturating_sub(self.origin_ns))
     }
 }
 
@@ -267,8 +279,9 @@ impl Selection {
     }
 
     /// Reads and sends to the end, or until nobody listens.
-    fn send(&self, reader: &PooledReader, pieces: &Pieces) -> Result<(), StoreError> {
-        let Range { capture, axis, from_seq, to_seq } = &self.range;
+    fn send(mut self, reader: &PooledReader, pieces: &Pieces) -> Result<(), StoreError> {
+        let Range { capture, axis, from_seq, to_seq } = &mut self.range;
+        let (from_seq, to_seq) = (*from_seq, *to_seq);
         let mut writer = Writer::new(self.format, &self.channels, self.bucket.is_some());
         let mut bucket = Bucket::new(self.bucket.unwrap_or(1), self.channels.len());
         let mut out = String::new();
@@ -282,15 +295,16 @@ impl Selection {
                 bucket: self.bucket,
             },
         );
-        let mut next_seq = *from_seq;
-        while next_seq < *to_seq {
+        let mut next_seq = from_seq;
+        while next_seq < to_seq {
             let limit = CHUNK.min(usize::try_from(to_seq - next_seq).unwrap_or(CHUNK));
             let chunk = reader.read_samples(capture.id, next_seq, limit, &self.channels)?;
             if chunk.is_empty() {
                 // The capture was deleted meanwhile: what was announced cannot be kept.
                 return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() });
             }
-            self.write(&chunk, &mut writer, &mut bucket, &mut out);
+            let decimated = self.bucket.is_some();
+            write(reader, axis, &chunk, decimated, &mut writer, &mut bucket, &mut out)?;
             next_seq = chunk.next_seq();
             if pieces.blocking_send(Ok(std::mem::take(&mut out).into())).is_err() {
                 return Ok(());
@@ -304,23 +318,33 @@ impl Selection {
         let _ = pieces.blocking_send(Ok(out.into()));
         Ok(())
     }
+}
 
-    fn write(&self, chunk: &Chunk, writer: &mut Writer, bucket: &mut Bucket, out: &mut String) {
-        let Some(times) = &chunk.times else { return };
-        let clocks = times.device_ns.iter().zip(&times.host_utc_ns);
-        for (index, (segment, (device_ns, host_utc_ns))) in chunk.segment.iter().zip(clocks).enumerate() {
-            let seq = chunk.first_seq + index as u64;
-            let time_ns = self.range.axis.time_ns(*segment, seq, *device_ns, *host_utc_ns);
-            let values = chunk.columns.iter().filter_map(|column| column.get(index).copied());
-            if self.bucket.is_none() {
-                writer.row(out, time_ns, values);
-            } else if bucket.take(time_ns, values)
-                && let Some((time_ns, values)) = bucket.row()
-            {
-                writer.row(out, time_ns, values);
-            }
+/// Writes a chunk's rows, or takes them into the bucket and writes those that are full.
+fn write(
+    reader: &Reader,
+    axis: &mut TimeAxis,
+    chunk: &Chunk,
+    decimated: bool,
+    writer: &mut Writer,
+    bucket: &mut Bucket,
+    out: &mut String,
+) -> Result<(), StoreError> {
+    let Some(times) = &chunk.times else { return Ok(()) };
+    let clocks = times.device_ns.iter().zip(&times.host_utc_ns);
+    for (index, (segment, (device_ns, host_utc_ns))) in chunk.segment.iter().zip(clocks).enumerate() {
+        let seq = chunk.first_seq + index as u64;
+        let time_ns = axis.time_ns(reader, *segment, seq, *device_ns, *host_utc_ns)?;
+        let values = chunk.columns.iter().filter_map(|column| column.get(index).copied());
+        if !decimated {
+            writer.row(out, time_ns, values);
+        } else if bucket.take(time_ns, values)
+            && let Some((time_ns, values)) = bucket.row()
+        {
+            writer.row(out, time_ns, values);
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]

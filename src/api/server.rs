@@ -47,6 +47,30 @@ impl Default for Limits {
     }
 }
 
+/// Files that capture, store and jobs may have open at once; what they need is never left to connections.
+const OWN_FILES: u64 = 40;
+/// Files that a reader of the database has open: file, log, shared memory.
+const READER_FILES: u64 = 3;
+
+impl Limits {
+    /// The usual limits, or smaller ones where the process may have few files open: a connection too many is refused
+    /// before the sensor's port or the database could not be opened again.
+    #[must_use]
+    pub fn fitting(open_files: u64) -> Self {
+        let usual = Self::default();
+        let left = open_files.saturating_sub(OWN_FILES);
+        let queries = (left / (4 * READER_FILES)).clamp(1, usual.heavy_queries as u64);
+        // A refused connection has a file too, for as long as it takes to say so.
+        let connections = left.saturating_sub(2 * queries * READER_FILES + 4).clamp(4, usual.connections as u64);
+        Self {
+            connections: connections as usize,
+            heavy_queries: queries as usize,
+            light_queries: queries as usize,
+            ..usual
+        }
+    }
+}
+
 /// Bytes of a request's head at most.
 const HEAD_BYTES: usize = 16 * 1024;
 /// Pause after an accept that failed for want of file descriptors: closing connections make room.

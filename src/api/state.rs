@@ -3,7 +3,7 @@
 
 use super::problem::ApiError;
 use super::server::Limits;
-use crate::control::CaptureControl;
+use crate::control::{CaptureControl, Importer};
 use crate::jobs::{JobError, Jobs, Live};
 use crate::observe::{Metrics, Status};
 use crate::store::{Interrupt, PooledReader, Reader, ReaderPool, Store, StoreError};
@@ -31,6 +31,10 @@ pub struct ApiParts {
     pub metrics: Arc<Metrics>,
     /// The secret that requests need which change something; `None` on loopback.
     pub token: Option<String>,
+    /// Whether only this machine can ask: the header `Host` must then name it.
+    pub loopback: bool,
+    /// Makes recordings captures.
+    pub importer: Arc<dyn Importer>,
     /// Sample time of a capture that is asked for without a duration.
     pub default_duration: Duration,
     /// Free space in bytes below which the daemon is not ready.
@@ -51,6 +55,7 @@ pub(super) struct Inner {
     heavy: Arc<Semaphore>,
     light: Arc<Semaphore>,
     changes: Arc<Semaphore>,
+    imports: Arc<Semaphore>,
 }
 
 impl std::ops::Deref for ApiState {
@@ -69,6 +74,7 @@ impl ApiState {
             heavy: Arc::new(Semaphore::new(heavy)),
             light: Arc::new(Semaphore::new(light)),
             changes: Arc::new(Semaphore::new(CHANGES)),
+            imports: Arc::new(Semaphore::new(1)),
             parts,
         }))
     }
@@ -98,6 +104,14 @@ impl ApiState {
                 ),
                 1,
             )
+        })
+    }
+
+    /// The permit to import, or 503 at once: one recording at a time.
+    pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Arc::clone(&self.imports).try_acquire_owned().map_err(|_| {
+            self.parts.metrics.query_refused();
+            ApiError::unavailable("another recording is being imported: ask again", 5)
         })
     }
 

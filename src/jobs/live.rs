@@ -10,6 +10,7 @@ use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
 use crate::sample::Channel;
 use crate::store::Reader;
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -27,8 +28,8 @@ pub struct Live(Mutex<Option<Pyramids>>);
 struct Pyramids {
     capture_id: i64,
     next_seq: u64,
-    /// Rates of the segments met so far.
-    rates: BTreeMap<u32, f64>,
+    /// The segment met last and its rate.
+    rate: Option<(u32, f64)>,
     segment: Option<u32>,
     by_rate: BTreeMap<u64, Pyramid>,
     distribution: Distribution,
@@ -38,6 +39,25 @@ struct Pyramids {
 struct Pyramid {
     samples: u64,
     channels: BTreeMap<Channel, LiveAllan>,
+}
+
+/// A report, and whether it is of all there is.
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct SoFar<T> {
+    /// The report; its `samples` says how many samples, from the first one on, it is made of.
+    #[serde(flatten)]
+    pub report: T,
+    /// Only while the capture runs: whether that is all that was committed. False for some time after the daemon has
+    /// started, while the analysis catches up: ask again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub caught_up: Option<bool>,
+}
+
+impl<T> std::ops::Deref for SoFar<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.report
+    }
 }
 
 /// What a capture's live analysis has come to.
@@ -118,13 +138,15 @@ impl Live {
     ///
     /// # Errors
     /// As [`Self::points`].
-    pub fn allan(&self, reader: &Reader, capture_id: i64) -> Result<AllanReport, JobError> {
+    pub fn allan(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<AllanReport>, JobError> {
         let points = self.points(reader, capture_id)?;
         let curves = points
             .channels
             .iter()
             .map(|(channel, octaves)| (*channel, AllanCurve::from_points(octaves, points.rate_hz, channel.unit())));
-        Ok(AllanReport::new(Estimator::Oadev, points.rate_hz, false, curves))
+        let mut report = AllanReport::new(Estimator::Oadev, points.rate_hz, false, curves);
+        report.samples = Some(points.next_seq);
+        Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }
 }
 
@@ -133,23 +155,25 @@ impl Live {
     ///
     /// # Errors
     /// As [`Self::points`].
-    pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<NoiseReport, JobError> {
+    pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<NoiseReport>, JobError> {
         let points = self.points(reader, capture_id)?;
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
-        Ok(report::noise_of_points(&points.channels, points.rate_hz, points.other_rate, extent))
+        let report = report::noise_of_points(&points.channels, points.rate_hz, points.other_rate, extent);
+        Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }
 
     /// Statistics of what there is so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
-    pub fn statistics(&self, reader: &Reader, capture_id: i64) -> Result<StatisticsReport, JobError> {
+    pub fn statistics(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<StatisticsReport>, JobError> {
         let points = self.points(reader, capture_id)?;
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let slot = self.lock();
         let channels = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id);
         let channels = channels.map(|pyramids| pyramids.distribution.statistics()).unwrap_or_default();
-        Ok(report::statistics(channels, extent))
+        let report = report::statistics(channels, extent);
+        Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }
 }
 
@@ -158,7 +182,7 @@ impl Pyramids {
         Self {
             capture_id,
             next_seq: 0,
-            rates: BTreeMap::new(),
+            rate: None,
             segment: None,
             by_rate: BTreeMap::new(),
             distribution: Distribution::new(Channel::ALL.to_vec()),
@@ -222,11 +246,11 @@ impl Pyramids {
     }
 
     fn rate_of(&mut self, reader: &Reader, number: u32) -> Result<f64, JobError> {
-        if let Some(rate_hz) = self.rates.get(&number) {
-            return Ok(*rate_hz);
+        if let Some((_, rate_hz)) = self.rate.filter(|(known, _)| *known == number) {
+            return Ok(rate_hz);
         }
         let rate_hz = reader.segment_rate_hz(self.capture_id, number)?;
-        self.rates.insert(number, rate_hz);
+        self.rate = Some((number, rate_hz));
         Ok(rate_hz)
     }
 }

@@ -3,7 +3,7 @@
 //! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents the interfaces give out.
 //! Promised: the same submission is the same job; a job that is killed anywhere goes on at its last chunk and comes to the
 //! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
-//! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads that rest a
+//! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads at nice 10 that rest a
 //! tenth of their time and hold no read transaction between chunks.
 //!
 //! [`Live`] answers for a capture that still runs.
@@ -23,7 +23,7 @@ mod worker;
 
 pub use error::JobError;
 pub use kind::{JobKind, JobParameters};
-pub use live::{CATCH_UP, Live, LivePoints};
+pub use live::{CATCH_UP, Live, LivePoints, SoFar};
 pub use plan::Plan;
 pub use report::StatisticsReport;
 pub use runner::CHUNK;

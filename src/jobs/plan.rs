@@ -3,11 +3,10 @@
 
 use super::JobError;
 use crate::sample::Channel;
-use crate::store::{Chunk, PageRequest, Reader, SegmentRow};
-use std::collections::BTreeMap;
+use crate::store::{Chunk, PageRequest, Reader};
 use std::ops::Range;
 
-/// Which samples a computation takes in.
+/// Which samples a computation takes in. A capture may have a million segments: each takes 16 bytes here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The capture.
@@ -22,8 +21,31 @@ pub struct Plan {
     pub longest: u64,
     /// Samples left out because their segment has another rate.
     pub other_rate: u64,
-    /// Segments of that rate: number and `seq` range.
-    segments: BTreeMap<u32, Range<u64>>,
+    /// How many segments are taken in.
+    pub taken: u64,
+    /// All segments below `end_seq` in order.
+    segments: Vec<Stretch>,
+    /// Which of the rates met is [`Self::rate_hz`].
+    rate: u32,
+}
+
+/// A segment: it ends where the next one begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Stretch {
+    first_seq: u64,
+    number: u32,
+    /// Index of its rate among those met.
+    rate: u32,
+}
+
+/// What is known of all segments of one rate.
+#[derive(Debug, Default)]
+struct OfRate {
+    rate_hz: f64,
+    samples: u64,
+    longest: u64,
+    segments: u64,
+    channels: Vec<Channel>,
 }
 
 impl Plan {
@@ -32,43 +54,38 @@ impl Plan {
     /// # Errors
     /// [`JobError::InsufficientData`] where there is no sample of such a channel; [`JobError::Store`].
     pub fn read(reader: &Reader, capture_id: i64, end_seq: u64, wanted: &[Channel]) -> Result<Self, JobError> {
-        let segments = all_segments(reader, capture_id, end_seq)?;
-        let mut by_rate: BTreeMap<u64, u64> = BTreeMap::new();
-        for (row, range) in &segments {
-            *by_rate.entry(row.rate_hz.to_bits()).or_default() += range.end - range.start;
-        }
-        let total: u64 = by_rate.values().sum();
-        // Positive doubles are ordered as their bits: of equally frequent rates the higher one.
-        let (rate, most) = by_rate.into_iter().max_by_key(|(rate, samples)| (*samples, *rate)).unwrap_or_default();
-        let rate_hz = f64::from_bits(rate);
-        let taken = segments.iter().filter(|(row, _)| row.rate_hz == rate_hz);
-        let mut channels: Vec<Channel> = taken
-            .clone()
-            .flat_map(|(row, _)| row.channels.iter().copied())
-            .filter(|channel| wanted.contains(channel))
-            .collect();
-        channels.sort_unstable();
-        channels.dedup();
-        if most == 0 || channels.is_empty() {
+        let (segments, rates) = all_segments(reader, capture_id, end_seq, wanted)?;
+        let total: u64 = rates.iter().map(|rate| rate.samples).sum();
+        // Of equally frequent rates the higher one.
+        let most = rates.iter().enumerate().max_by(|(_, one), (_, other)| {
+            (one.samples.cmp(&other.samples)).then(one.rate_hz.total_cmp(&other.rate_hz))
+        });
+        let found = most.filter(|(_, most)| most.samples > 0 && !most.channels.is_empty());
+        let Some((rate, most)) = found else {
             let names: Vec<&str> = wanted.iter().map(|channel| channel.name()).collect();
             let reason = format!("capture {capture_id} has no samples of {} yet", names.join(", "));
             return Err(JobError::InsufficientData { reason });
-        }
+        };
         Ok(Self {
             capture_id,
             end_seq,
-            rate_hz,
-            channels,
-            longest: taken.clone().map(|(_, range)| range.end - range.start).max().unwrap_or(0),
-            other_rate: total - most,
-            segments: taken.map(|(row, range)| (row.segment, range.clone())).collect(),
+            rate_hz: most.rate_hz,
+            channels: most.channels.clone(),
+            longest: most.longest,
+            other_rate: total - most.samples,
+            taken: most.segments,
+            rate: rate as u32,
+            segments,
         })
     }
 
     /// The `seq` range of a segment that is taken in.
     #[must_use]
-    pub fn segment(&self, number: u32) -> Option<&Range<u64>> {
-        self.segments.get(&number)
+    pub fn segment(&self, number: u32) -> Option<Range<u64>> {
+        let index = self.segments.binary_search_by_key(&number, |segment| segment.number).ok()?;
+        let segment = self.segments.get(index).filter(|segment| segment.rate == self.rate)?;
+        let end = self.segments.get(index + 1).map_or(self.end_seq, |next| next.first_seq);
+        (segment.first_seq < end).then_some(segment.first_seq..end)
     }
 
     /// The rows of a chunk by segment, in order: segment number (None where it is left out) and rows.
@@ -78,7 +95,7 @@ impl Plan {
         let mut from = 0;
         for part in chunk.segment.chunk_by(|one, next| one == next) {
             let to = from + part.len();
-            let number = part.first().copied().filter(|number| self.segments.contains_key(number));
+            let number = part.first().copied().filter(|number| self.segment(*number).is_some());
             runs.push((number, from..to));
             from = to;
         }
@@ -86,23 +103,52 @@ impl Plan {
     }
 }
 
-/// Segments with the `seq` range that they have below `end_seq`; empty ones are left out.
-fn all_segments(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Vec<(SegmentRow, Range<u64>)>, JobError> {
-    let mut rows: Vec<SegmentRow> = Vec::new();
+/// All segments that begin below `end_seq`, and what is known of each rate.
+fn all_segments(
+    reader: &Reader,
+    capture_id: i64,
+    end_seq: u64,
+    wanted: &[Channel],
+) -> Result<(Vec<Stretch>, Vec<OfRate>), JobError> {
+    let (mut segments, mut rates): (Vec<Stretch>, Vec<OfRate>) = (Vec::new(), Vec::new());
+    let mut open: Vec<Channel> = Vec::new();
     let mut page = PageRequest::first();
-    loop {
+    'pages: loop {
         let part = reader.segments(capture_id, &page)?;
-        rows.extend(part.rows);
+        for row in part.rows {
+            if row.first_seq >= end_seq {
+                break 'pages;
+            }
+            close(&segments, &mut rates, row.first_seq, &open);
+            let rate = rates.iter().position(|rate| rate.rate_hz == row.rate_hz).unwrap_or_else(|| {
+                rates.push(OfRate { rate_hz: row.rate_hz, ..OfRate::default() });
+                rates.len() - 1
+            });
+            segments.push(Stretch { first_seq: row.first_seq, number: row.segment, rate: rate as u32 });
+            open = row.channels;
+            open.retain(|channel| wanted.contains(channel));
+        }
         match part.next {
             Some(next) => page.cursor = Some(next),
             None => break,
         }
     }
-    // A segment ends where the next one begins: its own counter may have grown since the job was submitted.
-    let begins: Vec<u64> = rows.iter().map(|row| row.first_seq.min(end_seq)).collect();
-    let ends = begins.iter().skip(1).copied().chain([end_seq]);
-    let ranges: Vec<Range<u64>> = begins.iter().copied().zip(ends).map(|(from, to)| from..to.max(from)).collect();
-    Ok(rows.into_iter().zip(ranges).filter(|(_, range)| !range.is_empty()).collect())
+    close(&segments, &mut rates, end_seq, &open);
+    Ok((segments, rates))
+}
+
+/// The last segment ends here. Its own counter is not asked: it may have grown since the job was submitted.
+fn close(segments: &[Stretch], rates: &mut [OfRate], end: u64, channels: &[Channel]) {
+    let Some(last) = segments.last() else { return };
+    let samples = end.saturating_sub(last.first_seq);
+    if let Some(rate) = rates.get_mut(last.rate as usize).filter(|_| samples > 0) {
+        rate.samples += samples;
+        rate.longest = rate.longest.max(samples);
+        rate.segments += 1;
+        rate.channels.extend(channels);
+        rate.channels.sort_unstable();
+        rate.channels.dedup();
+    }
 }
 
 /// Hands the runs of present values of one column to `push`, with a call of `cut` wherever nothing may be averaged across.

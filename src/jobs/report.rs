@@ -65,10 +65,31 @@ impl Extent {
 }
 
 /// Deviation curves of exact sums.
-pub(super) fn allan(plan: &Plan, sums: &[(Channel, AllanSums)], complete: bool) -> AllanReport {
+pub(super) fn allan(plan: &Plan, sums: &[(Channel, AllanSums)], extent: &Extent) -> AllanReport {
     let curves =
         sums.iter().map(|(channel, sums)| (*channel, AllanCurve::from_sums(sums, plan.rate_hz, channel.unit())));
-    AllanReport::new(Estimator::Oadev, plan.rate_hz, complete, curves)
+    let mut report = AllanReport::new(Estimator::Oadev, plan.rate_hz, extent.complete, curves);
+    report.samples = Some(extent.samples);
+    report.warnings = warnings(plan, extent);
+    for (channel, sums) in sums {
+        report
+            .warnings
+            .extend(out_of_range(*channel, sums.out_of_range()).map(|flag| format!("{channel}: {}", flag.note)));
+    }
+    report
+}
+
+/// What a curve does not show: where its input was cut.
+fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if plan.taken > 1 {
+        warnings.push(format!(
+            "{} segments ({} samples missing): each was analysed by itself, nothing is averaged across a gap or a reset",
+            plan.taken, extent.missing
+        ));
+    }
+    warnings.extend(other_rate(plan.rate_hz, plan.other_rate).map(|flag| flag.note));
+    warnings
 }
 
 /// Noise parameters of exact sums.

@@ -40,6 +40,7 @@ pub(super) fn run(
     loop {
         while next_seq < job.end_seq {
             let begun = Instant::now();
+            crate::observe::provoke::provoke(crate::observe::provoke::Point::Job);
             let limit = chunk_samples.min(usize::try_from(job.end_seq - next_seq).unwrap_or(usize::MAX));
             let chunk = reader.read_chunk(job.capture, next_seq, limit, fold.pass_channels())?;
             if chunk.is_empty() {
@@ -78,7 +79,7 @@ fn document(reader: &Reader, job: &JobRow, kind: JobKind, fold: Fold) -> Result<
             if kind == JobKind::Noise {
                 serde_json::to_string(&report::noise(&plan, &sums, extent))?
             } else {
-                serde_json::to_string(&report::allan(&plan, &sums, extent.complete))?
+                serde_json::to_string(&report::allan(&plan, &sums, &extent))?
             }
         }
         Fold::Distribution(distribution) => {

@@ -92,7 +92,7 @@ impl World {
     fn queue(&self, kind: JobKind, params: serde_json::Value) -> i64 {
         let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
         let job = NewJob { kind: kind.name().to_owned(), capture_id: self.capture, params };
-        self.store.submit_job(job).unwrap().0.id
+        self.store.submit_job(job, u64::MAX).unwrap().0.id
     }
     /// Works on the job in turns of `turns` chunks each, every turn as a program of its own would begin it.
     fn work(&self, job: i64, chunk: usize, turns: impl IntoIterator<Item = usize>) -> String {

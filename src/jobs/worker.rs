@@ -3,16 +3,21 @@
 use super::runner::{CHUNK, Outcome, run};
 use super::{JobError, JobKind};
 use crate::observe::JobsStatus;
-use crate::store::{JobRow, JobState, NewJob, ReaderPool, Store, StoreError, StoreErrorKind};
+use crate::store::{JobRow, JobState, NewJob, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often an idle worker looks whether there is something to do that nobody told it of.
 const LOOK: Duration = Duration::from_secs(2);
+/// Priority of the workers' threads (nice).
+const NICE: i32 = 10;
 /// How long a worker waits after the database refused.
 const PAUSE: Duration = Duration::from_secs(1);
+
+/// Shortest and longest rest after a step of clearing away.
+const REST: (Duration, Duration) = (Duration::from_millis(5), Duration::from_secs(1));
 
 /// How jobs are worked on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,7 +84,10 @@ impl Jobs {
             let inner = Arc::clone(&jobs.inner);
             let thread = std::thread::Builder::new()
                 .name(format!("jobs-{number}"))
-                .spawn(move || inner.work())
+                .spawn(move || {
+                    step_back();
+                    inner.work();
+                })
                 .map_err(JobError::Thread)?;
             jobs.inner.threads.lock().unwrap_or_else(PoisonError::into_inner).push(thread);
         }
@@ -89,15 +97,26 @@ impl Jobs {
     /// Queues a job; answers it and whether it is new. Blocks until it is on disk.
     ///
     /// # Errors
-    /// [`JobError::Parameters`], or [`JobError::Store`] (no such capture, …).
+    /// [`JobError::Parameters`], or [`JobError::Store`] (no such capture, too many jobs wait, …).
     pub fn submit(
         &self,
         kind: JobKind,
         capture_id: i64,
         parameters: &serde_json::Value,
     ) -> Result<(JobRow, bool), JobError> {
+        self.queue(kind, capture_id, parameters, QUEUE_JOBS_MAX)
+    }
+
+    fn queue(
+        &self,
+        kind: JobKind,
+        capture_id: i64,
+        parameters: &serde_json::Value,
+        queue_max: u64,
+    ) -> Result<(JobRow, bool), JobError> {
         let params = serde_json::to_value(kind.parameters(parameters)?)?;
-        let submitted = self.inner.store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params })?;
+        let new = NewJob { kind: kind.name().to_owned(), capture_id, params };
+        let submitted = self.inner.store.submit_job(new, queue_max)?;
         if submitted.1 {
             self.inner.queued.fetch_add(1, Ordering::Relaxed);
         }
@@ -105,12 +124,13 @@ impl Jobs {
         Ok(submitted)
     }
 
-    /// Queues all that a complete or imported capture gets without being asked: one job of every kind.
+    /// Queues all that a complete or imported capture gets without being asked: one job of every kind, however many wait.
     ///
     /// # Errors
     /// As [`Self::submit`].
     pub fn submit_all(&self, capture_id: i64) -> Result<Vec<JobRow>, JobError> {
-        JobKind::ALL.into_iter().map(|kind| Ok(self.submit(kind, capture_id, &serde_json::Value::Null)?.0)).collect()
+        let usual = &serde_json::Value::Null;
+        JobKind::ALL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
     }
 
     /// Calls a job off.
@@ -158,9 +178,17 @@ impl Jobs {
 pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> {
     for kind in JobKind::ALL {
         let params = serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?;
-        store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params })?;
+        store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params }, u64::MAX)?;
     }
     Ok(())
+}
+
+/// This thread runs when nobody else wants the processor: the reader never waits for a job.
+fn step_back() {
+    // On Linux a priority is a thread's, not the process's.
+    if let Err(error) = rustix::process::setpriority_process(None, NICE) {
+        tracing::warn!(message = "Background work runs at the program's own priority.", %error);
+    }
 }
 
 impl Inner {
@@ -200,7 +228,7 @@ impl Inner {
         let queued = reader.count_jobs(JobState::Queued)?;
         self.queued.store(queued, Ordering::Relaxed);
         if queued == 0 {
-            return if reader.has_deleted()? { Ok(self.store.purge_step()?) } else { Ok(false) };
+            return self.clear_away(&reader);
         }
         let Some(job) = self.store.claim_job()? else { return Ok(true) };
         self.queued.store(queued.saturating_sub(1), Ordering::Relaxed);
@@ -208,6 +236,21 @@ impl Inner {
         let outcome = run(&self.store, &reader, &job, self.options.chunk, || !self.stopped());
         self.running.fetch_sub(1, Ordering::Relaxed);
         self.settle(&job, outcome)?;
+        Ok(true)
+    }
+
+    /// A step of taking deleted rows away, or of giving their space back; false where neither is to be done.
+    fn clear_away(&self, reader: &Reader) -> Result<bool, JobError> {
+        let begun = Instant::now();
+        if reader.has_deleted()? {
+            self.store.purge_step()?;
+        } else if reader.has_space_to_give_back()? {
+            self.store.give_back_step()?;
+        } else {
+            return Ok(false);
+        }
+        // At least as long as the step took, the writer is the capture's alone.
+        std::thread::sleep(begun.elapsed().clamp(REST.0, REST.1));
         Ok(true)
     }
 

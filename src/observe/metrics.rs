@@ -10,6 +10,7 @@ use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use std::fmt;
@@ -29,6 +30,12 @@ pub struct WriterFigures {
     pub failures: u64,
     /// Samples on disk, of captures written since the start.
     pub committed: u64,
+    /// Failures because another process held the database.
+    pub busy: u64,
+    /// Commits that took longer than a second.
+    pub slow_commits: u64,
+    /// How long the slowest commit took, s.
+    pub slowest_commit_s: f64,
     /// Records that the schema refused: faults of this program.
     pub refused: u64,
     /// Samples committed per second, averaged over half a minute.
@@ -49,7 +56,20 @@ pub struct Metrics {
     connections_refused: AtomicU64,
     accept_failures: AtomicU64,
     overloaded: AtomicU64,
+    wakes: Wakes,
 }
+
+/// How late the reader runs after it was to wake, s.
+#[derive(Debug)]
+struct Wakes(Histogram);
+
+impl Default for Wakes {
+    fn default() -> Self {
+        Self(Histogram::new(WAKE_BUCKETS_S))
+    }
+}
+
+const WAKE_BUCKETS_S: [f64; 10] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0];
 
 const STATUS_CLASSES: [&str; 5] = ["1xx", "2xx", "3xx", "4xx", "5xx"];
 
@@ -81,8 +101,18 @@ impl Metrics {
                     add(counter, *count);
                 }
             }
-            Record::Event(_) | Record::Configuration(_) | Record::Ended { .. } => {}
+            Record::Event(_)
+            | Record::Configuration(_)
+            | Record::DeviceClock { .. }
+            | Record::UtcSet { .. }
+            | Record::Ended { .. } => {}
         }
+    }
+
+    /// Takes note of how late the capture's reader ran after it was to wake, s: the system's and this program's other
+    /// work in one figure.
+    pub fn reader_woke(&self, late_s: f64) {
+        self.wakes.0.observe(late_s);
     }
 
     /// Counts an answered request by its status code.
@@ -132,6 +162,7 @@ impl Metrics {
         capture_now(&mut registry, status);
         storage(&mut registry, status, writer);
         jobs(&mut registry, status);
+        unattended(&mut registry, status);
         self.http(&mut registry);
         let mut text = String::with_capacity(8192);
         prometheus_client::encoding::text::encode(&mut text, &registry)?;
@@ -140,6 +171,12 @@ impl Metrics {
 
     fn capture(&self, registry: &mut Registry) {
         counter(registry, "samples", "Samples received", read(&self.samples));
+        register(
+            registry,
+            "reader_wake_seconds",
+            "How late the reader runs after it was to wake",
+            self.wakes.0.clone(),
+        );
         counter(registry, "segments", "Segments begun", read(&self.segments));
         let by_cause = |counters: &[AtomicU64]| {
             GapCause::ALL.iter().zip(counters).map(|(cause, counter)| (cause.name(), read(counter))).collect::<Vec<_>>()
@@ -210,13 +247,14 @@ fn capture_now(registry: &mut Registry, status: &Status) {
 }
 
 fn storage(registry: &mut Registry, status: &Status, writer: &WriterFigures) {
-    const STATES: [(StorageState, &str); 6] = [
+    const STATES: [(StorageState, &str); 7] = [
         (StorageState::Ok, "ok"),
         (StorageState::Slow, "slow"),
         (StorageState::StorageFull, "storage_full"),
         (StorageState::StorageReadonly, "storage_readonly"),
         (StorageState::StorageLocked, "storage_locked"),
         (StorageState::StorageError, "storage_error"),
+        (StorageState::StorageLost, "storage_lost"),
     ];
     let storage = &status.storage;
     states(registry, "storage_state", "1 for the state the store is in", STATES, storage.state);
@@ -235,6 +273,11 @@ fn storage(registry: &mut Registry, status: &Status, writer: &WriterFigures) {
     }
     counter(registry, "commits", "Commits of batches", writer.commits);
     counter(registry, "commit_failures", "Commits that failed", writer.failures);
+    counter(registry, "commits_busy", "Commits that another process's lock delayed", writer.busy);
+    counter(registry, "commits_slow", "Commits that took longer than a second", writer.slow_commits);
+    gauge(registry, "slowest_commit_seconds", "Duration of the slowest commit", writer.slowest_commit_s);
+    let low = if storage.low_space { 1.0 } else { 0.0 };
+    gauge(registry, "low_space", "1 while less than 1 GB, or than 12 hours' data, is free", low);
     counter(registry, "committed_samples", "Samples on disk", writer.committed);
     counter(registry, "refused_records", "Records that the schema refused: faults of this program", writer.refused);
     gauge(registry, "commit_rate_hertz", "Samples committed per second, over half a minute", writer.samples_per_s);
@@ -245,6 +288,16 @@ fn jobs(registry: &mut Registry, status: &Status) {
     gauge(registry, "jobs_running", "Jobs that run", status.jobs.running as f64);
     counter(registry, "jobs_done", "Jobs done", status.jobs.done);
     counter(registry, "jobs_failed", "Jobs failed", status.jobs.failed);
+}
+
+fn unattended(registry: &mut Registry, status: &Status) {
+    let notify = &status.notify;
+    let outcomes = [("sent", notify.sent), ("failed", notify.failed), ("dropped", notify.dropped)];
+    counters(registry, "notifications", "Notifications by what became of them", "outcome", outcomes);
+    gauge(registry, "notifications_queued", "Notifications that wait or are being sent", notify.queued as f64);
+    counter(registry, "retention_deleted_captures", "Captures deleted by age or size", status.retention.deleted);
+    let planned = status.retention.planned_total as f64;
+    gauge(registry, "retention_planned_captures", "Captures that are going to be deleted", planned);
 }
 
 fn register(registry: &mut Registry, name: &str, help: &str, metric: impl Metric) {
@@ -349,6 +402,8 @@ mod tests {
         let mut status = Status { jobs: JobsStatus { queued: 2, done: 5, ..Default::default() }, ..Default::default() };
         status.sensor.state = SensorState::Stalled;
         status.storage.queued = 99;
+        status.notify.failed = 4;
+        status.retention.planned_total = 3;
         status.capture = Some(CaptureStatus {
             id: 7,
             name: "a".to_owned(),
@@ -359,6 +414,9 @@ mod tests {
             missing: 1,
             gaps: 1,
             committed: 360,
+            received: 0,
+            in_flight: 0,
+            discarded: Default::default(),
             last_sample_age_s: None,
             gap_open_since: None,
         });
@@ -372,6 +430,8 @@ mod tests {
             "vn100d_capture_remaining_seconds 5.5",
             "vn100d_jobs_queued 2.0",
             "vn100d_jobs_done_total 5",
+            "vn100d_notifications_total{outcome=\"failed\"} 4",
+            "vn100d_retention_planned_captures 3.0",
             "vn100d_uptime_seconds 1.5",
         ] {
             assert!(text.lines().any(|found| found == line), "{line} in {text}");

@@ -2,7 +2,13 @@
 
 pub mod logging;
 pub mod metrics;
+pub mod notify;
+pub mod provoke;
 pub mod status;
 
 pub use metrics::{Metrics, WriterFigures};
-pub use status::{CaptureStatus, JobsStatus, SensorState, SensorStatus, Status, StorageState, StorageStatus};
+pub use notify::{NotifyEvent, NotifyStatus};
+pub use status::{
+    CaptureStatus, JobsStatus, PlannedDeletion, RetentionStatus, SensorState, SensorStatus, Status, StorageState,
+    StorageStatus, Tally,
+};

@@ -1,7 +1,11 @@
 //! The status snapshot: published by the daemon through a watch channel, read by the HTTP interface without ever
 //! touching the disk (contract, section 3).
 
+use super::notify::NotifyStatus;
+use crate::sample::device_clock::ClockEstimate;
+use crate::sample::{DiscardCause, Timebase};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What the connection to the sensor is doing (contract, section 2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
@@ -53,6 +57,27 @@ pub struct SensorStatus {
     pub rate_hz: Option<f64>,
     /// What arrives: `binary 01,0609`, `VNYMR`…
     pub output: Option<String>,
+    /// What the samples' times rest on, and so how exactly losses are counted.
+    pub timebase: Option<Timebase>,
+    /// The sensor's clock against the host's; null before a few seconds of it were seen, and without device time.
+    pub clock: Option<ClockEstimate>,
+}
+
+/// Where every valid measurement is that a running capture has received: one consistent instant of the reader's side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tally {
+    /// The capture.
+    pub capture_id: i64,
+    /// Measurements received, counted where they come in.
+    pub received: u64,
+    /// Samples that were written down for the store, those of earlier runs of the daemon included.
+    pub samples: u64,
+    /// Samples that are held until it is clear whether some are missing before them.
+    pub held: u64,
+    /// Samples that earlier runs of the daemon committed.
+    pub base: u64,
+    /// Measurements that did not become a sample, by cause, in the order of [`DiscardCause::ALL`].
+    pub dropped: [u64; DiscardCause::ALL.len()],
 }
 
 /// The capture that runs or waits.
@@ -74,8 +99,14 @@ pub struct CaptureStatus {
     pub missing: u64,
     /// Gaps.
     pub gaps: u64,
+    /// Valid measurements received: `committed` + `in_flight` + `discarded`, at every instant.
+    pub received: u64,
     /// Samples that a power cut now would not take (committed to disk).
     pub committed: u64,
+    /// Samples that are held or wait for their commit.
+    pub in_flight: i64,
+    /// Valid measurements that did not become a sample, by cause.
+    pub discarded: BTreeMap<String, u64>,
     /// How long ago the last sample arrived, s; null before the first.
     pub last_sample_age_s: Option<f64>,
     /// When a gap is open: since when, RFC 3339.
@@ -99,6 +130,8 @@ pub enum StorageState {
     StorageLocked,
     /// The disk reports errors.
     StorageError,
+    /// The database's file was deleted or replaced.
+    StorageLost,
 }
 
 /// The store as the daemon sees it.
@@ -122,6 +155,10 @@ pub struct StorageStatus {
     pub last_commit_s: Option<f64>,
     /// Samples waiting in the queue.
     pub queued: u64,
+    /// Little space is left: less than a gigabyte, or than twelve hours at the present rate.
+    pub low_space: bool,
+    /// What deserves attention although data is taken: little space, a log that does not shrink.
+    pub warning: Option<String>,
     /// The last error's text, where the state is not `ok`.
     pub error: Option<String>,
 }
@@ -139,6 +176,32 @@ pub struct JobsStatus {
     pub failed: u64,
 }
 
+/// A capture that is going to be deleted to keep within the limits of `[storage]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct PlannedDeletion {
+    /// Its id.
+    pub capture: i64,
+    /// Its name.
+    pub name: String,
+    /// What its samples take in the database, bytes.
+    pub bytes: u64,
+    /// `age` or `size`: which limit it exceeds.
+    pub reason: String,
+    /// Not before this, RFC 3339.
+    pub delete_at: String,
+}
+
+/// What becomes of old captures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct RetentionStatus {
+    /// Captures that are going to be deleted, the next one first; at most 100 of them.
+    pub planned: Vec<PlannedDeletion>,
+    /// How many there are.
+    pub planned_total: u64,
+    /// Captures deleted by age or size since the daemon started.
+    pub deleted: u64,
+}
+
 /// Everything that `GET /v1/status` says, but for version and uptime.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Status {
@@ -150,4 +213,10 @@ pub struct Status {
     pub storage: StorageStatus,
     /// The jobs.
     pub jobs: JobsStatus,
+    /// Old captures.
+    #[serde(default)]
+    pub retention: RetentionStatus,
+    /// Notifications.
+    #[serde(default)]
+    pub notify: NotifyStatus,
 }

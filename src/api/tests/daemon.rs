@@ -15,6 +15,9 @@ fn running(status: &mut Status) {
         missing: 0,
         gaps: 0,
         committed: 80,
+        received: 0,
+        in_flight: 0,
+        discarded: Default::default(),
         last_sample_age_s: Some(0.01),
         gap_open_since: None,
     });

@@ -7,7 +7,9 @@ mod limits;
 mod samples;
 
 use super::{ApiParts, Limits, router, serve};
-use crate::control::{CaptureControl, CaptureRequest, Command, ControlError};
+use crate::control::{
+    CaptureControl, CaptureRequest, Command, ControlError, ImportError, ImportReport, ImportRequest, Importer,
+};
 use crate::jobs::{Jobs, JobsOptions, Live};
 use crate::observe::{Metrics, Status};
 use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
@@ -20,6 +22,17 @@ use tokio_util::sync::CancellationToken;
 
 const START_NS: i64 = 1_800_000_000_000_000_000;
 const PERIOD_NS: u64 = 25_000_000;
+
+/// Takes no recording; the built daemon's importer is under test in tests/faults.
+#[derive(Debug)]
+struct NoImports;
+
+impl Importer for NoImports {
+    fn import(&self, request: ImportRequest) -> Result<ImportReport, ImportError> {
+        let bytes = std::fs::read(&request.file).unwrap();
+        Err(ImportError::Recording { reason: format!("{} has {} bytes", request.called, bytes.len()) })
+    }
+}
 
 /// A server over a database of its own, until dropped.
 pub(super) struct World {
@@ -65,6 +78,8 @@ impl World {
             live: Arc::new(Live::new()),
             metrics: Arc::clone(&metrics),
             token: setting.token,
+            loopback: true,
+            importer: Arc::new(NoImports),
             default_duration: Duration::from_secs(18_000),
             reserve_bytes: 1 << 30,
             limits: setting.limits,

@@ -109,3 +109,54 @@ fn an_empty_capture_has_no_samples() {
     let body = world.get("/v1/captures/a/samples").json();
     assert_eq!((body["range_samples"].as_u64(), &body["samples"]), (Some(0), &serde_json::json!([])));
 }
+
+/// A capture whose first segment has no device time, and in whose second one the host's clock is stepped back by an hour.
+fn two_timebases(world: &World) -> i64 {
+    let id = world.store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
+    let send = |record| world.store.records().blocking_send(id, record).unwrap();
+    for (number, timebase) in [(1_u32, Timebase::Arrival), (2, Timebase::Device)] {
+        let first_seq = u64::from(number - 1) * 40;
+        // The sensor had run for 1000 s when it began to send its time.
+        let device_ns = 1_000_000_000_000;
+        send(Record::Segment(Segment {
+            number,
+            epoch: 1,
+            first_seq,
+            rate_hz: 40.0,
+            timebase,
+            channels: [Channel::GyroX].into_iter().collect(),
+            first_device_time_ns: (timebase == Timebase::Device).then_some(device_ns),
+            first_utc_ns: START_NS + (first_seq * PERIOD_NS) as i64,
+        }));
+        for seq in first_seq..first_seq + 40 {
+            let stepped_ns = if seq < 60 { 0 } else { -3_600_000_000_000 };
+            let mut sample = Sample::at(seq * PERIOD_NS, START_NS + (seq * PERIOD_NS) as i64 + stepped_ns);
+            if timebase == Timebase::Device {
+                sample.device_time_ns = Some(device_ns + (seq - first_seq) * PERIOD_NS);
+            }
+            sample.set(Channel::GyroX, seq as f64);
+            send(Record::Sample { seq, segment: number, sample });
+        }
+    }
+    world.store.flush_blocking().unwrap();
+    id
+}
+
+#[test]
+fn time_goes_on_where_the_sensor_begins_to_send_it_and_a_stepped_clock_moves_nothing() {
+    let world = World::new();
+    let id = two_timebases(&world);
+    let body = world.get(&format!("/v1/captures/{id}/samples")).json();
+    let rows = body["samples"].as_array().unwrap();
+    assert_eq!(rows.len(), 80);
+    for (seq, row) in rows.iter().enumerate() {
+        assert!((row[0].as_f64().unwrap() - seq as f64 * 0.025).abs() < 1e-9, "sample {seq}: {row}");
+        assert_eq!(row[1].as_f64(), Some(seq as f64), "sample {seq}: {row}");
+    }
+    // What is selected is what `time_s` says, by seconds and by civil time.
+    for query in ["from=0.5&to=1.75", "from=2027-01-15T08:00:00.5Z&to=2027-01-15T08:00:01.75Z"] {
+        let rows = world.get(&format!("/v1/captures/{id}/samples?{query}")).json()["samples"].clone();
+        let seqs: Vec<f64> = rows.as_array().unwrap().iter().map(|row| row[1].as_f64().unwrap()).collect();
+        assert_eq!(seqs, (20..70).map(f64::from).collect::<Vec<_>>(), "{query}");
+    }
+}

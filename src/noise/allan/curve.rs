@@ -122,6 +122,12 @@ pub struct AllanReport {
     pub rate_hz: f64,
     /// Whether the capture has ended.
     pub complete: bool,
+    /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples: Option<u64>,
+    /// What about the input a reader should know: gaps, samples that were left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     /// One curve per channel.
     pub channels: BTreeMap<Channel, AllanCurve>,
 }
@@ -138,7 +144,15 @@ impl AllanReport {
         complete: bool,
         channels: impl IntoIterator<Item = (Channel, AllanCurve)>,
     ) -> Self {
-        Self { format: Self::FORMAT.to_owned(), estimator, rate_hz, complete, channels: channels.into_iter().collect() }
+        Self {
+            format: Self::FORMAT.to_owned(),
+            estimator,
+            rate_hz,
+            complete,
+            samples: None,
+            warnings: Vec::new(),
+            channels: channels.into_iter().collect(),
+        }
     }
 }
 

@@ -1,0 +1,201 @@
+//! Imports: a recording's bytes come as a body, are put aside in a file beside the database, and become a capture. The
+//! daemon need not be able to read the user's files, nor the user to write the database.
+
+use super::extract::Q;
+use super::problem::{ApiError, Problem, ProblemType};
+use super::state::ApiState;
+use crate::control::{ImportReport, ImportRequest};
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use hyper::body::Body as _;
+use serde::Deserialize;
+use std::path::Path;
+use std::pin::Pin;
+use std::time::{Duration, Instant};
+use tokio::io::AsyncWriteExt;
+
+/// Where a recording is sent; the limits of time and size are its own.
+pub(super) const PATH: &str = "/v1/imports";
+/// Bytes of a recording at most: a year of raw lines at 40 Hz fits.
+const RECORDING_BYTES: u64 = 256 << 30;
+/// Bytes that are taken per second at most: the disk is the capture's first.
+const BYTES_PER_S: f64 = 64.0 * 1024.0 * 1024.0;
+/// Bytes that must come within [`PATIENCE`].
+const PROGRESS_BYTES: u64 = 64 * 1024;
+/// How long a body may stand still.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How often free space is looked at, in bytes that came.
+const LOOK_BYTES: u64 = 8 << 20;
+/// Media types of a recording: none that a form of another site can send.
+const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", "application/x-gzip", "text/csv"];
+/// Characters of a file's name at most.
+const CALLED_MAX: usize = 4096;
+
+/// How the recording is to be read.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct ImportQuery {
+    /// What the recording is called: its file's name. The capture is named after it.
+    #[param(example = "desk.csv")]
+    file: Option<String>,
+    /// Name of the capture.
+    name: Option<String>,
+    /// Samples per second of a recording without stamps.
+    rate_hz: Option<f64>,
+}
+
+/// Makes a recording (CSV or raw lines, plain or gzip) a capture; answers once it is one. The same recording again is the same capture.
+#[utoipa::path(post, path = "/v1/imports", tag = "captures", params(ImportQuery),
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The recording's bytes"), responses(
+    (status = 201, body = ImportReport, headers(("Location" = String, description = "The capture"))),
+    (status = 200, body = ImportReport, description = "It was imported before"),
+    (status = 400, body = Problem, content_type = "application/problem+json"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "The name is taken"),
+    (status = 413, body = Problem, content_type = "application/problem+json"),
+    (status = 415, body = Problem, content_type = "application/problem+json"),
+    (status = 422, body = Problem, content_type = "application/problem+json", description = "It is no recording that can be read"),
+    (status = 503, body = Problem, content_type = "application/problem+json", description = "Another one is being imported, or there is no room")))]
+pub(super) async fn import(
+    State(state): State<ApiState>,
+    Q(query): Q<ImportQuery>,
+    request: Request,
+) -> Result<Response, ApiError> {
+    check(&query, request.headers())?;
+    let permit = state.import_permit()?;
+    let announced = request.body().size_hint().lower();
+    room_for(&state, announced)?;
+    let folder = state.parts.store.path().parent().unwrap_or(Path::new(".")).to_owned();
+    let aside = tokio::task::spawn_blocking(move || {
+        tempfile::Builder::new().prefix(crate::control::IMPORT_PREFIX).tempfile_in(folder)
+    });
+    let aside = aside.await.map_err(|error| ApiError::internal(error.to_string()))?.map_err(|error| no_room(&error))?;
+    let reopened = aside.reopen().map_err(|error| no_room(&error))?;
+    receive(&state, request.into_body(), tokio::fs::File::from_std(reopened)).await?;
+    let importer = std::sync::Arc::clone(&state.parts.importer);
+    let wanted = ImportRequest {
+        file: aside.path().to_owned(),
+        called: query.file.unwrap_or_else(|| "recording".to_owned()),
+        rate_hz: query.rate_hz,
+        name: query.name,
+    };
+    let outcome = tokio::task::spawn_blocking(move || {
+        // Whoever sent it may be gone; it is whole, so it is imported all the same.
+        let (_permit, _aside) = (permit, aside);
+        importer.import(wanted)
+    });
+    let report =
+        outcome.await.map_err(|error| ApiError::internal(format!("an import ended abnormally: {error}")))??;
+    let status = if report.new { StatusCode::CREATED } else { StatusCode::OK };
+    let location = HeaderValue::from_str(&format!("/v1/captures/{}", report.capture));
+    let mut response = (status, Json(report)).into_response();
+    if let Ok(location) = location {
+        response.headers_mut().insert(header::LOCATION, location);
+    }
+    Ok(response)
+}
+
+fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<(), ApiError> {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let media_type = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if !MEDIA_TYPES.contains(&media_type.as_str()) {
+        let known = MEDIA_TYPES.join(", ");
+        return Err(ApiError::new(
+            ProblemType::UnsupportedMediaType,
+            format!("a recording comes as one of {known} (with curl: -H 'Content-Type: application/octet-stream')"),
+        ));
+    }
+    // A compressed recording is known by its bytes, whatever the header says; other encodings are not undone.
+    let encoding = headers.get(header::CONTENT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or("identity");
+    if !["identity", "gzip", "x-gzip"].contains(&encoding) {
+        return Err(ApiError::new(ProblemType::UnsupportedMediaType, "`Content-Encoding`: allowed is gzip"));
+    }
+    if query.rate_hz.is_some_and(|rate_hz| !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1e6)) {
+        return Err(ApiError::bad_request("`rate_hz`: allowed is more than 0 and at most 1000000"));
+    }
+    let called = query.file.as_deref().unwrap_or("recording");
+    if called.is_empty() || called.len() > CALLED_MAX || called.chars().any(char::is_control) {
+        return Err(ApiError::bad_request(format!(
+            "`file`: allowed are 1 to {CALLED_MAX} bytes without control characters"
+        )));
+    }
+    Ok(())
+}
+
+/// Writes the body to the file, at the disk's pace and no faster than [`BYTES_PER_S`]; one piece is in memory at a time.
+async fn receive(state: &ApiState, mut body: Body, mut file: tokio::fs::File) -> Result<(), ApiError> {
+    let begun = Instant::now();
+    let (mut received, mut looked) = (0_u64, 0_u64);
+    let (mut window, mut in_window) = (Instant::now(), 0_u64);
+    loop {
+        let next = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context));
+        let frame = match tokio::time::timeout(PATIENCE, next).await {
+            Err(_) => return Err(too_slow()),
+            Ok(None) => break,
+            Ok(Some(Err(error))) => return Err(ApiError::bad_request(format!("the body ended early: {error}"))),
+            Ok(Some(Ok(frame))) => frame,
+        };
+        let Ok(bytes) = frame.into_data() else { continue };
+        received += bytes.len() as u64;
+        in_window += bytes.len() as u64;
+        if window.elapsed() > PATIENCE {
+            if in_window < PROGRESS_BYTES {
+                return Err(too_slow());
+            }
+            (window, in_window) = (Instant::now(), 0);
+        }
+        if received >= looked + LOOK_BYTES {
+            looked = received;
+            room_for(state, 0)?;
+        }
+        if received > RECORDING_BYTES {
+            return Err(too_large());
+        }
+        file.write_all(&bytes).await.map_err(|error| no_room(&error))?;
+        let due = Duration::from_secs_f64(received as f64 / BYTES_PER_S);
+        tokio::time::sleep(due.saturating_sub(begun.elapsed())).await;
+    }
+    if received == 0 {
+        return Err(ApiError::bad_request("the body is empty: expected a recording's bytes"));
+    }
+    file.flush().await.map_err(|error| no_room(&error))
+}
+
+/// Whether so many more bytes leave the reserve untouched.
+fn room_for(state: &ApiState, bytes: u64) -> Result<(), ApiError> {
+    if bytes > RECORDING_BYTES {
+        return Err(too_large());
+    }
+    let free_bytes = state.status().storage.free_bytes;
+    if free_bytes < state.parts.reserve_bytes.saturating_add(bytes) {
+        return Err(ApiError::unavailable(
+            format!(
+                "{} MiB are free and {} MiB are kept for captures: make room for {} MiB and try again",
+                free_bytes >> 20,
+                state.parts.reserve_bytes >> 20,
+                bytes >> 20
+            ),
+            60,
+        ));
+    }
+    Ok(())
+}
+
+fn too_large() -> ApiError {
+    ApiError::new(ProblemType::TooLarge, format!("a recording holds at most {} GiB", RECORDING_BYTES >> 30))
+}
+
+fn too_slow() -> ApiError {
+    ApiError::bad_request(format!(
+        "less than {} KiB came within {} s: send the recording again",
+        PROGRESS_BYTES >> 10,
+        PATIENCE.as_secs()
+    ))
+}
+
+fn no_room(error: &std::io::Error) -> ApiError {
+    ApiError::unavailable(format!("the recording cannot be put aside beside the database: {error}"), 60)
+}
