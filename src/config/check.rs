@@ -15,7 +15,17 @@ pub const TOKEN_LENGTH_MIN: usize = 16;
 
 const DURATION: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(366 * 86_400));
 const QUEUE: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(600));
+const KEEP_DAYS: (u32, u32) = (0, 36_500);
+const KEEP_MIB: (u64, u64) = (0, 1 << 30);
+const DELETE_NOTICE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30 * 86_400));
+const SENSOR_LOST_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(86_400));
+const COALESCE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(3600));
+const TIMEOUT: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(120));
+const ATTEMPTS: (u32, u32) = (1, 20);
+const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(300));
 const RESERVE_MIB: (u64, u64) = (16, 1 << 20);
+const WAL_ALARM_MIB: (u64, u64) = (1, 1 << 20);
+const FILE_CHECK: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(600));
 
 /// A value outside its range.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,14 +54,13 @@ pub fn check(config: &Config) -> Result<(), Refusal> {
     check_rate(config)?;
     between("capture.duration", config.capture.duration, DURATION)?;
     between("storage.queue", config.storage.queue, QUEUE)?;
-    let reserve = config.storage.reserve_mib;
-    if !(RESERVE_MIB.0..=RESERVE_MIB.1).contains(&reserve) {
-        return Err(Refusal {
-            key: "storage.reserve-mib",
-            found: reserve.to_string(),
-            allowed: format!("allowed is {} to {} MiB", RESERVE_MIB.0, RESERVE_MIB.1),
-        });
-    }
+    within("storage.reserve-mib", config.storage.reserve_mib, RESERVE_MIB, " MiB")?;
+    within("storage.wal-alarm-mib", config.storage.wal_alarm_mib, WAL_ALARM_MIB, " MiB")?;
+    between("storage.file-check", config.storage.file_check, FILE_CHECK)?;
+    within("storage.keep-days", config.storage.keep_days, KEEP_DAYS, " days (0: without limit)")?;
+    within("storage.keep-mib", config.storage.keep_mib, KEEP_MIB, " MiB (0: without limit)")?;
+    between("storage.delete-notice", config.storage.delete_notice, DELETE_NOTICE)?;
+    check_notify(config)?;
     check_token(config)?;
     check_level(config)
 }
@@ -96,6 +105,37 @@ fn between(key: &'static str, value: Duration, (low, high): (Duration, Duration)
         found: format_duration(value),
         allowed: format!("allowed is {} to {}", format_duration(low), format_duration(high)),
     })
+}
+
+fn within<T: PartialOrd + std::fmt::Display>(
+    key: &'static str,
+    value: T,
+    (low, high): (T, T),
+    unit: &str,
+) -> Result<(), Refusal> {
+    if (&low..=&high).contains(&&value) {
+        return Ok(());
+    }
+    Err(Refusal { key, found: value.to_string(), allowed: format!("allowed is {low} to {high}{unit}") })
+}
+
+fn check_notify(config: &Config) -> Result<(), Refusal> {
+    let notify = &config.notify;
+    // A program's name may hold anything but nothing; no argument may hold the byte that ends it.
+    let named = notify.command.first().is_none_or(|program| !program.trim().is_empty());
+    if !named || notify.command.iter().any(|argument| argument.contains('\0')) {
+        return Err(Refusal {
+            key: "notify.command",
+            found: format!("{:?}", notify.command),
+            allowed: "expected a program and its arguments, such as [\"/usr/bin/logger\", \"-t\", \"vn100d\"], or [] for none"
+                .to_owned(),
+        });
+    }
+    between("notify.sensor-lost-after", notify.sensor_lost_after, SENSOR_LOST_AFTER)?;
+    between("notify.coalesce", notify.coalesce, COALESCE)?;
+    between("notify.timeout", notify.timeout, TIMEOUT)?;
+    within("notify.attempts", notify.attempts, ATTEMPTS, "")?;
+    between("notify.retry-after", notify.retry_after, RETRY_AFTER)
 }
 
 fn check_token(config: &Config) -> Result<(), Refusal> {

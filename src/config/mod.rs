@@ -16,10 +16,11 @@ mod values;
 pub use check::{ASCII_RATES_HZ, BAUDS, Refusal, TOKEN_LENGTH_MIN, check};
 pub use error::{ConfigError, Place};
 pub use place::Environment;
-pub use sections::{CaptureConfig, Config, HttpConfig, LogConfig, SensorConfig, StorageConfig};
-pub use values::{ASCII_TYPES, Baud, BinaryFields, Device, LogFormat, Output, Token};
+pub use sections::{CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, SensorConfig, StorageConfig};
+pub use values::{ASCII_TYPES, Baud, BinaryFields, Device, LogFormat, Output, Token, Webhook};
 
 use source::Source;
+use std::io::Read as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -97,6 +98,9 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
     Ok(config)
 }
 
+/// How much of a token's file is read.
+const TOKEN_FILE_BYTES: u64 = 64 * 1024;
+
 /// The token lies in a file of its own so that the configuration may be readable by everybody.
 fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigError> {
     if config.http.token_file.as_os_str().is_empty() {
@@ -112,11 +116,10 @@ fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigErro
         });
     }
     let file = &config.http.token_file;
-    let text = std::fs::read_to_string(file).map_err(|source| ConfigError::TokenFile {
-        place: place.clone(),
-        file: file.clone(),
-        source,
-    })?;
+    // Bounded: a device such as /dev/zero has no end.
+    let mut text = String::new();
+    let read = std::fs::File::open(file).and_then(|opened| opened.take(TOKEN_FILE_BYTES).read_to_string(&mut text));
+    read.map_err(|source| ConfigError::TokenFile { place: place.clone(), file: file.clone(), source })?;
     let first = text.lines().next().unwrap_or_default().trim();
     if first.is_empty() {
         return Err(ConfigError::Value {

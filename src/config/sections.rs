@@ -1,7 +1,8 @@
 //! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every key;
 //! a test holds the latter against these defaults.
 
-use super::values::{Baud, BinaryFields, Device, LogFormat, Output, Token};
+use super::values::{Baud, BinaryFields, Device, LogFormat, Output, Token, Webhook};
+use crate::observe::NotifyEvent;
 use crate::units::{IMU_RATE_HZ, duration_text};
 use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -20,6 +21,8 @@ pub struct Config {
     pub storage: StorageConfig,
     /// `[http]`
     pub http: HttpConfig,
+    /// `[notify]`
+    pub notify: NotifyConfig,
     /// `[log]`
     pub log: LogConfig,
 }
@@ -94,6 +97,18 @@ pub struct StorageConfig {
     pub queue: Duration,
     /// Free space in MiB below which the daemon reports itself not ready.
     pub reserve_mib: u64,
+    /// Size of the write-ahead log in MiB above which the daemon warns.
+    pub wal_alarm_mib: u64,
+    /// How often it is looked whether the database's file is still the one that is open.
+    #[serde(with = "duration_text")]
+    pub file_check: Duration,
+    /// Captures older than so many days are deleted; 0 keeps them.
+    pub keep_days: u32,
+    /// The oldest captures are deleted until all together take no more than so many MiB; 0 is without limit.
+    pub keep_mib: u64,
+    /// How long before its deletion a capture is announced, at least.
+    #[serde(with = "duration_text")]
+    pub delete_notice: Duration,
 }
 
 impl StorageConfig {
@@ -114,7 +129,15 @@ impl StorageConfig {
 
 impl Default for StorageConfig {
     fn default() -> Self {
-        Self { queue: Duration::from_secs(30), reserve_mib: 512 }
+        Self {
+            queue: Duration::from_secs(30),
+            reserve_mib: 512,
+            wal_alarm_mib: 256,
+            file_check: Duration::from_secs(10),
+            keep_days: 0,
+            keep_mib: 0,
+            delete_notice: Duration::from_secs(24 * 3600),
+        }
     }
 }
 
@@ -136,6 +159,47 @@ impl Default for HttpConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8100)),
             token: Token::default(),
             token_file: PathBuf::new(),
+        }
+    }
+}
+
+/// Who is told of what.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct NotifyConfig {
+    /// A program and its arguments, run without a shell; empty for none.
+    pub command: Vec<String>,
+    /// Where the event is posted; empty for nowhere.
+    pub url: Webhook,
+    /// What is told.
+    pub events: Vec<NotifyEvent>,
+    /// How long the sensor must be away before that is told.
+    #[serde(with = "duration_text")]
+    pub sensor_lost_after: Duration,
+    /// How soon the same kind of event is told again; what comes meanwhile is told together.
+    #[serde(with = "duration_text")]
+    pub coalesce: Duration,
+    /// How long one attempt may take.
+    #[serde(with = "duration_text")]
+    pub timeout: Duration,
+    /// How often a message is tried.
+    pub attempts: u32,
+    /// The wait after the first failed attempt; it doubles with every further one.
+    #[serde(with = "duration_text")]
+    pub retry_after: Duration,
+}
+
+impl Default for NotifyConfig {
+    fn default() -> Self {
+        Self {
+            command: Vec::new(),
+            url: Webhook::default(),
+            events: NotifyEvent::ALL.to_vec(),
+            sensor_lost_after: Duration::from_secs(30),
+            coalesce: Duration::from_secs(60),
+            timeout: Duration::from_secs(10),
+            attempts: 8,
+            retry_after: Duration::from_secs(2),
         }
     }
 }

@@ -93,7 +93,7 @@ fn an_unknown_key_is_refused_with_file_line_and_what_is_allowed() {
     );
     assert_eq!(
         refused("output = \"keep\""),
-        "x.toml:1: there is no key `output`: allowed here are capture, http, log, sensor, storage"
+        "x.toml:1: there is no key `output`: allowed here are capture, http, log, notify, sensor, storage"
     );
     assert!(refused("\n[sensors]\nbaud = 1").starts_with("x.toml:2: there is no key `sensors`"));
     assert!(refused("sensor.x.y = 1").starts_with("x.toml:1: there is no key `sensor.x`"));

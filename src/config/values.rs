@@ -154,6 +154,54 @@ impl fmt::Debug for Token {
     }
 }
 
+/// An address that events are posted to. Its path often is a secret: only scheme and host show themselves.
+#[derive(Clone, PartialEq, Eq, Default)]
+pub struct Webhook(String);
+
+impl Webhook {
+    /// The whole address; empty where there is none.
+    #[must_use]
+    pub fn secret(&self) -> &str {
+        &self.0
+    }
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        let allowed = || "an address such as \"https://ntfy.sh/my-sensor\", or \"\" for none".to_owned();
+        if text.is_empty() {
+            return Ok(Self::default());
+        }
+        let uri: ureq::http::Uri = text.parse().map_err(|_| allowed())?;
+        let scheme_fits = matches!(uri.scheme_str(), Some("http" | "https"));
+        if scheme_fits && uri.host().is_some_and(|host| !host.is_empty()) {
+            Ok(Self(text.to_owned()))
+        } else {
+            Err(allowed())
+        }
+    }
+}
+
+impl fmt::Display for Webhook {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Ok(uri) = self.0.parse::<ureq::http::Uri>() else { return Ok(()) };
+        // Without the name and password that an authority may carry.
+        let host = uri.host().unwrap_or_default();
+        write!(formatter, "{}://{host}", uri.scheme_str().unwrap_or_default())?;
+        uri.port_u16().map_or(Ok(()), |port| write!(formatter, ":{port}"))
+    }
+}
+
+impl fmt::Debug for Webhook {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_empty() { formatter.write_str("(none)") } else { write!(formatter, "{self}/…") }
+    }
+}
+
 /// The form of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -195,6 +243,11 @@ macro_rules! text_serde {
 text_serde!(Device, "`\"auto\"`, a path or a pattern", Device::parse, ToString::to_string);
 text_serde!(Output, "`\"binary\"`, `\"keep\"` or an ASCII type", Output::parse, ToString::to_string);
 text_serde!(BinaryFields, "groups and fields such as \"01,0609\"", BinaryFields::parse, ToString::to_string);
+text_serde!(Webhook, "an address", Webhook::parse, |url| if url.is_empty() {
+    String::new()
+} else {
+    format!("{url}/…")
+});
 text_serde!(Token, "a text", |text| Ok(Token(text.to_owned())), |token| if token.is_empty() {
     String::new()
 } else {
@@ -267,5 +320,17 @@ mod tests {
     fn a_token_does_not_show_itself() {
         assert_eq!(format!("{:?}", Token::new("secret-secret-secret")), "(set)");
         assert_eq!(serde_json::to_string(&Token::new("secret-secret-secret")).unwrap(), "\"(set)\"");
+    }
+
+    #[test]
+    fn an_address_shows_its_host_alone() {
+        let url = Webhook::parse("https://name:password@ntfy.sh:8443/secret-topic?auth=key").unwrap();
+        assert_eq!(format!("{url} {url:?}"), "https://ntfy.sh:8443 https://ntfy.sh:8443/…");
+        assert!(url.secret().ends_with("/secret-topic?auth=key"));
+        assert!(!serde_json::to_string(&url).unwrap().contains("secret"));
+        assert!(Webhook::parse(" ").unwrap().is_empty());
+        for text in ["ntfy.sh/topic", "ftp://host/", "http://", "https:///path", "http://a b/", "file:///etc/passwd"] {
+            assert!(Webhook::parse(text).is_err(), "{text}");
+        }
     }
 }

@@ -1,0 +1,75 @@
+//! Coalescing: of a storm of one kind of event, one message now and then. Pure.
+//!
+//! The first is told at once. What follows within the interval is held and told together at its end; the interval then
+//! doubles, up to an hour, and is the first one again after an interval in which nothing came.
+
+use super::notice::Notice;
+use crate::observe::NotifyEvent;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// The longest interval between two messages of a kind.
+const LONGEST_NS: u64 = 3_600_000_000_000;
+
+#[derive(Debug)]
+struct Slot {
+    /// No message of this kind before this.
+    until_ns: u64,
+    interval_ns: u64,
+    held: Option<Notice>,
+}
+
+/// Decides when what is told.
+#[derive(Debug)]
+pub struct Coalescer {
+    first_ns: u64,
+    slots: BTreeMap<NotifyEvent, Slot>,
+}
+
+impl Coalescer {
+    /// With `interval` after the first message of a kind.
+    #[must_use]
+    pub fn new(interval: Duration) -> Self {
+        Self { first_ns: interval.as_nanos() as u64, slots: BTreeMap::new() }
+    }
+
+    /// Takes in what happened; gives it back where it is to be told now.
+    pub fn offer(&mut self, now_ns: u64, notice: Notice) -> Option<Notice> {
+        // Each capture completes once, each plan is another: none of them stands for another.
+        if matches!(notice.event, NotifyEvent::CaptureCompleted | NotifyEvent::DeletionPlanned | NotifyEvent::Test) {
+            return Some(notice);
+        }
+        let slot = self.slots.entry(notice.event).or_insert(Slot { until_ns: 0, interval_ns: 0, held: None });
+        if let Some(held) = &mut slot.held {
+            held.take_in(notice);
+            return None;
+        }
+        if now_ns < slot.until_ns {
+            slot.held = Some(notice);
+            return None;
+        }
+        slot.interval_ns = self.first_ns;
+        slot.until_ns = now_ns.saturating_add(slot.interval_ns);
+        Some(notice)
+    }
+
+    /// What has been held long enough, in the order of what happened last; with `u64::MAX` all of it.
+    pub fn due(&mut self, now_ns: u64) -> Vec<Notice> {
+        let mut due = Vec::new();
+        for slot in self.slots.values_mut().filter(|slot| slot.until_ns <= now_ns) {
+            if let Some(notice) = slot.held.take() {
+                slot.interval_ns = slot.interval_ns.saturating_mul(2).min(LONGEST_NS.max(self.first_ns));
+                slot.until_ns = now_ns.saturating_add(slot.interval_ns);
+                due.push(notice);
+            }
+        }
+        due.sort_by_key(|notice| notice.utc_ns);
+        due
+    }
+
+    /// When [`Self::due`] has something; `None` where nothing is held.
+    #[must_use]
+    pub fn deadline_ns(&self) -> Option<u64> {
+        self.slots.values().filter(|slot| slot.held.is_some()).map(|slot| slot.until_ns).min()
+    }
+}

@@ -1,0 +1,189 @@
+//! Delivery: one attempt to hand a message over, to a program or by HTTP, which ends in its time whatever happens.
+
+use super::notice::Message;
+use std::io::Write;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+use ureq::tls::{RootCerts, TlsConfig};
+
+/// How often a running program is looked at.
+const LOOK: Duration = Duration::from_millis(20);
+/// Variables by which systemd speaks to the daemon: not for the programs it starts.
+const OF_SYSTEMD: [&str; 5] = ["NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC", "LISTEN_PID", "LISTEN_FDS"];
+
+/// Who is told.
+#[derive(Debug, Clone)]
+pub enum Receiver {
+    /// A program and its arguments.
+    Command(Vec<String>),
+    /// An address that takes JSON, and what of it may be shown: the rest often is a secret.
+    Url {
+        /// The whole address.
+        url: String,
+        /// Scheme and host.
+        shown: String,
+    },
+}
+
+/// Why an attempt failed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DeliverError {
+    /// The program cannot be started.
+    #[error("{program} cannot be started: {reason}")]
+    Start {
+        /// Which.
+        program: String,
+        /// The system's words.
+        reason: String,
+    },
+    /// It said no.
+    #[error("{program} ended with {status}")]
+    Ended {
+        /// Which.
+        program: String,
+        /// Code or signal.
+        status: String,
+    },
+    /// It took too long, and was killed with all that it had started.
+    #[error("{program} took longer than {limit:?} and was killed")]
+    Killed {
+        /// Which.
+        program: String,
+        /// Its time.
+        limit: Duration,
+    },
+    /// The receiver answered something else than success.
+    #[error("{shown} answered {status}")]
+    Answered {
+        /// Scheme and host.
+        shown: String,
+        /// The answer's code.
+        status: u16,
+    },
+    /// There was no answer.
+    #[error("{shown} did not answer: {reason}")]
+    NoAnswer {
+        /// Scheme and host.
+        shown: String,
+        /// What happened.
+        reason: String,
+    },
+    /// The daemon ends.
+    #[error("the daemon ended before it was told")]
+    Stopped,
+}
+
+impl DeliverError {
+    /// Whether the same message may be taken later. An answer that says the request itself is wrong (4xx but for
+    /// 408 Request Timeout and 429 Too Many Requests) or lives elsewhere (3xx) stays what it is.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Answered { status, .. } => !(300..500).contains(status) || matches!(status, 408 | 429),
+            Self::Stopped => false,
+            _ => true,
+        }
+    }
+}
+
+impl Receiver {
+    /// As a log may show it.
+    #[must_use]
+    pub fn shown(&self) -> &str {
+        match self {
+            Self::Command(command) => command.first().map_or("", String::as_str),
+            Self::Url { shown, .. } => shown,
+        }
+    }
+
+    /// One attempt that takes no longer than `limit`. `keep_on` is asked while a program runs.
+    ///
+    /// # Errors
+    /// [`DeliverError`].
+    pub fn attempt(&self, message: &Message, limit: Duration, keep_on: impl Fn() -> bool) -> Result<(), DeliverError> {
+        match self {
+            Self::Command(command) => run(command, message, limit, keep_on),
+            Self::Url { url, shown } => post(url, shown, message, limit),
+        }
+    }
+}
+
+fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn() -> bool) -> Result<(), DeliverError> {
+    let Some((program, arguments)) = command.split_first() else { return Ok(()) };
+    let named = || program.clone();
+    let until = Instant::now() + limit;
+    let mut starting = Command::new(program);
+    starting.args(arguments).envs(message.environment.iter().map(|(name, value)| (name, value)));
+    for name in OF_SYSTEMD {
+        starting.env_remove(name);
+    }
+    // What it has to say goes to the daemon's own log. A group of its own: what it starts ends with it.
+    starting.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::inherit()).process_group(0);
+    let mut child =
+        starting.spawn().map_err(|error| DeliverError::Start { program: named(), reason: error.to_string() })?;
+    if let Some(mut stdin) = child.stdin.take() {
+        // A message is far smaller than a pipe: this does not wait. Whoever does not read it has the environment.
+        let _ = stdin.write_all(message.body.as_bytes());
+    }
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) if status.success() => return Ok(()),
+            Ok(Some(status)) => return Err(DeliverError::Ended { program: named(), status: told(status) }),
+            Ok(None) => {}
+            Err(error) => {
+                kill(&mut child);
+                return Err(DeliverError::Start { program: named(), reason: error.to_string() });
+            }
+        }
+        if Instant::now() >= until {
+            kill(&mut child);
+            return Err(DeliverError::Killed { program: named(), limit });
+        }
+        if !keep_on() {
+            kill(&mut child);
+            return Err(DeliverError::Stopped);
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+fn told(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exit code {code}"),
+        (None, Some(signal)) => format!("signal {signal}"),
+        (None, None) => status.to_string(),
+    }
+}
+
+/// Kills the child's whole group and takes its status, so that nothing is left of it.
+fn kill(child: &mut Child) {
+    let group = rustix::process::Pid::from_child(child);
+    // It may have ended by itself a moment ago.
+    let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    let _ = child.wait();
+}
+
+fn post(url: &str, shown: &str, message: &Message, limit: Duration) -> Result<(), DeliverError> {
+    let no_answer = |reason: String| DeliverError::NoAnswer { shown: shown.to_owned(), reason };
+    let tls = TlsConfig::builder().root_certs(RootCerts::PlatformVerifier).build();
+    let agent: ureq::Agent = ureq::Agent::config_builder()
+        .timeout_global(Some(limit))
+        .http_status_as_error(false)
+        // What was posted here must not be posted elsewhere without somebody having said so.
+        .max_redirects(0)
+        .max_redirects_will_error(false)
+        .user_agent(concat!("vn100d/", env!("CARGO_PKG_VERSION")))
+        .tls_config(tls)
+        .build()
+        .into();
+    let answer = agent
+        .post(url)
+        .header("content-type", "application/json")
+        .header("x-vn100d-event", message.event)
+        .send(message.body.as_str())
+        .map_err(|error| no_answer(error.to_string().replace(url, shown)))?;
+    let status = answer.status().as_u16();
+    if answer.status().is_success() { Ok(()) } else { Err(DeliverError::Answered { shown: shown.to_owned(), status }) }
+}

@@ -1,0 +1,252 @@
+//! Notice: one message, as data, as a sentence and as what a receiver gets.
+
+use crate::clock::rfc3339;
+use crate::observe::{NotifyEvent, PlannedDeletion, SensorStatus, StorageStatus};
+use crate::sample::Gap;
+use serde::Serialize;
+
+/// Name and version of the JSON's form.
+pub const FORMAT: &str = "vn100d-notice-1";
+
+/// What every message says of its sender.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sender {
+    /// The machine's name.
+    pub host: String,
+    /// The database: tells several daemons of one machine apart.
+    pub database: String,
+}
+
+/// A capture in a message.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CaptureFacts {
+    /// Its id.
+    pub id: i64,
+    /// Its name.
+    pub name: String,
+    /// Its state.
+    pub state: String,
+    /// Sample time it holds, s.
+    pub duration_s: f64,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Gaps.
+    pub gaps: u64,
+}
+
+/// A gap in a message.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GapFacts {
+    /// Last sample before it, RFC 3339.
+    pub from: String,
+    /// First sample after it, RFC 3339; null while it is open.
+    pub to: Option<String>,
+    /// Samples missing; of all gaps where the message tells of several. Null while it is open.
+    pub missing: Option<u64>,
+    /// Why. Null while it is open.
+    pub cause: Option<&'static str>,
+    /// Its length, s; null while it is open.
+    pub length_s: Option<f64>,
+}
+
+impl GapFacts {
+    /// A gap that is over.
+    #[must_use]
+    pub fn closed(gap: &Gap) -> Self {
+        Self {
+            from: rfc3339(gap.from_utc_ns),
+            to: Some(rfc3339(gap.to_utc_ns)),
+            missing: Some(gap.missing),
+            cause: Some(gap.cause.name()),
+            length_s: Some((gap.to_utc_ns - gap.from_utc_ns) as f64 / 1e9),
+        }
+    }
+    /// A gap that is open.
+    #[must_use]
+    pub fn open(since: &str) -> Self {
+        Self { from: since.to_owned(), to: None, missing: None, cause: None, length_s: None }
+    }
+}
+
+/// One message, or several of a kind in one.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Notice {
+    /// What happened.
+    pub event: NotifyEvent,
+    /// When, UTC ns; of several the last.
+    #[serde(skip)]
+    pub utc_ns: i64,
+    /// The first of several, UTC ns.
+    #[serde(skip)]
+    pub first_utc_ns: i64,
+    /// How many it stands for.
+    pub count: u64,
+    /// The capture it concerns.
+    pub capture: Option<CaptureFacts>,
+    /// The gap; of several the last, with the samples missing in all.
+    pub gap: Option<GapFacts>,
+    /// The sensor.
+    pub sensor: Option<SensorStatus>,
+    /// The store.
+    pub storage: Option<StorageStatus>,
+    /// What is going to be deleted.
+    pub deletions: Vec<PlannedDeletion>,
+}
+
+/// What a receiver gets.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Message {
+    /// The event's name.
+    pub event: &'static str,
+    /// The JSON.
+    pub body: String,
+    /// The same for a shell script: names and values of environment variables.
+    pub environment: Vec<(&'static str, String)>,
+}
+
+impl Notice {
+    /// A message of this event, with nothing said yet.
+    #[must_use]
+    pub fn new(event: NotifyEvent, utc_ns: i64) -> Self {
+        Self {
+            event,
+            utc_ns,
+            first_utc_ns: utc_ns,
+            count: 1,
+            capture: None,
+            gap: None,
+            sensor: None,
+            storage: None,
+            deletions: Vec::new(),
+        }
+    }
+
+    /// Takes in a later message of the same kind.
+    pub fn take_in(&mut self, later: Self) {
+        let missing = |gap: &Option<GapFacts>| gap.as_ref().and_then(|gap| gap.missing);
+        let sum = match (missing(&self.gap), missing(&later.gap)) {
+            (Some(before), Some(now)) => Some(before + now),
+            (before, now) => before.or(now),
+        };
+        let (count, first_utc_ns) = (self.count + later.count, self.first_utc_ns);
+        *self = Self { count, first_utc_ns, ..later };
+        if let Some(gap) = &mut self.gap {
+            gap.missing = sum;
+        }
+    }
+
+    /// One sentence for a person.
+    #[must_use]
+    pub fn message(&self) -> String {
+        let capture = self.capture.as_ref().map_or("no capture".to_owned(), |capture| {
+            if capture.name == capture.id.to_string() {
+                format!("capture {}", capture.id)
+            } else {
+                format!("capture {} ({})", capture.id, capture.name)
+            }
+        });
+        let first = rfc3339(self.first_utc_ns);
+        match self.event {
+            NotifyEvent::CaptureCompleted => match &self.capture {
+                Some(facts) => format!(
+                    "{capture} is complete: {} samples, {} missing in {} gaps",
+                    facts.samples, facts.missing, facts.gaps
+                ),
+                None => "a capture is complete".to_owned(),
+            },
+            NotifyEvent::GapOpened if self.count > 1 => {
+                format!("{capture}: samples stopped {} times since {first}", self.count)
+            }
+            NotifyEvent::GapOpened => {
+                let since = self.gap.as_ref().map_or(first, |gap| gap.from.clone());
+                format!("{capture}: no samples since {since}")
+            }
+            NotifyEvent::GapClosed => {
+                let gap = self.gap.as_ref();
+                let missing = gap.and_then(|gap| gap.missing).unwrap_or(0);
+                let cause = gap.and_then(|gap| gap.cause).unwrap_or("not known");
+                if self.count > 1 {
+                    let count = self.count;
+                    format!("{capture}: {count} gaps since {first}, {missing} samples missing, the last: {cause}")
+                } else {
+                    let length_s = gap.and_then(|gap| gap.length_s).unwrap_or(0.0);
+                    format!("{capture}: samples come again, {missing} missing in {length_s:.1} s: {cause}")
+                }
+            }
+            NotifyEvent::StorageLow | NotifyEvent::StorageOk => self.storage_message(),
+            NotifyEvent::SensorLost | NotifyEvent::SensorBack => {
+                let lost = self.event == NotifyEvent::SensorLost;
+                let times =
+                    if self.count > 1 { format!(" ({} times since {first})", self.count) } else { String::new() };
+                let hint = self.sensor.as_ref().and_then(|sensor| sensor.hint.clone()).filter(|_| lost);
+                let hint = hint.map(|hint| format!(": {hint}")).unwrap_or_default();
+                let what = if lost { "the sensor is lost" } else { "the sensor sends again" };
+                format!("{capture}: {what}{times}{hint}")
+            }
+            NotifyEvent::DeletionPlanned => {
+                let names: Vec<String> = self
+                    .deletions
+                    .iter()
+                    .map(|planned| {
+                        let PlannedDeletion { capture, name, reason, delete_at, .. } = planned;
+                        format!("{capture} ({name}) on {delete_at}, for its {reason}")
+                    })
+                    .collect();
+                format!("captures are going to be deleted unless they are pinned: {}", names.join("; "))
+            }
+            NotifyEvent::Test => "this is a test: notifications arrive".to_owned(),
+        }
+    }
+
+    fn storage_message(&self) -> String {
+        let Some(storage) = &self.storage else { return "storage".to_owned() };
+        let free = storage.free_bytes >> 20;
+        let state = serde_json::to_value(storage.state).ok();
+        let state = state.as_ref().and_then(serde_json::Value::as_str).unwrap_or_default();
+        if self.event == NotifyEvent::StorageOk {
+            return format!("storage is well again: {free} MiB free");
+        }
+        let lasts =
+            storage.time_to_full_s.map(|left_s| format!(", full in {:.1} h", left_s / 3600.0)).unwrap_or_default();
+        let error = storage.error.as_ref().map(|error| format!(": {error}")).unwrap_or_default();
+        format!("storage runs low: {free} MiB free{lasts}, state {state}{error}")
+    }
+
+    /// As a receiver gets it.
+    #[must_use]
+    pub fn rendered(&self, sender: &Sender) -> Message {
+        let (message, at) = (self.message(), rfc3339(self.utc_ns));
+        // A serialisation of texts and finite numbers cannot fail.
+        let mut body = serde_json::to_value(self).unwrap_or_default();
+        if let Some(object) = body.as_object_mut() {
+            let more = [
+                ("format", FORMAT.into()),
+                ("message", message.as_str().into()),
+                ("at", at.as_str().into()),
+                ("first_at", rfc3339(self.first_utc_ns).into()),
+                ("host", sender.host.as_str().into()),
+                ("database", sender.database.as_str().into()),
+                ("software", concat!("vn100d ", env!("CARGO_PKG_VERSION")).into()),
+            ];
+            object.extend(more.map(|(name, value): (_, serde_json::Value)| (name.to_owned(), value)));
+        }
+        let mut environment = vec![
+            ("VN100D_EVENT", self.event.name().to_owned()),
+            ("VN100D_EVENT_AT", at),
+            ("VN100D_EVENT_COUNT", self.count.to_string()),
+            ("VN100D_EVENT_HOST", sender.host.clone()),
+        ];
+        if let Some(capture) = &self.capture {
+            environment.push(("VN100D_EVENT_CAPTURE", capture.id.to_string()));
+            environment.push(("VN100D_EVENT_CAPTURE_NAME", capture.name.clone()));
+        }
+        environment.push(("VN100D_EVENT_MESSAGE", message));
+        // The system takes no zero byte in a variable.
+        for (_, value) in &mut environment {
+            value.retain(|character| character != '\0');
+        }
+        Message { event: self.event.name(), body: body.to_string(), environment }
+    }
+}

@@ -1,0 +1,184 @@
+//! Worker: a thread and a bounded queue for one receiver; tries a message a bounded number of times.
+
+use super::deliver::{DeliverError, Receiver};
+use super::notice::Message;
+use crate::observe::NotifyStatus;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Messages that wait for a receiver; more are dropped, the newest first: what began the trouble is told.
+pub const QUEUE: usize = 64;
+/// The longest wait between two attempts.
+const LONGEST: Duration = Duration::from_secs(300);
+/// How long an ending daemon waits for its receivers.
+const ENDING: Duration = Duration::from_secs(2);
+/// How finely waits can be ended.
+const STEP: Duration = Duration::from_millis(50);
+
+/// How one message is tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort {
+    /// How often.
+    pub attempts: u32,
+    /// How long one attempt may take.
+    pub timeout: Duration,
+    /// The wait after the first failure; doubles with every further one.
+    pub retry_after: Duration,
+}
+
+impl Effort {
+    /// The wait after this many failed attempts (from 1).
+    #[must_use]
+    pub fn wait(&self, failed: u32) -> Duration {
+        self.retry_after.saturating_mul(1 << failed.saturating_sub(1).min(16)).min(LONGEST.max(self.retry_after))
+    }
+}
+
+/// Counts of one receiver.
+#[derive(Debug, Default)]
+pub struct Figures {
+    sent: AtomicU64,
+    failed: AtomicU64,
+    dropped: AtomicU64,
+    queued: AtomicU64,
+    error: Mutex<Option<String>>,
+}
+
+impl Figures {
+    /// Adds them to a sum.
+    pub fn add_to(&self, sum: &mut NotifyStatus) {
+        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        sum.sent += read(&self.sent);
+        sum.failed += read(&self.failed);
+        sum.dropped += read(&self.dropped);
+        sum.queued += read(&self.queued);
+        let error = self.error.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        sum.error = sum.error.take().or(error);
+    }
+
+    fn set_error(&self, error: Option<String>) {
+        *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
+    }
+}
+
+/// The thread of one receiver.
+#[derive(Debug)]
+pub struct Worker {
+    queue: mpsc::SyncSender<Arc<Message>>,
+    shared: Arc<Shared>,
+    thread: JoinHandle<()>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    figures: Arc<Figures>,
+    /// No further attempts.
+    stop: AtomicBool,
+    /// The running attempt is called off too.
+    abandon: AtomicBool,
+}
+
+impl Worker {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn start(receiver: Receiver, effort: Effort) -> std::io::Result<Self> {
+        let (queue, messages) = mpsc::sync_channel(QUEUE);
+        let shared =
+            Arc::new(Shared { figures: Arc::default(), stop: AtomicBool::new(false), abandon: AtomicBool::new(false) });
+        let theirs = Arc::clone(&shared);
+        let thread = std::thread::Builder::new()
+            .name("notify".to_owned())
+            .spawn(move || work(&receiver, effort, &messages, &theirs))?;
+        Ok(Self { queue, shared, thread })
+    }
+
+    /// Its counts.
+    #[must_use]
+    pub fn figures(&self) -> Arc<Figures> {
+        Arc::clone(&self.shared.figures)
+    }
+
+    /// Puts a message into the queue; never waits.
+    pub fn put(&self, message: Arc<Message>) {
+        let figures = &self.shared.figures;
+        figures.queued.fetch_add(1, Ordering::Relaxed);
+        if let Err(mpsc::TrySendError::Full(message) | mpsc::TrySendError::Disconnected(message)) =
+            self.queue.try_send(message)
+        {
+            figures.queued.fetch_sub(1, Ordering::Relaxed);
+            if figures.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
+                tracing::warn!(event = message.event, "the queue of notifications is full, newer ones are dropped");
+            }
+        }
+    }
+
+    /// Ends the workers: each message that waits is tried once more at most, for two seconds in all; a program that still
+    /// runs then is killed.
+    pub fn stop(workers: Vec<Self>) {
+        let until = Instant::now() + ENDING;
+        let mut threads = Vec::new();
+        for Self { queue, shared, thread } in workers {
+            shared.stop.store(true, Ordering::Release);
+            // Without a sender the thread ends when its queue is empty.
+            drop(queue);
+            threads.push((shared, thread));
+        }
+        while Instant::now() < until && threads.iter().any(|(_, thread)| !thread.is_finished()) {
+            std::thread::sleep(STEP);
+        }
+        for (shared, _) in &threads {
+            shared.abandon.store(true, Ordering::Release);
+        }
+        // A program is killed within a look or two; an HTTP request ends with the process.
+        let until = Instant::now() + 4 * STEP;
+        while Instant::now() < until && threads.iter().any(|(_, thread)| !thread.is_finished()) {
+            std::thread::sleep(STEP);
+        }
+    }
+}
+
+fn work(receiver: &Receiver, effort: Effort, messages: &mpsc::Receiver<Arc<Message>>, shared: &Shared) {
+    while let Ok(message) = messages.recv() {
+        let outcome = deliver(receiver, effort, &message, shared);
+        shared.figures.queued.fetch_sub(1, Ordering::Relaxed);
+        match outcome {
+            Ok(()) => {
+                shared.figures.sent.fetch_add(1, Ordering::Relaxed);
+                shared.figures.set_error(None);
+            }
+            Err(error) => {
+                shared.figures.failed.fetch_add(1, Ordering::Relaxed);
+                shared.figures.set_error(Some(error.to_string()));
+                tracing::warn!(event = message.event, %error, "a notification was given up");
+            }
+        }
+    }
+}
+
+fn deliver(receiver: &Receiver, effort: Effort, message: &Message, shared: &Shared) -> Result<(), DeliverError> {
+    let mut failed = 0;
+    loop {
+        if shared.abandon.load(Ordering::Acquire) {
+            return Err(DeliverError::Stopped);
+        }
+        let attempt = receiver.attempt(message, effort.timeout, || !shared.abandon.load(Ordering::Acquire));
+        let Err(error) = attempt else { return Ok(()) };
+        failed += 1;
+        if failed >= effort.attempts || !error.may_pass() {
+            return Err(error);
+        }
+        shared.figures.set_error(Some(error.to_string()));
+        tracing::debug!(%error, failed, "a notification is tried again");
+        let until = Instant::now() + effort.wait(failed);
+        while Instant::now() < until {
+            if shared.stop.load(Ordering::Acquire) {
+                return Err(error);
+            }
+            std::thread::sleep(STEP.min(until.saturating_duration_since(Instant::now())));
+        }
+    }
+}
