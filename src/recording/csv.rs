@@ -4,11 +4,13 @@
 //! are converted to the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its
 //! channel absent; a row with another number of cells, a cell that is no number or no stamp is rejected.
 
-use super::detect::{open, read_error};
+use super::choice::{Chosen, choose};
+use super::detect::read_error;
 use super::error::RecordingError;
 use super::info::{Conversion, Decimals};
+use super::input::Input;
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::parse_seconds;
+use super::stamps::{RowStamps, parse_seconds};
 use crate::sample::{Channel, DiscardCause, Sample, Triad};
 use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::io::BufRead;
@@ -119,9 +121,10 @@ pub(super) struct CsvRows {
 }
 
 impl CsvRows {
-    pub(super) fn open(file: &Path) -> Result<Self, RecordingError> {
+    pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
+        let file = input.path();
         let mut reader =
-            csv::ReaderBuilder::new().flexible(true).has_headers(true).from_reader(ShortRows::new(open(file)?));
+            csv::ReaderBuilder::new().flexible(true).has_headers(true).from_reader(ShortRows::new(input.open()?));
         let names = reader.byte_headers().map_err(|error| csv_error(file, 1, error))?.clone();
         let names: Vec<_> = names.iter().map(|name| String::from_utf8_lossy(name).into_owned()).collect();
         let header = Header::understand(names.iter().map(String::as_str), file)?;
@@ -132,6 +135,13 @@ impl CsvRows {
             record: csv::ByteRecord::new(),
             decimals: Decimals::default(),
         })
+    }
+
+    /// Its header tells whether rows have a stamp, the first rows of which clock.
+    pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
+        let column = self.header.stamped.then_some(0);
+        let unix = choose(&mut self)?.unix;
+        Ok(Chosen { count: usize::from(column.is_some()), column, unix, regular: Vec::new() })
     }
 
     /// The row's stamp and values, or what was wrong with it.
@@ -222,7 +232,9 @@ impl Rows for CsvRows {
         }
         let line = self.record.position().map_or(line, csv::Position::line);
         Ok(Some(match self.understand() {
-            Ok((stamp_ns, sample)) => Row::Sample { line, stamp_ns, sample },
+            Ok((stamp_ns, sample)) => {
+                Row::Sample { line, stamps: stamp_ns.map(RowStamps::one).unwrap_or_default(), sample }
+            }
             Err(()) => {
                 let cells: Vec<_> = self.record.iter().map(String::from_utf8_lossy).collect();
                 Row::Rejected(Rejected::new(line, DiscardCause::Malformed, &cells.join(","), true))

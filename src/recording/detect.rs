@@ -1,22 +1,20 @@
-//! What a file is, by its content: gzip or not, raw `$VN…` lines or CSV. Names and endings do not count.
+//! What a file is, by its content: a bag, raw `$VN…` lines or CSV. Names and endings do not count.
 
 use super::csv::Header;
 use super::error::RecordingError;
-use flate2::bufread::MultiGzDecoder;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use super::input::Input;
+use std::io::Read;
 use std::path::Path;
 
 /// How much of a file is looked at.
 const LOOK_AT_BYTES: u64 = 64 * 1024;
 /// How many lines from the start may lack `$VN` in a file of raw lines: a recorder's header, a cut first line.
 const LOOK_AT_LINES: usize = 100;
-/// Read at a time.
-const BUFFER_BYTES: usize = 128 * 1024;
 /// How much of an unrecognised file is shown.
 const SHOWN_CHARS: usize = 60;
 
-/// What a recording's text is.
+/// What a recording is. A further format is a kind here, a file that gives its [`Rows`](super::rows::Rows), and a
+/// `Source`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -24,31 +22,26 @@ pub enum Kind {
     Csv,
     /// Raw `$VN…` lines.
     VnText,
+    /// A ROS 1 bag, format 2.0.
+    Bag,
+}
+
+impl Kind {
+    /// What one entry of it is called.
+    #[must_use]
+    pub fn entry(self) -> &'static str {
+        if self == Self::Bag { "message" } else { "line" }
+    }
 }
 
 /// Formats that are recognised in order to say so.
 const NOT_READ_YET: [(&[u8], &str); 5] = [
-    (b"#ROSBAG V", "a ROS 1 bag"),
+    (b"#ROSBAG V", "a ROS bag of another version than 2.0"),
     (b"SQLite format 3\0", "an SQLite database (a ROS 2 .db3, or this program's own)"),
     (b"\x89MCAP0\r\n", "an MCAP file"),
     (b"\xFA", "raw binary output of a VN-100"),
     (b"PK\x03\x04", "a ZIP archive"),
 ];
-
-/// Opens a file for reading its text, decompressing gzip.
-pub(super) fn open(file: &Path) -> Result<Box<dyn BufRead>, RecordingError> {
-    let opened = File::open(file).and_then(|opened| {
-        // Opening a directory succeeds; reading it does not.
-        let mut bytes = BufReader::with_capacity(BUFFER_BYTES, opened);
-        let is_gzip = bytes.fill_buf()?.starts_with(&[0x1F, 0x8B]);
-        Ok((bytes, is_gzip))
-    });
-    let (bytes, is_gzip) = opened.map_err(|source| RecordingError::Open { file: file.to_owned(), source })?;
-    if is_gzip {
-        return Ok(Box::new(BufReader::with_capacity(BUFFER_BYTES, MultiGzDecoder::new(bytes))));
-    }
-    Ok(Box::new(bytes))
-}
 
 /// Turns an error of reading into one that says where.
 pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> RecordingError {
@@ -58,13 +51,17 @@ pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> Reco
     RecordingError::Read { file: file.to_owned(), line, source }
 }
 
-/// Finds out what `file` is.
+/// Finds out what `input` is.
 ///
 /// # Errors
 /// [`RecordingError`] where it cannot be read or is nothing that can be read, with how it begins.
-pub fn detect(file: &Path) -> Result<Kind, RecordingError> {
+pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
+    let file = input.path();
     let mut head = Vec::new();
-    open(file)?.take(LOOK_AT_BYTES).read_to_end(&mut head).map_err(|source| read_error(file, 0, source))?;
+    input.open()?.take(LOOK_AT_BYTES).read_to_end(&mut head).map_err(|source| read_error(file, 0, source))?;
+    if head.starts_with(super::bag::MAGIC) {
+        return Ok(Kind::Bag);
+    }
     if let Some((_, found)) = NOT_READ_YET.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(RecordingError::NotReadYet { file: file.to_owned(), found });
     }

@@ -39,8 +39,9 @@ pub enum RecordingError {
     },
     /// The content is none that can be read.
     #[error(
-        "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines \
-         or a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed)",
+        "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
+         a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed), \
+         or a ROS 1 bag",
         file.display()
     )]
     Unrecognised {
@@ -50,7 +51,7 @@ pub enum RecordingError {
         found: String,
     },
     /// The content is of a known kind that this version does not read.
-    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines or CSV", file.display())]
+    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines, CSV or a ROS 1 bag", file.display())]
     NotReadYet {
         /// The file.
         file: PathBuf,
@@ -107,6 +108,14 @@ pub enum RecordingError {
         rejected: u64,
         /// The first rejected line, its cause and text.
         first: String,
+    },
+    /// A bag without a topic that can be read.
+    #[error("{} has no topic with IMU data or raw `$VN…` lines; it has {found}", file.display())]
+    NoTopic {
+        /// The file.
+        file: PathBuf,
+        /// The topics, with their types and why they are not read.
+        found: String,
     },
     /// The told rate is no rate.
     #[error("a recording's rate must be a finite number above 0, not {found} Hz")]

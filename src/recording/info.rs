@@ -1,6 +1,8 @@
 //! What is known about a recording as a whole.
 
+use super::choice::StampChoice;
 use super::detect::Kind;
+use super::findings::Findings;
 use super::rows::Rejected;
 use crate::sample::{Channel, ChannelSet, DiscardCause, Timebase};
 use std::collections::BTreeMap;
@@ -87,6 +89,10 @@ pub struct RecordingInfo {
     pub ignored_columns: Vec<String>,
     /// Where the times come from.
     pub stamps: Stamps,
+    /// Which stamps they are, where there are any.
+    pub stamp_choice: Option<StampChoice>,
+    /// What is remarkable about it.
+    pub findings: Findings,
     /// Samples per second: of the median stamp step, told, or assumed.
     pub rate_hz: f64,
     /// Whether the rate was neither in the file nor told.

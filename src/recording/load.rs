@@ -54,7 +54,14 @@ impl LoadedRecording {
 /// # Errors
 /// [`RecordingError`] as [`Recording::open`].
 pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, RecordingError> {
-    let recording = Recording::open(file, options)?;
+    columns(&Recording::open(file, options)?)
+}
+
+/// Reads all samples of a recording that was looked through.
+///
+/// # Errors
+/// [`RecordingError`] as [`Recording::items`].
+pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError> {
     let info = recording.info().clone();
     let capacity = usize::try_from(info.samples).unwrap_or(0);
     let mut columns: Vec<LoadedColumn> = info

@@ -1,6 +1,6 @@
 //! Recordings: files of samples that somebody else wrote, read as if they had been captured.
 //!
-//! In: a path to CSV (contract, section 4) or raw `$VN…` lines, either also gzip-compressed. Out: a [`RecordingInfo`] from a
+//! In: a path to CSV (contract, section 4), raw `$VN…` lines, either also gzip-compressed, or a ROS 1 bag. Out: a [`RecordingInfo`] from a
 //! first pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](crate::sample::Record)s
 //! ([`account`]), or whole columns ([`load_columns`]).
 //!
@@ -8,41 +8,57 @@
 //! its number, cause and text; samples are never reordered: one whose stamp is not later than the one before is rejected as
 //! a duplicate. Values are those of the text, converted only where the column's unit is not the channel's.
 //!
-//! Times: a sample's `device_time_ns` is its stamp counted from the first one; its UTC is the stamp where stamps are
+//! Times: of several stamps the smoothest counts ([`choice`]). A sample's `device_time_ns` is its stamp counted from the first one; its UTC is the stamp where stamps are
 //! seconds since 1970, else counted from [`Options::started_utc_ns`].
 
 pub mod account;
+pub mod choice;
 pub mod detect;
 pub mod error;
+pub mod findings;
 pub mod info;
+pub mod input;
 pub mod load;
 pub mod rows;
 
 #[cfg(test)]
 mod tests;
 
+mod bag;
+mod bag_rows;
+mod between;
 mod csv;
+mod order;
+mod ros_message;
 mod stamps;
+mod survey;
 mod vn_text;
 
 pub use account::RecordingAccountant;
+pub use choice::StampChoice;
 pub use detect::{Kind, detect};
 pub use error::RecordingError;
+pub use findings::Findings;
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
-pub use load::{LoadedColumn, LoadedRecording, load_columns};
+pub use input::Input;
+pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use rows::Rejected;
 
-use crate::sample::{ChannelSet, DiscardCause, Sample};
+use crate::sample::Sample;
 use crate::units::{NANOS_PER_SECOND, period_ns};
-use rows::{Row, Rows};
-use stamps::{StepMedian, UNIX_FROM_NS};
-use std::collections::BTreeMap;
+use choice::{Chosen, choose};
+use order::{Entry, Order};
+use rows::Rows;
+use stamps::UNIX_FROM_NS;
 use std::path::Path;
+use survey::Survey;
 
 /// The rate at which raw `$VN…` lines are taken when nothing tells it: register 7's default (contract, section 1).
 pub const DEFAULT_VN_RATE_HZ: f64 = 40.0;
 /// Rejected lines that are kept with their text.
 pub const REJECTED_KEPT: usize = 100;
+/// A step over this many periods is a gap (contract, section 3).
+pub const GAP_PERIODS: f64 = 1.5;
 
 /// What the caller knows about a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -65,6 +81,8 @@ pub enum Item {
 /// A recording that was looked through once.
 #[derive(Debug)]
 pub struct Recording {
+    input: Input,
+    layout: Layout,
     info: RecordingInfo,
 }
 
@@ -74,11 +92,21 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] where it is nothing that can be read, has no sample, or tells no rate.
     pub fn open(file: &Path, options: Options) -> Result<Self, RecordingError> {
+        Self::read(Input::file(file), options)
+    }
+
+    /// As [`Self::open`], of bytes that lie anywhere.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn read(input: Input, options: Options) -> Result<Self, RecordingError> {
         if let Some(rate_hz) = options.rate_hz.filter(|rate| !(rate.is_finite() && *rate > 0.0)) {
             return Err(RecordingError::Rate { found: rate_hz });
         }
-        let (kind, mut source) = Source::open(file, detect(file)?)?;
-        let survey = Survey::of(source.rows())?;
+        let file = input.path();
+        let layout = Layout::find(&input)?;
+        let mut source = layout.open(&input)?;
+        let survey = Survey::of(source.rows(), &layout.chosen)?;
         if survey.samples == 0 {
             return Err(survey.no_sample(file));
         }
@@ -94,32 +122,35 @@ impl Recording {
                 step_ns.ok_or_else(|| RecordingError::NoStep { file: file.to_owned(), samples: survey.samples })?;
             (NANOS_PER_SECOND as f64 / step_ns, false)
         } else {
-            match (options.rate_hz, kind) {
+            match (options.rate_hz, layout.kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
-                (None, Kind::VnText) => (DEFAULT_VN_RATE_HZ, true),
+                (None, Kind::VnText | Kind::Bag) => (DEFAULT_VN_RATE_HZ, true),
                 (None, Kind::Csv) => return Err(RecordingError::NoRate { file: file.to_owned() }),
             }
         };
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
+        let started_utc_ns = if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns };
         let (conversions, ignored_columns) = source.about();
         let info = RecordingInfo {
             file: file.to_owned(),
-            kind,
+            kind: layout.kind,
             channels: survey.channels,
             decimals: source.rows().decimals().clone(),
             conversions,
             ignored_columns,
             stamps,
+            stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
+            findings: survey.findings(rate_hz, stamps),
             rate_hz,
             rate_assumed,
             unused_rate_hz: options.rate_hz.filter(|_| stamped),
-            started_utc_ns: if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns },
+            started_utc_ns,
             samples: survey.samples,
             rejected: survey.rejected,
             first_rejected: survey.first_rejected,
             first_stamp_ns,
         };
-        Ok(Self { info })
+        Ok(Self { info, layout, input })
     }
 
     /// What the first pass found.
@@ -133,10 +164,9 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] where the file cannot be opened any more.
     pub fn items(&self) -> Result<Items, RecordingError> {
-        let (_, source) = Source::open(&self.info.file, self.info.kind)?;
         Ok(Items {
-            source,
-            order: Order::default(),
+            source: self.layout.open(&self.input)?,
+            order: Order::new(&self.layout.chosen),
             first_stamp_ns: self.info.first_stamp_ns,
             started_utc_ns: self.info.started_utc_ns,
             period_ns: period_ns(self.info.rate_hz),
@@ -169,13 +199,18 @@ impl Items {
         loop {
             let Some(row) = self.source.rows().next_row()? else { return Ok(None) };
             match self.order.check(row) {
-                Row::Aside => {}
-                Row::Rejected(rejected) => {
+                Entry::Aside => {}
+                Entry::Rejected(mut rejected, stamp_ns) => {
                     // A line before the first sample belongs to no gap.
                     self.position += u64::from(rejected.stands_for_sample && self.position > 0);
+                    rejected.at = stamp_ns.and_then(|stamp_ns| {
+                        let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
+                        let utc_ns = self.started_utc_ns.saturating_add(since_start_ns);
+                        u64::try_from(since_start_ns).ok().map(|device_ns| (device_ns, utc_ns))
+                    });
                     return Ok(Some(Item::Rejected(rejected)));
                 }
-                Row::Sample { stamp_ns, mut sample, .. } => {
+                Entry::Sample { stamp_ns, mut sample } => {
                     let since_start_ns = match stamp_ns {
                         Some(stamp_ns) => {
                             let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
@@ -206,104 +241,68 @@ impl Iterator for Items {
     }
 }
 
-/// A file being read, of either kind.
+/// How a recording is read: found once, the same for every pass.
+#[derive(Debug)]
+struct Layout {
+    kind: Kind,
+    chosen: Chosen,
+    /// The topic of a bag.
+    topic: Option<bag_rows::Topic>,
+}
+
+impl Layout {
+    fn find(input: &Input) -> Result<Self, RecordingError> {
+        let kind = detect(input)?;
+        let topic = if kind == Kind::Bag { Some(bag_rows::Topic::find(input)?) } else { None };
+        let chosen = match (kind, &topic) {
+            (Kind::Csv, _) => csv::CsvRows::open(input)?.chosen()?,
+            (Kind::Bag, Some(topic)) => choose(&mut bag_rows::BagRows::open(input, topic)?)?,
+            (Kind::VnText | Kind::Bag, _) => choose(&mut vn_text::VnRows::open(input, None)?)?,
+        };
+        Ok(Self { kind, chosen, topic })
+    }
+
+    fn open(&self, input: &Input) -> Result<Source, RecordingError> {
+        Ok(match (self.kind, &self.topic) {
+            (Kind::Csv, _) => Source::Csv(Box::new(csv::CsvRows::open(input)?)),
+            (Kind::Bag, Some(topic)) => Source::Bag(Box::new(bag_rows::BagRows::open(input, topic)?)),
+            (Kind::VnText | Kind::Bag, _) => {
+                Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?))
+            }
+        })
+    }
+}
+
+/// A file being read, of any kind.
 enum Source {
     Csv(Box<csv::CsvRows>),
     VnText(Box<vn_text::VnRows>),
+    Bag(Box<bag_rows::BagRows>),
 }
 
 impl Source {
-    fn open(file: &Path, kind: Kind) -> Result<(Kind, Self), RecordingError> {
-        let source = match kind {
-            Kind::Csv => Self::Csv(Box::new(csv::CsvRows::open(file)?)),
-            Kind::VnText => Self::VnText(Box::new(vn_text::VnRows::open(file)?)),
-        };
-        Ok((kind, source))
-    }
     fn rows(&mut self) -> &mut dyn Rows {
         match self {
             Self::Csv(rows) => rows.as_mut(),
             Self::VnText(rows) => rows.as_mut(),
+            Self::Bag(rows) => rows.as_mut(),
         }
     }
     fn about(&self) -> (Vec<Conversion>, Vec<String>) {
         match self {
             Self::Csv(rows) => (rows.header.conversions.clone(), rows.header.ignored.clone()),
             Self::VnText(rows) => (Vec::new(), rows.ignored().to_vec()),
+            Self::Bag(rows) => (rows.conversions(), rows.ignored()),
         }
     }
-}
-
-/// Keeps stamps increasing: what is not later than the sample before is turned into a rejected line.
-#[derive(Debug, Default)]
-struct Order {
-    last_stamp_ns: Option<i64>,
-}
-
-impl Order {
-    fn check(&mut self, row: Row) -> Row {
-        let Row::Sample { line, stamp_ns: Some(stamp_ns), .. } = &row else { return row };
-        if self.last_stamp_ns.is_some_and(|last| *stamp_ns <= last) {
-            let text =
-                format!("stamp {} s is not later than the one before", *stamp_ns as f64 / NANOS_PER_SECOND as f64);
-            return Row::Rejected(Rejected::new(*line, DiscardCause::Duplicate, &text, false));
-        }
-        self.last_stamp_ns = Some(*stamp_ns);
-        row
-    }
-}
-
-/// What the first pass counts.
-#[derive(Debug, Default)]
-struct Survey {
-    lines: u64,
-    rejected_lines: u64,
-    samples: u64,
-    channels: ChannelSet,
-    first_stamp_ns: Option<i64>,
-    steps: StepMedian,
-    rejected: BTreeMap<DiscardCause, u64>,
-    first_rejected: Vec<Rejected>,
-}
-
-impl Survey {
-    fn of(rows: &mut dyn Rows) -> Result<Self, RecordingError> {
-        let mut survey = Self::default();
-        let mut order = Order::default();
-        while let Some(row) = rows.next_row()? {
-            survey.lines += 1;
-            let last_stamp_ns = order.last_stamp_ns;
-            match order.check(row) {
-                Row::Aside => {}
-                Row::Sample { stamp_ns, sample, .. } => {
-                    survey.samples += 1;
-                    survey.channels = survey.channels.union(sample.channels());
-                    survey.first_stamp_ns = survey.first_stamp_ns.or(stamp_ns);
-                    if let (Some(last), Some(stamp)) = (last_stamp_ns, stamp_ns) {
-                        survey.steps.add(stamp.abs_diff(last));
-                    }
-                }
-                Row::Rejected(rejected) => {
-                    survey.rejected_lines += 1;
-                    *survey.rejected.entry(rejected.cause).or_default() += rejected.amount();
-                    if survey.first_rejected.len() < REJECTED_KEPT {
-                        survey.first_rejected.push(rejected);
-                    }
-                }
-            }
-        }
-        Ok(survey)
-    }
-
-    fn no_sample(&self, file: &Path) -> RecordingError {
-        let first = self.first_rejected.first();
-        RecordingError::NoSample {
-            file: file.to_owned(),
-            lines: self.lines,
-            rejected: self.rejected_lines,
-            first: first.map_or_else(String::new, |first| {
-                format!("; line {} ({}): {:?}", first.line, first.cause.name(), first.text)
-            }),
-        }
+    fn stamp_choice(&self, chosen: &Chosen) -> Option<StampChoice> {
+        let column = chosen.column?;
+        let name = match self {
+            Self::Csv(_) => "time_s".to_owned(),
+            Self::VnText(_) if chosen.count == 1 => "number before $VN".to_owned(),
+            Self::VnText(_) => format!("number {} of {} before $VN", column + 1, chosen.count),
+            Self::Bag(_) => bag_rows::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
+        };
+        Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone() })
     }
 }

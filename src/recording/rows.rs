@@ -2,6 +2,7 @@
 
 use super::error::RecordingError;
 use super::info::Decimals;
+use super::stamps::RowStamps;
 use crate::sample::{DiscardCause, Sample};
 
 /// How much of a rejected line is kept.
@@ -10,7 +11,7 @@ const TEXT_CHARS: usize = 256;
 /// A line that did not become a sample.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Rejected {
-    /// Its number in the (decompressed) file, from 1.
+    /// Its number in the (decompressed) file, from 1; of a bag: of the message, among those of its topic.
     pub line: u64,
     /// Why.
     pub cause: DiscardCause,
@@ -22,11 +23,30 @@ pub struct Rejected {
     /// Whether it stands where a sample should be: without stamps, one sample is then missing there.
     #[serde(skip)]
     pub stands_for_sample: bool,
+    /// When it stood: since the recording's first stamp, and UTC, ns. `None` where no stamp tells.
+    #[serde(skip)]
+    pub at: Option<(u64, i64)>,
+    #[serde(skip)]
+    pub(super) stamps: RowStamps,
 }
 
 impl Rejected {
     pub(super) fn new(line: u64, cause: DiscardCause, text: &str, stands_for_sample: bool) -> Self {
-        Self { line, cause, text: text.chars().take(TEXT_CHARS).collect(), bytes: text.len() as u64, stands_for_sample }
+        Self {
+            line,
+            cause,
+            text: text.chars().take(TEXT_CHARS).collect(),
+            bytes: text.len() as u64,
+            stands_for_sample,
+            at: None,
+            stamps: RowStamps::default(),
+        }
+    }
+
+    /// With the stamps that the line carries.
+    pub(super) fn stamped(mut self, stamps: RowStamps) -> Self {
+        self.stamps = stamps;
+        self
     }
 
     /// What it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
@@ -40,7 +60,7 @@ impl Rejected {
 #[derive(Debug)]
 pub(super) enum Row {
     /// A sample; its times are not set yet.
-    Sample { line: u64, stamp_ns: Option<i64>, sample: Sample },
+    Sample { line: u64, stamps: RowStamps, sample: Sample },
     /// A line that is no sample.
     Rejected(Rejected),
     /// A valid line that carries no measurement: a reply to a command.

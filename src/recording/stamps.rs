@@ -33,6 +33,38 @@ pub(super) fn parse_seconds(text: &str) -> Option<i64> {
     Some(if negative { -total } else { total })
 }
 
+/// Stamps of one row that are kept.
+pub(super) const STAMPS_MAX: usize = 4;
+
+/// The stamps that a row carries, ns, in the order in which they stand there; of more than [`STAMPS_MAX`] the last ones.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct RowStamps {
+    nanos: [i64; STAMPS_MAX],
+    count: usize,
+}
+
+impl RowStamps {
+    pub(super) fn one(nanos: i64) -> Self {
+        let mut stamps = Self::default();
+        stamps.push(nanos);
+        stamps
+    }
+    pub(super) fn push(&mut self, nanos: i64) {
+        if self.count == STAMPS_MAX {
+            self.nanos.rotate_left(1);
+            self.count -= 1;
+        }
+        self.nanos[self.count] = nanos;
+        self.count += 1;
+    }
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+    pub(super) fn get(&self, column: usize) -> Option<i64> {
+        self.nanos[..self.count].get(column).copied()
+    }
+}
+
 /// Distinct steps that are counted exactly.
 const DISTINCT_MAX: usize = 1 << 18;
 /// Leading bits of a step that are kept when there are more (a relative error of 6e-8 at first).
@@ -57,6 +89,16 @@ impl StepMedian {
                 *self.counts.entry(rounded(step, self.kept_bits)).or_default() += count;
             }
         }
+    }
+
+    /// How many steps there are whose length, ns, fulfils `condition`.
+    pub(super) fn count_where(&self, condition: impl Fn(f64) -> bool) -> u64 {
+        self.counts.iter().filter(|(step, _)| condition(**step as f64)).map(|(_, count)| count).sum()
+    }
+
+    /// How many steps there are.
+    pub(super) fn total(&self) -> u64 {
+        self.counts.values().sum()
     }
 
     /// The median in ns; of an even number the mean of the middle two.

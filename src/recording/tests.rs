@@ -1,7 +1,7 @@
 //! The room as its callers see it, on files made here and, where `VN100D_REAL_DATA` names them, on real ones.
 
 use super::*;
-use crate::sample::{Channel, Gap, GapCause, Record, Timebase};
+use crate::sample::{Channel, DiscardCause, Gap, GapCause, Record, Timebase};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -129,6 +129,20 @@ fn samples_are_never_reordered_a_stamp_that_does_not_advance_is_a_duplicate() {
     assert_eq!(loaded.info.rejected, [(DiscardCause::Duplicate, 2)].into());
     assert_eq!(loaded.missing, 0);
     assert_eq!(loaded.info.first_rejected[1].line, 5);
+}
+
+#[test]
+fn a_stamp_of_another_clock_than_the_others_is_rejected_and_costs_no_other_sample() {
+    let folder = Folder::new();
+    let unix = "time_s,gyro_x_rad_s\n8267.9,0\n1710358268,1\n1710358268.1,2\n17103,3\n1710358268.2,4\n";
+    let relative = "time_s,gyro_x_rad_s\n0,1\n0.1,2\n1710358268,3\n0.2,4\n";
+    for content in [unix, relative] {
+        let loaded = folder.load(content, Options::default()).unwrap();
+        assert_eq!(values(&loaded, Channel::GyroX), [1.0, 2.0, 4.0]);
+        assert!((loaded.info.rate_hz - 10.0).abs() < 1e-6 && loaded.gaps.is_empty(), "{:?}", loaded.gaps);
+        assert!(loaded.info.first_rejected.iter().all(|bad| bad.text.contains("as the others are")));
+        assert!(loaded.info.rejected[&DiscardCause::Malformed] >= 1);
+    }
 }
 
 #[test]
@@ -307,7 +321,7 @@ fn cut_compressed_data_say_where_and_what_to_do() {
 fn what_is_no_recording_is_refused_with_how_it_begins() {
     let folder = Folder::new();
     for (content, part) in [
-        (&b"#ROSBAG V2.0\n"[..], "a ROS 1 bag"),
+        (&b"#ROSBAG V1.2\n"[..], "a ROS bag of another version"),
         (b"SQLite format 3\0...", "an SQLite database"),
         (b"\x89MCAP0\r\n", "an MCAP file"),
         (b"\xFA\x01\x29", "raw binary output"),
@@ -377,9 +391,18 @@ fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines
     let lines: Vec<u64> = loaded.info.first_rejected.iter().map(|bad| bad.line).collect();
     assert_eq!(lines, [820, 1611, 2863, 3015, 3165]);
     assert_eq!((loaded.info.stamps, loaded.info.started_utc_ns), (Stamps::Unix, 1_710_358_267_715_127_945));
-    // Of all 3,880 stamps 1,411 steps are gaps; without the five rejected lines some of them merge.
-    assert_eq!((loaded.gaps.len(), loaded.missing), (1_408, 1_462));
-    assert!(loaded.gaps.iter().any(|gap| gap.to_utc_ns - gap.from_utc_ns > 1_200_000_000));
+    let of = |cause| loaded.gaps.iter().filter(|gap| gap.cause == cause).collect::<Vec<_>>();
+    let missing = |gaps: &[&Gap]| gaps.iter().map(|gap| gap.missing).sum::<u64>();
+    let (source, checksum) = (of(GapCause::Source), of(GapCause::Checksum));
+    assert_eq!((source.len(), missing(&source)), (1_411, 1_459));
+    assert_eq!((checksum.len(), missing(&checksum)), (5, 5));
+    assert_eq!(loaded.missing, 1_464);
+    let longest = loaded.gaps.iter().map(|gap| gap.to_utc_ns - gap.from_utc_ns).max();
+    assert_eq!(longest, Some(1_297_774_791));
+    let found = &loaded.info.findings;
+    assert_eq!((found.steps, found.irregular_steps, found.repeated_samples), (3_879, 1_411, 0));
+    assert_eq!(found.longest_step_s, Some(1.297_774_791));
+    assert!(values(&loaded, Channel::GyroZ).iter().all(|value| value.abs() < 35.0));
 }
 
 #[test]

@@ -1,23 +1,23 @@
 //! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
 //!
 //! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are stamps
-//! in seconds; of several the last one counts: drivers write the time of reception first and then the time they assigned
-//! to the measurement, which is the smoother of the two. Other text there is ignored and named.
+//! in seconds; which of several counts is decided in [`super::choice`]. Other text there is ignored and named.
 //!
 //! The checksum decides, by the same decoder that reads a port: a line whose checksum fails is rejected, nothing in it is
 //! guessed at; only a complete good message behind a spliced one is still a sample. Valid messages without a measurement
-//! (replies to commands) are passed over, measurements of none of our channels rejected. The first measurement decides
-//! whether the recording has stamps; a later one without is rejected.
+//! (replies to commands) are passed over, measurements of none of our channels rejected. How many stamps most lines have is
+//! what every line must have: one with fewer is rejected.
 
-use super::detect::{open, read_error};
+use super::detect::read_error;
 use super::error::RecordingError;
 use super::info::Decimals;
+use super::input::Input;
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::parse_seconds;
+use super::stamps::{RowStamps, parse_seconds};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event};
 use crate::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Longest line that is kept together; what follows is read as another line. Messages are shorter than 300 bytes.
 const LINE_BYTES: u64 = 4096;
@@ -27,7 +27,7 @@ const START: &[u8] = b"$VN";
 const UNREAD_PREFIX: &str = "text before $VN";
 
 /// What a line's message says.
-enum Message {
+pub(super) enum Message {
     /// A measurement with its values.
     Measurement(Sample),
     /// Something else that is valid.
@@ -42,8 +42,8 @@ pub(super) struct VnRows {
     reader: Box<dyn BufRead>,
     line: u64,
     bytes: Vec<u8>,
-    /// Whether the first measurement had a stamp.
-    stamped: Option<bool>,
+    /// How many stamps a measurement has; `None` takes them as they come.
+    stamp_count: Option<usize>,
     ignored: Vec<String>,
     decimals: Decimals,
     decoder: Decoder,
@@ -52,16 +52,16 @@ pub(super) struct VnRows {
 }
 
 impl VnRows {
-    pub(super) fn open(file: &Path) -> Result<Self, RecordingError> {
+    pub(super) fn open(input: &Input, stamp_count: Option<usize>) -> Result<Self, RecordingError> {
         Ok(Self {
-            file: file.to_owned(),
-            reader: open(file)?,
+            file: input.path().to_owned(),
+            reader: input.open()?,
             line: 0,
             bytes: Vec::new(),
-            stamped: None,
+            stamp_count,
             ignored: Vec::new(),
             decimals: Decimals::default(),
-            decoder: Decoder::new(DecoderOptions { binary: BinaryAcceptance::Never }),
+            decoder: line_decoder(),
             waiting: None,
         })
     }
@@ -85,42 +85,39 @@ impl VnRows {
     fn understand(&mut self) -> Row {
         let line = self.bytes.trim_ascii();
         let number = self.line;
-        let rejected = |cause, stands_for_sample| {
-            Row::Rejected(Rejected::new(number, cause, &String::from_utf8_lossy(line), stands_for_sample))
-        };
+        let rejected =
+            |cause, stands_for_sample| Rejected::new(number, cause, &String::from_utf8_lossy(line), stands_for_sample);
+        let garbage = |cause| rejected(cause, false);
         let Some(start) = line.windows(START.len()).position(|window| window == START) else {
-            return rejected(DiscardCause::GarbageBytes, false);
+            return Row::Rejected(garbage(DiscardCause::GarbageBytes));
         };
         let (prefix, message) = line.split_at(start);
         let (message, bad) = read_message(message, &mut self.decoder, &mut self.decimals);
+        let (stamps, is_text) = stamps(prefix);
         let bad = bad.map(|cause| rejected(cause, true));
         let sample = match message {
             Message::Measurement(sample) if sample.channels().is_empty() => {
-                return rejected(DiscardCause::UnexpectedFormat, false);
+                return Row::Rejected(garbage(DiscardCause::UnexpectedFormat));
             }
             Message::Measurement(sample) => sample,
-            Message::Other => return bad.unwrap_or(Row::Aside),
-            Message::Nothing => return bad.unwrap_or_else(|| rejected(DiscardCause::GarbageBytes, false)),
-        };
-        let stamp_ns = match stamp(prefix) {
-            Prefix::Stamp(nanos) => Some(nanos),
-            Prefix::Empty => None,
-            Prefix::Text => {
-                if self.stamped != Some(true) && self.ignored.is_empty() {
-                    self.ignored.push(UNREAD_PREFIX.to_owned());
-                }
-                None
+            // Nothing in the line stands at its stamps but what was rejected.
+            Message::Other => return bad.map_or(Row::Aside, |bad| Row::Rejected(bad.stamped(stamps))),
+            Message::Nothing => {
+                let bad = bad.map(|bad| bad.stamped(stamps));
+                return Row::Rejected(bad.unwrap_or_else(|| garbage(DiscardCause::GarbageBytes)));
             }
         };
-        let row = match (*self.stamped.get_or_insert(stamp_ns.is_some()), stamp_ns) {
-            (true, None) => rejected(DiscardCause::Malformed, true),
-            (true, Some(_)) => Row::Sample { line: number, stamp_ns, sample },
-            (false, _) => Row::Sample { line: number, stamp_ns: None, sample },
+        if is_text && self.stamp_count == Some(0) && self.ignored.is_empty() {
+            self.ignored.push(UNREAD_PREFIX.to_owned());
+        }
+        let row = match self.stamp_count {
+            Some(count) if stamps.count() < count => Row::Rejected(rejected(DiscardCause::Malformed, true)),
+            _ => Row::Sample { line: number, stamps, sample },
         };
         match bad {
             Some(bad) => {
                 self.waiting = Some(row);
-                bad
+                Row::Rejected(bad)
             }
             None => row,
         }
@@ -144,8 +141,17 @@ impl Rows for VnRows {
     }
 }
 
+/// A decoder of single lines.
+pub(super) fn line_decoder() -> Decoder {
+    Decoder::new(DecoderOptions { binary: BinaryAcceptance::Never })
+}
+
 /// Reads a line from its `$`: what it says, and why a part of it was rejected.
-fn read_message(line: &[u8], decoder: &mut Decoder, decimals: &mut Decimals) -> (Message, Option<DiscardCause>) {
+pub(super) fn read_message(
+    line: &[u8],
+    decoder: &mut Decoder,
+    decimals: &mut Decimals,
+) -> (Message, Option<DiscardCause>) {
     let (mut message, mut bad) = (Message::Nothing, None);
     let mut take = |event: Event<'_>| match event {
         Event::Measurement(measurement) => {
@@ -167,18 +173,15 @@ fn read_message(line: &[u8], decoder: &mut Decoder, decimals: &mut Decimals) -> 
     (message, bad)
 }
 
-/// What stands before a message.
-enum Prefix {
-    Empty,
-    Stamp(i64),
-    Text,
-}
-
-fn stamp(prefix: &[u8]) -> Prefix {
-    let Ok(text) = std::str::from_utf8(prefix) else { return Prefix::Text };
-    let words = text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty());
-    words.fold(Prefix::Empty, |before, word| match (before, parse_seconds(word)) {
-        (Prefix::Text, _) | (_, None) => Prefix::Text,
-        (_, Some(nanos)) => Prefix::Stamp(nanos),
-    })
+/// The stamps before a message; whether something that is no stamp stands there too: then none of it counts.
+fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
+    let mut stamps = RowStamps::default();
+    let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };
+    for word in text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty()) {
+        match parse_seconds(word) {
+            Some(nanos) => stamps.push(nanos),
+            None => return (RowStamps::default(), true),
+        }
+    }
+    (stamps, false)
 }

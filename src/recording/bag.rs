@@ -1,0 +1,371 @@
+//! The records of a ROS 1 bag, format 2.0, one after another.
+//!
+//! A bag is its magic line and records: a header of `name=value` fields and data, each behind its length. Messages lie in
+//! chunks, which may be compressed, behind the connection they belong to. The index at the end is not needed: a bag that
+//! was cut (`.bag.active`) is read as far as it goes.
+//!
+//! Promises: any bytes are read without panic; memory is bounded by the limits below and by the bytes that are there,
+//! never by a length that a record claims; what cannot be read is an entry of its own ([`Record::Damaged`]), behind which
+//! reading goes on at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
+
+use super::error::RecordingError;
+use super::input::Input;
+use bzip2::read::BzDecoder;
+use lz4_flex::frame::FrameDecoder;
+use std::io::{BufRead, Read, Take};
+
+/// The first line.
+pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+/// Longest header of a record: its fields are a topic and some numbers.
+const HEADER_BYTES: u32 = 64 * 1024;
+/// Longest message or definition that is kept; longer ones are passed over. An IMU's message has some 600 bytes.
+const DATA_BYTES: u32 = 1024 * 1024;
+/// Most bytes that a chunk may have once decompressed. Recorders write chunks of 768 kB; one large image makes it longer.
+const CHUNK_BYTES: u32 = 256 * 1024 * 1024;
+
+const OP_MESSAGE: u8 = 0x02;
+const OP_CHUNK: u8 = 0x05;
+const OP_CONNECTION: u8 = 0x07;
+
+/// One entry of a bag.
+#[derive(Debug, PartialEq)]
+pub(super) enum Record<'a> {
+    /// A connection: messages with its number follow.
+    Connection(Connection),
+    /// A message of a wanted connection, its time of reception in ns since 1970, and its bytes.
+    Message { connection: u32, received_ns: i64, data: &'a [u8] },
+    /// Something that cannot be read, and at which byte of the file it begins.
+    Damaged { at: u64, what: String },
+}
+
+/// Where messages come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Connection {
+    pub(super) number: u32,
+    pub(super) topic: String,
+    /// Name of the message's type.
+    pub(super) message_type: String,
+    /// Text of its definition and those of the types in it.
+    pub(super) definition: String,
+}
+
+/// Where records are read from.
+enum Place {
+    File(Counting),
+    Chunk(Chunk),
+    End,
+}
+
+/// A chunk's content, decompressed.
+enum Chunk {
+    Plain(Take<Counting>),
+    Bz2(Box<Take<BzDecoder<Take<Counting>>>>),
+    Lz4(Box<Take<FrameDecoder<Take<Counting>>>>),
+}
+
+/// The file, and how far it was read.
+struct Counting {
+    bytes: Box<dyn BufRead>,
+    at: u64,
+}
+
+impl Read for Counting {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.bytes.read(buffer)?;
+        self.at += read as u64;
+        Ok(read)
+    }
+}
+
+impl Chunk {
+    fn reader(&mut self) -> &mut dyn Read {
+        match self {
+            Self::Plain(bytes) => bytes,
+            Self::Bz2(bytes) => bytes.as_mut(),
+            Self::Lz4(bytes) => bytes.as_mut(),
+        }
+    }
+
+    /// The file behind the chunk.
+    fn leave(self) -> std::io::Result<Counting> {
+        let mut rest = match self {
+            Self::Plain(bytes) => bytes,
+            Self::Bz2(bytes) => bytes.into_inner().into_inner(),
+            Self::Lz4(bytes) => bytes.into_inner().into_inner(),
+        };
+        std::io::copy(&mut rest, &mut std::io::sink())?;
+        Ok(rest.into_inner())
+    }
+}
+
+/// Reads a bag's records.
+pub(super) struct BagReader {
+    place: Place,
+    header: Vec<u8>,
+    data: Vec<u8>,
+}
+
+/// Why the record at hand cannot be read.
+enum Fault {
+    /// The reader is at its end, before a record: nothing is wrong.
+    End,
+    /// What is wrong.
+    Damaged(String),
+}
+
+impl From<std::io::Error> for Fault {
+    fn from(error: std::io::Error) -> Self {
+        Self::Damaged(error.to_string())
+    }
+}
+
+/// What a record's header says.
+struct Head {
+    op: u8,
+    connection: Option<u32>,
+    received_ns: Option<i64>,
+    topic: String,
+    compression: String,
+    size: Option<u32>,
+}
+
+impl BagReader {
+    pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
+        let mut file = Counting { bytes: input.open()?, at: 0 };
+        let mut magic = [0; MAGIC.len()];
+        let read = file.read_exact(&mut magic);
+        read.map_err(|source| RecordingError::Open { file: input.path().to_owned(), source })?;
+        Ok(Self { place: Place::File(file), header: Vec::new(), data: Vec::new() })
+    }
+
+    /// The next entry; `None` at the end. Messages of connections that are not wanted are passed over.
+    pub(super) fn next_record(&mut self, wanted: impl Fn(u32) -> bool) -> Option<Record<'_>> {
+        loop {
+            let at = self.at();
+            let step = match &mut self.place {
+                Place::End => return None,
+                Place::File(file) => read_record(file, &mut self.header, &mut self.data, &wanted, true),
+                Place::Chunk(chunk) => read_record(chunk.reader(), &mut self.header, &mut self.data, &wanted, false),
+            };
+            match step {
+                Ok(Step::Passed) => {}
+                Ok(Step::Chunk { compression, size, data_bytes }) => {
+                    if let Err(what) = self.enter(&compression, size, data_bytes) {
+                        return Some(Record::Damaged { at, what });
+                    }
+                }
+                Ok(Step::Connection(connection)) => return Some(Record::Connection(connection)),
+                Ok(Step::Message { connection, received_ns }) => {
+                    return Some(Record::Message { connection, received_ns, data: &self.data });
+                }
+                Ok(Step::TooLong(what)) => return Some(Record::Damaged { at, what }),
+                Err(fault) => {
+                    let left = self.leave();
+                    match (fault, left) {
+                        (Fault::End, Ok(())) => {}
+                        (Fault::Damaged(what), _) | (Fault::End, Err(what)) => {
+                            return Some(Record::Damaged { at, what });
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn at(&self) -> u64 {
+        match &self.place {
+            Place::File(file) => file.at,
+            Place::Chunk(Chunk::Plain(bytes)) => bytes.get_ref().at,
+            Place::Chunk(Chunk::Bz2(bytes)) => bytes.get_ref().get_ref().get_ref().at,
+            Place::Chunk(Chunk::Lz4(bytes)) => bytes.get_ref().get_ref().get_ref().at,
+            Place::End => 0,
+        }
+    }
+
+    fn enter(&mut self, compression: &str, size: u32, data_bytes: u32) -> Result<(), String> {
+        let Place::File(file) = std::mem::replace(&mut self.place, Place::End) else {
+            return Err("a chunk inside a chunk".to_owned());
+        };
+        let data = file.take(u64::from(data_bytes));
+        let (chunk, refused) = match compression {
+            "none" => (Chunk::Plain(data), None),
+            "bz2" => (Chunk::Bz2(Box::new(BzDecoder::new(data).take(u64::from(size)))), None),
+            "lz4" => (Chunk::Lz4(Box::new(FrameDecoder::new(data).take(u64::from(size)))), None),
+            other => (Chunk::Plain(data), Some(format!("a chunk with the unknown compression {other:?}"))),
+        };
+        let refused = refused.or_else(|| {
+            (size > CHUNK_BYTES).then(|| format!("a chunk of {size} bytes: at most {CHUNK_BYTES} are read"))
+        });
+        self.place = Place::Chunk(chunk);
+        match refused {
+            Some(what) => {
+                self.leave()?;
+                Err(what)
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Leaves what cannot be read any further: a chunk for the file, the file for good.
+    fn leave(&mut self) -> Result<(), String> {
+        if let Place::Chunk(chunk) = std::mem::replace(&mut self.place, Place::End) {
+            self.place = Place::File(chunk.leave().map_err(|error| error.to_string())?);
+        }
+        Ok(())
+    }
+}
+
+/// What became of one record.
+enum Step {
+    Passed,
+    Chunk { compression: String, size: u32, data_bytes: u32 },
+    Connection(Connection),
+    Message { connection: u32, received_ns: i64 },
+    TooLong(String),
+}
+
+/// Reads one record; of a chunk its head alone.
+fn read_record(
+    bytes: &mut (impl Read + ?Sized),
+    header: &mut Vec<u8>,
+    data: &mut Vec<u8>,
+    wanted: &impl Fn(u32) -> bool,
+    in_file: bool,
+) -> Result<Step, Fault> {
+    let Some(header_bytes) = read_length(bytes)? else { return Err(Fault::End) };
+    if header_bytes > HEADER_BYTES {
+        return Err(Fault::Damaged(format!("a record's header of {header_bytes} bytes: at most {HEADER_BYTES}")));
+    }
+    read_into(bytes, header, header_bytes)?;
+    let head = Head::read(header)?;
+    let Some(data_bytes) = read_length(bytes)? else {
+        return Err(Fault::Damaged("the bag ends within a record".to_owned()));
+    };
+    let keeps = match head.op {
+        OP_CHUNK if in_file => {
+            let size = head.size.ok_or_else(|| Fault::Damaged("a chunk without its size".to_owned()))?;
+            return Ok(Step::Chunk { compression: head.compression, size, data_bytes });
+        }
+        OP_CONNECTION => true,
+        OP_MESSAGE => head.connection.is_some_and(wanted),
+        _ => false,
+    };
+    if !keeps || data_bytes > DATA_BYTES {
+        pass_over(bytes, data_bytes)?;
+        return Ok(if keeps { Step::TooLong(format!("a record of {data_bytes} bytes")) } else { Step::Passed });
+    }
+    read_into(bytes, data, data_bytes)?;
+    let number = head.connection.ok_or_else(|| Fault::Damaged("a record without its connection".to_owned()))?;
+    if head.op == OP_CONNECTION {
+        return Ok(Step::Connection(connection(number, head.topic, data)));
+    }
+    let received_ns = head.received_ns.ok_or_else(|| Fault::Damaged("a message without its time".to_owned()))?;
+    Ok(Step::Message { connection: number, received_ns })
+}
+
+/// A length; `None` where nothing is left.
+fn read_length(bytes: &mut (impl Read + ?Sized)) -> Result<Option<u32>, Fault> {
+    let mut length = [0; 4];
+    let mut read = 0;
+    while read < length.len() {
+        match bytes.read(&mut length[read..]) {
+            Ok(0) if read == 0 => return Ok(None),
+            Ok(0) => return Err(Fault::Damaged("the bag ends within a length".to_owned())),
+            Ok(more) => read += more,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(Some(u32::from_le_bytes(length)))
+}
+
+/// Reads so many bytes; memory grows with those that are there.
+fn read_into(bytes: &mut (impl Read + ?Sized), buffer: &mut Vec<u8>, length: u32) -> Result<(), Fault> {
+    buffer.clear();
+    let read = bytes.take(u64::from(length)).read_to_end(buffer)?;
+    check_length(read as u64, length)
+}
+
+fn pass_over(bytes: &mut (impl Read + ?Sized), length: u32) -> Result<(), Fault> {
+    let read = std::io::copy(&mut bytes.take(u64::from(length)), &mut std::io::sink())?;
+    check_length(read, length)
+}
+
+fn check_length(read: u64, length: u32) -> Result<(), Fault> {
+    if read < u64::from(length) {
+        return Err(Fault::Damaged(format!("a record of {length} bytes of which {read} are there")));
+    }
+    Ok(())
+}
+
+/// The fields of a header: each a length, a name, `=` and a value.
+fn fields(mut header: &[u8]) -> impl Iterator<Item = Option<(&[u8], &[u8])>> {
+    std::iter::from_fn(move || {
+        if header.is_empty() {
+            return None;
+        }
+        let field = header.split_at_checked(4).and_then(|(length, rest)| {
+            let length = u32::from_le_bytes(length.try_into().ok()?);
+            rest.split_at_checked(usize::try_from(length).ok()?)
+        });
+        let Some((field, rest)) = field else {
+            header = &[];
+            return Some(None);
+        };
+        header = rest;
+        let equals = field.iter().position(|byte| *byte == b'=');
+        Some(equals.map(|equals| (&field[..equals], &field[equals + 1..])))
+    })
+}
+
+fn text(value: &[u8]) -> String {
+    String::from_utf8_lossy(value).into_owned()
+}
+
+fn number(value: &[u8]) -> Option<u32> {
+    Some(u32::from_le_bytes(value.try_into().ok()?))
+}
+
+impl Head {
+    fn read(header: &[u8]) -> Result<Self, Fault> {
+        let mut head = Self {
+            op: 0,
+            connection: None,
+            received_ns: None,
+            topic: String::new(),
+            compression: String::new(),
+            size: None,
+        };
+        for field in fields(header) {
+            let Some((name, value)) = field else {
+                return Err(Fault::Damaged("a record's header is not made of fields".to_owned()));
+            };
+            match name {
+                b"op" => head.op = value.first().copied().unwrap_or(0),
+                b"conn" => head.connection = number(value),
+                b"topic" => head.topic = text(value),
+                b"compression" => head.compression = text(value),
+                b"size" => head.size = number(value),
+                b"time" => {
+                    head.received_ns = value.split_at_checked(4).and_then(|(seconds, nanos)| {
+                        Some(super::ros_message::time_ns(number(seconds)?, number(nanos)?))
+                    });
+                }
+                _ => {}
+            }
+        }
+        Ok(head)
+    }
+}
+
+fn connection(number: u32, topic: String, data: &[u8]) -> Connection {
+    let mut connection = Connection { number, topic, message_type: String::new(), definition: String::new() };
+    for (name, value) in fields(data).flatten() {
+        match name {
+            b"type" => connection.message_type = text(value),
+            b"message_definition" => connection.definition = text(value),
+            _ => {}
+        }
+    }
+    connection
+}

@@ -1,0 +1,116 @@
+//! Which of several stamps a recording's times come from, and why.
+//!
+//! Drivers write the time at which they received a message and the time which they assigned to the measurement. The one
+//! that was assigned is the smoother: arrival comes in bursts. So of the columns that tell the same time (their spans
+//! agree to 1 %: a line number does not) the one with the most regular steps is taken; among equals the last, as drivers
+//! write them in that order.
+//!
+//! Stamps are of one clock: since 1970 or from another origin, as most are. One of the other kind is a cut or garbled number
+//! ([`super::order`]).
+
+use super::error::RecordingError;
+use super::rows::{Row, Rows};
+use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS};
+
+/// How many samples are looked at.
+const LOOK_AT: usize = 20_000;
+/// A step is regular when it is this near to the median step.
+const REGULAR_WITHIN: f64 = 0.1;
+/// Columns tell the same time where their spans agree so well.
+const SAME_SPAN_WITHIN: f64 = 0.01;
+/// So much more regular an earlier column must be to be preferred to a later one.
+const CLEARLY: f64 = 0.02;
+
+/// A recording's column of stamps.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct StampChoice {
+    /// What it is called.
+    pub name: String,
+    /// Its place among the columns of stamps, from 1.
+    pub column: usize,
+    /// Share of steps within 10 % of the median step, for each column of stamps.
+    pub regular: Vec<f64>,
+}
+
+/// What the rows looked at have.
+#[derive(Debug)]
+pub(super) struct Chosen {
+    /// Stamps that a row has.
+    pub(super) count: usize,
+    /// The column that counts, from 0; `None` without stamps.
+    pub(super) column: Option<usize>,
+    /// Whether its stamps are times since 1970.
+    pub(super) unix: bool,
+    pub(super) regular: Vec<f64>,
+}
+
+/// One column of stamps; its steps from the second row on: a first line may be cut, and its first stamp with it.
+#[derive(Default)]
+struct Column {
+    first: Option<i64>,
+    last: i64,
+    steps: StepMedian,
+    /// Steps that do not advance.
+    backward: u64,
+    /// Stamps since 1970.
+    unix: u64,
+}
+
+impl Column {
+    fn add(&mut self, stamp_ns: i64) {
+        if self.first.replace(self.first.unwrap_or(stamp_ns)).is_some() {
+            if stamp_ns > self.last {
+                self.steps.add(stamp_ns.abs_diff(self.last));
+            } else {
+                self.backward += 1;
+            }
+        }
+        self.last = stamp_ns;
+    }
+    fn span_ns(&self) -> f64 {
+        self.first.map_or(0.0, |first| self.last.saturating_sub(first) as f64)
+    }
+    fn regular(&self) -> f64 {
+        let Some(median) = self.steps.median_ns() else { return 0.0 };
+        let near = self.steps.count_where(|step| (step - median).abs() <= REGULAR_WITHIN * median);
+        near as f64 / (self.steps.total() + self.backward) as f64
+    }
+}
+
+/// Looks at the first rows.
+pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
+    let mut by_count: [(u64, [Column; STAMPS_MAX]); STAMPS_MAX + 1] = Default::default();
+    let mut looked_at = 0;
+    while looked_at < LOOK_AT
+        && let Some(row) = rows.next_row()?
+    {
+        let Row::Sample { stamps, .. } = row else { continue };
+        looked_at += 1;
+        let (rows, columns) = &mut by_count[stamps.count()];
+        *rows += 1;
+        for (index, column) in columns.iter_mut().enumerate() {
+            let Some(stamp_ns) = stamps.get(index) else { break };
+            column.unix += u64::from(stamp_ns >= UNIX_FROM_NS);
+            if looked_at > 1 {
+                column.add(stamp_ns);
+            }
+        }
+    }
+    // Of equally many the richer one: a first line may be cut.
+    let Some((count, (rows, columns))) = by_count.iter().enumerate().max_by_key(|(count, (rows, _))| (*rows, *count))
+    else {
+        return Ok(Chosen { count: 0, column: None, unix: false, regular: Vec::new() });
+    };
+    let columns = &columns[..count];
+    let regular: Vec<f64> = columns.iter().map(Column::regular).collect();
+    let Some(last) = columns.last() else { return Ok(Chosen { count, column: None, unix: false, regular }) };
+    let same_time = |column: &Column| (column.span_ns() - last.span_ns()).abs() <= SAME_SPAN_WITHIN * last.span_ns();
+    let mut column = count - 1;
+    for earlier in (0..count - 1).rev() {
+        if same_time(&columns[earlier]) && regular[earlier] > regular[column] + CLEARLY {
+            column = earlier;
+        }
+    }
+    let unix = 2 * columns[column].unix >= *rows;
+    Ok(Chosen { count, column: Some(column), unix, regular })
+}
