@@ -30,5 +30,7 @@ pub mod config;
 pub mod daemon;
 pub mod emulator;
 pub mod jobs;
+pub mod notify;
 pub mod recording;
+pub mod retention;
 pub mod store;

@@ -64,6 +64,39 @@ pub enum Command {
     Allan(AllanArgs),
     /// Print noise parameters N, B, K of a capture or a recording
     Noise(NoiseArgs),
+    /// Copy the database, also while a daemon writes it
+    Backup(BackupArgs),
+    /// Check structure, checksums and accounting of a database; reads only
+    Check {
+        /// The database (default: that of the data directory)
+        #[arg(value_name = "DB")]
+        database: Option<PathBuf>,
+    },
+    /// Salvage everything intact from a damaged database into a new one
+    Recover(RecoverArgs),
+    /// Send a test message to the receivers of the configuration's [notify]
+    Notify,
+    /// Print completions for a shell: bash, zsh, fish, elvish or powershell
+    Completions(CompletionsArgs),
+    /// Write manual pages or completions into a folder, for packages
+    #[command(hide = true)]
+    Generate(GenerateArgs),
+}
+
+/// Arguments of `completions`.
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    pub shell: clap_complete::Shell,
+}
+
+/// Arguments of `generate`.
+#[derive(Debug, Args)]
+pub struct GenerateArgs {
+    /// `man` or `completions`
+    pub what: String,
+    /// Where to
+    pub dir: PathBuf,
 }
 
 /// Arguments of `run`.
@@ -130,7 +163,10 @@ pub struct EmulateArgs {
     /// Send the recorded raw lines of this file (plain or .gz) unchanged; configuration is acknowledged only
     #[arg(long, value_name = "FILE")]
     pub replay: Option<PathBuf>,
-    /// Write down every frame that was sent: tick, device time in ns, bytes
+    /// Let go wrong what this script says, such as `10s unplug 10s` (docs/cli.md); `-` obeys lines of standard input at once
+    #[arg(long, value_name = "FILE|-")]
+    pub faults: Option<PathBuf>,
+    /// Write down every frame that was made: its number, tick, device time, and what became of it
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
     /// Baud rate at power-up
@@ -169,6 +205,9 @@ pub struct ImportArgs {
     /// Name of the capture (default: the file's name)
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// Send the recordings to the daemon at this address (default: to the one that has the database, if one runs)
+    #[arg(long, value_name = "ADDR")]
+    pub listen: Option<String>,
 }
 
 /// Estimators of the Allan family.
@@ -232,6 +271,31 @@ pub struct NoiseArgs {
     /// Form of the output
     #[arg(long, value_enum, default_value_t = Format::Table)]
     pub format: Format,
+}
+
+/// Arguments of `backup`.
+#[derive(Debug, Args)]
+pub struct BackupArgs {
+    /// The copy
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Replace the copy where it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Arguments of `recover`.
+#[derive(Debug, Args)]
+pub struct RecoverArgs {
+    /// The damaged database (default: that of the data directory)
+    #[arg(value_name = "DB")]
+    pub database: Option<PathBuf>,
+    /// The new database
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Replace the new database where it exists
+    #[arg(long)]
+    pub force: bool,
 }
 
 fn speed(text: &str) -> Result<f64, String> {

@@ -21,9 +21,15 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
         print_json(&serde_json::json!({ "captures": captures, "next": null }))?;
         return Ok(Outcome::Done);
     }
-    let mut rows = table(&["id", "name", "state", "started", "duration s", "rate Hz", "samples", "missing", "gaps"]);
+    let mut header = vec!["id", "name", "state", "started", "duration s", "rate Hz", "samples", "missing", "gaps"];
+    // A column only for those who have something to lose.
+    let deletions = captures.iter().any(|capture| capture.delete_at.is_some());
+    if deletions {
+        header.push("will be deleted on");
+    }
+    let mut rows = table(&header);
     for capture in &captures {
-        rows.add_row([
+        let mut cells = vec![
             capture.id.to_string(),
             capture.name.clone(),
             capture.state.name().to_owned(),
@@ -33,7 +39,11 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
             capture.samples.to_string(),
             capture.missing.to_string(),
             capture.gaps.to_string(),
-        ]);
+        ];
+        if deletions {
+            cells.push(capture.delete_at.map(|time| time.to_string()).unwrap_or_default());
+        }
+        rows.add_row(cells);
     }
     writeln!(std::io::stdout(), "{rows}")?;
     Ok(Outcome::Done)

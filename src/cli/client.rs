@@ -45,6 +45,16 @@ pub enum ClientError {
 }
 
 impl ClientError {
+    /// Which exit code.
+    pub(super) fn failure(&self) -> super::Failure {
+        match self {
+            Self::Unreachable { .. } => super::Failure::Unreachable,
+            // The disk behind it is full or fails.
+            Self::Refused { status: 503, .. } => super::Failure::InputOutput,
+            _ => super::Failure::Other,
+        }
+    }
+
     /// Whether nobody answers: exit code 69.
     #[must_use]
     pub fn is_unreachable(&self) -> bool {
@@ -67,13 +77,58 @@ pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
         .new_agent();
     let unreachable =
         |error: ureq::Error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() };
-    let foreign = |reason: String| ClientError::Foreign { base_url: base_url.to_owned(), reason };
-    let mut response =
+    let response =
         agent.get(format!("{base_url}{path}")).header("accept", "application/json").call().map_err(unreachable)?;
+    read(base_url, response)
+}
+
+/// The JSON that the daemon answers to `POST path` with a body of `length` bytes, however long it takes.
+///
+/// # Errors
+/// [`ClientError`].
+pub(super) fn send(
+    base_url: &str,
+    path: &str,
+    query: &[(&str, String)],
+    token: &str,
+    length: u64,
+    body: &mut dyn io::Read,
+) -> Result<Value, ClientError> {
+    let base_url = base_url.trim_end_matches('/');
+    let agent = ureq::Agent::config_builder()
+        .http_status_as_error(false)
+        .timeout_connect(Some(PATIENCE))
+        .max_redirects(0)
+        .proxy(None)
+        .build()
+        .new_agent();
+    // The daemon is asked before the first byte is sent: a refusal would be lost behind bytes that nobody reads.
+    let mut request = agent
+        .post(format!("{base_url}{path}"))
+        .header("accept", "application/json")
+        .header("content-type", "application/octet-stream")
+        .header("content-length", length.to_string())
+        .header("expect", "100-continue");
+    for (name, value) in query {
+        request = request.query(name, value);
+    }
+    if !token.is_empty() {
+        request = request.header("authorization", format!("Bearer {token}"));
+    }
+    let response = request
+        .send(ureq::SendBody::from_reader(body))
+        .map_err(|error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() })?;
+    read(base_url, response)
+}
+
+fn read(base_url: &str, mut response: ureq::http::Response<ureq::Body>) -> Result<Value, ClientError> {
+    let unreachable =
+        |error: ureq::Error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() };
+    let foreign = |reason: String| ClientError::Foreign { base_url: base_url.to_owned(), reason };
     let status = response.status().as_u16();
     let text = response.body_mut().with_config().limit(ANSWER_BYTES).read_to_string().map_err(unreachable)?;
     let body: Value = serde_json::from_str(&text).map_err(|error| foreign(format!("no JSON ({error})")))?;
-    if status == 200 {
+    if (200..300).contains(&status) {
         return Ok(body);
     }
     match body.get("detail").and_then(Value::as_str) {

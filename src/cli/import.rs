@@ -1,12 +1,28 @@
-//! `vn100d import`: recordings become captures.
+//! `vn100d import`: recordings become captures, through the daemon where one has the database.
 
 use super::args::ImportArgs;
+use super::client;
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
-use crate::daemon::import::{Imported, import};
-use crate::store::{ImportEnd, Store, StoreOptions};
+use crate::control::ImportReport;
+use crate::daemon::import::{Source, import};
+use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
+use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal as _, Write as _};
+use std::path::Path;
+
+/// Who writes the database.
+enum Writer {
+    /// This process.
+    Own(Store),
+    /// The daemon that answers here, with what it takes to be let in.
+    Daemon { base_url: String, token: String },
+}
+
+/// Rejected lines that a person is shown, and how much of each.
+const REJECTED_SHOWN: usize = 5;
+const REJECTED_CHARS: usize = 90;
 
 /// Imports each file; a file that was imported before is named, not doubled.
 pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcome> {
@@ -14,72 +30,127 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         let message = "--name names one capture, but several files were given".to_owned();
         return Err(CliError { failure: Failure::Usage, message }.into());
     }
-    let store = Store::open(&context.database()?, StoreOptions::default())?;
+    let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
-        let bar = bar();
-        let name = args.name.clone();
-        let imported = import(&store, &SystemClock, file, args.rate, name, &mut |written, of| {
-            bar.set_length(of);
-            bar.set_position(written);
-        })?;
-        bar.finish_and_clear();
-        if let ImportEnd::Created(id) = imported.end {
-            crate::jobs::leave_for_daemon(&store, id)?;
-        }
-        if imported.info.rejected.values().any(|count| *count > 0) {
+        let report = match &writer {
+            Writer::Own(store) => import_here(store, file, args)?,
+            Writer::Daemon { base_url, token } => send(base_url, token, file, args)?,
+        };
+        if report.rejected.values().any(|count| *count > 0) {
             outcome = Outcome::WithLoss;
         }
         if context.json {
-            answers.push(answer(&imported));
+            answers.push(report);
         } else {
-            tell(&imported)?;
+            tell(&report)?;
         }
     }
-    store.close()?;
+    if let Writer::Own(store) = &writer {
+        store.close()?;
+    }
     if context.json {
         print_json(&answers)?;
     }
     Ok(outcome)
 }
 
-fn answer(imported: &Imported) -> serde_json::Value {
-    let (samples, missing, gaps) = imported.counts;
-    serde_json::json!({
-        "file": imported.info.file.display().to_string(),
-        "capture": imported.end.id(),
-        "new": matches!(imported.end, ImportEnd::Created(_)),
-        "samples": samples,
-        "missing": missing,
-        "gaps": gaps,
-        "rate_hz": imported.info.rate_hz,
-        "rate_assumed": imported.info.rate_assumed,
-        "rejected": imported.info.rejected,
-        "ignored_columns": imported.info.ignored_columns,
-    })
+/// The daemon that was named, or the one that has the database; without one the database itself.
+fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
+    let database = context.database()?;
+    let refused = if args.listen.is_some() {
+        None
+    } else {
+        match Store::open(&database, StoreOptions::default()) {
+            Ok(store) => return Ok(Writer::Own(store)),
+            Err(error) if is_somebody_elses(&error) => Some(error),
+            Err(error) => return Err(error.into()),
+        }
+    };
+    let base_url = context.daemon_url(args.listen.as_deref())?;
+    let token = context.token()?;
+    let Some(refused) = refused else { return Ok(Writer::Daemon { base_url, token }) };
+    // Whoever answers must have this very database: a recording shall not end up in another one.
+    match client::get(&base_url, "/v1/status") {
+        Err(error) if error.is_unreachable() => {
+            Err(refused).context(format!("no daemon answers at {base_url} either (name its address with --listen)"))
+        }
+        Err(error) => Err(error.into()),
+        Ok(status) => {
+            let theirs = status["storage"]["database"].as_str().unwrap_or_default();
+            let ours = database.canonicalize().unwrap_or(database);
+            if Path::new(theirs) == ours {
+                return Ok(Writer::Daemon { base_url, token });
+            }
+            Err(refused).context(format!("the daemon at {base_url} has another database ({theirs})"))
+        }
+    }
 }
 
-fn tell(imported: &Imported) -> std::io::Result<()> {
+/// Whether another process, or another user's, has the database.
+fn is_somebody_elses(error: &StoreError) -> bool {
+    match error {
+        StoreError::Locked { .. } => true,
+        StoreError::Create { source, .. } => source.kind() == std::io::ErrorKind::PermissionDenied,
+        _ => false,
+    }
+}
+
+fn import_here(store: &Store, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
+    let bar = bar("{bar:40} {percent} %  {human_pos} samples");
+    let source = Source { file, called: file, rate_hz: args.rate };
+    let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
+        bar.set_length(of);
+        bar.set_position(written);
+        Ok(())
+    })?;
+    bar.finish_and_clear();
+    if let ImportEnd::Created(id) = imported.end {
+        crate::jobs::leave_for_daemon(store, id)?;
+    }
+    Ok(imported.report())
+}
+
+/// Sends the recording's bytes to the daemon, which may not be able to read the user's files.
+fn send(base_url: &str, token: &str, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
+    let unreadable = || format!("{} cannot be read", file.display());
+    let opened = std::fs::File::open(file).with_context(unreadable)?;
+    let length = opened.metadata().with_context(unreadable)?.len();
+    let bar = bar("{bar:40} {percent} %  {bytes} sent");
+    bar.set_length(length);
+    let mut query = vec![("file", file.display().to_string())];
+    query.extend(args.name.clone().map(|name| ("name", name)));
+    query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
+    let mut body = bar.wrap_read(opened);
+    let answer = client::send(base_url, "/v1/imports", &query, token, length, &mut body);
+    bar.finish_and_clear();
+    serde_json::from_value(answer?).context("what the daemon answered is no import's report")
+}
+
+fn tell(report: &ImportReport) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    let info = &imported.info;
-    let (samples, missing, gaps) = imported.counts;
-    let rate = if info.rate_assumed {
-        format!("{} Hz (assumed: neither stamps nor --rate tell it)", info.rate_hz)
+    let rate = if report.rate_assumed {
+        format!("{} Hz (assumed: neither stamps nor --rate tell it)", report.rate_hz)
     } else {
-        format!("{} Hz", info.rate_hz)
+        format!("{} Hz", report.rate_hz)
     };
-    let how = match imported.end {
-        ImportEnd::Created(id) => format!("is capture {id}"),
-        ImportEnd::Known(id) => format!("was imported before, as capture {id}"),
-    };
-    writeln!(stdout, "{} {how}: {samples} samples at {rate}, {missing} missing in {gaps} gaps", info.file.display())?;
-    for (cause, count) in &info.rejected {
-        writeln!(stdout, "  rejected: {count} ({})", cause.name())?;
+    let how = if report.new { "is capture" } else { "was imported before, as capture" };
+    let ImportReport { file, capture, samples, missing, gaps, .. } = report;
+    writeln!(stdout, "{file} {how} {capture}: {samples} samples at {rate}, {missing} missing in {gaps} gaps")?;
+    for (cause, count) in &report.rejected {
+        writeln!(stdout, "  rejected: {count} ({cause})")?;
     }
-    if !info.ignored_columns.is_empty() {
-        writeln!(stdout, "  columns ignored: {}", info.ignored_columns.join(", "))?;
+    for rejected in report.first_rejected.iter().take(REJECTED_SHOWN) {
+        let text: String = rejected.text.chars().take(REJECTED_CHARS).collect();
+        writeln!(stdout, "    {} {}: {text}", rejected.entry, rejected.line)?;
     }
-    for conversion in &info.conversions {
+    for remark in &report.remarks {
+        writeln!(stdout, "  {remark}")?;
+    }
+    if !report.ignored_columns.is_empty() {
+        writeln!(stdout, "  ignored: {}", report.ignored_columns.join(", "))?;
+    }
+    for conversion in &report.conversions {
         writeln!(
             stdout,
             "  {} converted from {} by {}",
@@ -89,9 +160,9 @@ fn tell(imported: &Imported) -> std::io::Result<()> {
     Ok(())
 }
 
-fn bar() -> ProgressBar {
+fn bar(template: &str) -> ProgressBar {
     let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} %  {human_pos} samples") {
+    if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
     if !std::io::stderr().is_terminal() {

@@ -3,14 +3,19 @@
 mod allan;
 mod analysis;
 pub mod args;
+mod backup;
 mod captures;
+mod check;
 mod client;
 mod demo;
 mod emulate;
+mod generate;
 mod import;
 mod jobs;
 mod noise;
+mod notify;
 mod probe;
+mod recover;
 mod run;
 mod show;
 mod status;
@@ -104,6 +109,12 @@ impl Context {
         Ok(Reader::open(&self.database()?)?)
     }
 
+    /// The token that the daemon asks for; empty where there is none.
+    fn token(&self) -> anyhow::Result<String> {
+        let config = self.load(&Overrides { device: None, listen: None })?;
+        Ok(config.http.token.secret().to_owned())
+    }
+
     /// Where the daemon is asked.
     fn daemon_url(&self, listen: Option<&str>) -> anyhow::Result<String> {
         let config = self.load(&Overrides { device: None, listen: address(listen)? })?;
@@ -181,6 +192,12 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Show { capture, rate } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
+        Command::Backup(args) => backup::run(&context, &args),
+        Command::Check { database } => check::run(&context, database),
+        Command::Recover(args) => recover::run(&context, args),
+        Command::Notify => notify::run(&context),
+        Command::Completions(args) => generate::completions(&args),
+        Command::Generate(args) => generate::generate(&args),
     }
 }
 
@@ -194,7 +211,7 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
         return Some(error.failure);
     }
     if let Some(error) = cause.downcast_ref::<client::ClientError>() {
-        return Some(if error.is_unreachable() { Failure::Unreachable } else { Failure::Other });
+        return Some(error.failure());
     }
     if cause.is::<ConfigError>() {
         return Some(Failure::Configuration);
@@ -214,6 +231,8 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
             DaemonError::Jobs(JobError::Store(error)) => store_failure(error),
             DaemonError::Jobs(_) => Some(Failure::Other),
             DaemonError::Output { .. } => Some(Failure::Configuration),
+            DaemonError::Disk => Some(Failure::InputOutput),
+            DaemonError::Notify(_) => Some(Failure::InputOutput),
             DaemonError::Listen { .. } => Some(Failure::InputOutput),
             DaemonError::Control(_) => Some(Failure::Other),
         };

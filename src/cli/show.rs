@@ -3,12 +3,18 @@
 use super::{Context, Outcome, print_json, table};
 use crate::clock::{Clock as _, SystemClock};
 use crate::recording::{Options, load_columns};
-use crate::store::{GapRow, Page, PageRequest, Reader, SegmentRow, StoreError};
+use crate::sample::GapCause;
+use crate::sample::audit::{Report, Unchecked};
+use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow, StoreError};
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
 /// Rows that a person is shown of a long list.
 const SHOWN: usize = 20;
+/// Rejected lines that a person is shown, and how much of each.
+const REJECTED_SHOWN: usize = 5;
+const REJECTED_CHARS: usize = 90;
 
 /// Prints the capture.
 pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
@@ -18,8 +24,14 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     let reader = context.reader()?;
     let id = reader.resolve(capture)?;
     let row = reader.capture(id)?;
+    // As of the last commit: what is in flight only the running daemon knows.
+    let accounting = reader.accounting(id)?;
+    let clocks = reader.device_clocks(id)?;
     if context.json {
-        print_json(&row)?;
+        let mut shown = serde_json::to_value(&row)?;
+        shown["accounting"] = serde_json::to_value(&accounting)?;
+        shown["clocks"] = serde_json::to_value(&clocks)?;
+        print_json(&shown)?;
         return Ok(Outcome::Done);
     }
     let segments: Vec<SegmentRow> = all(|request| Reader::segments(&reader, id, request))?;
@@ -41,10 +53,43 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     for (cause, count) in &row.rejected {
         writeln!(stdout, "  rejected: {count} ({cause})")?;
     }
+    if !row.rejected.is_empty() {
+        let events: Page<EventRow> = reader.events(id, &PageRequest::first())?;
+        for event in events.rows.iter().filter(|event| event.kind == "rejected").take(REJECTED_SHOWN) {
+            let text = event.detail.as_ref().and_then(|detail| detail["text"].as_str()).unwrap_or_default();
+            let text: String = text.chars().take(REJECTED_CHARS).collect();
+            writeln!(stdout, "    {}: {text}", event.message)?;
+        }
+    }
+    for remark in row.configuration["remarks"].as_array().into_iter().flatten().filter_map(|remark| remark.as_str()) {
+        writeln!(stdout, "  {remark}")?;
+    }
+    if row.pinned {
+        writeln!(stdout, "  pinned: kept from deletion")?;
+    } else if let Some(delete_at) = row.delete_at {
+        writeln!(stdout, "  will be deleted on {delete_at} unless it is pinned")?;
+    }
     for key in ["model", "serial_number", "firmware"] {
         if let Some(text) = row.sensor[key].as_str() {
             writeln!(stdout, "  {key}: {text}")?;
         }
+    }
+    for DeviceClockRow { epoch, estimate } in &clocks {
+        writeln!(
+            stdout,
+            "  sensor's clock in epoch {epoch}: {:+.2} ± {:.2} ppm against the host's over {:.0} s; latency {:.1} ms, at most {:.1} ms",
+            estimate.skew_ppm,
+            estimate.skew_ppm_uncertainty,
+            estimate.span_s,
+            estimate.latency_mean_ms,
+            estimate.latency_max_ms
+        )?;
+    }
+    for line in accounting_lines(&accounting) {
+        writeln!(stdout, "  {line}")?;
+    }
+    for line in by_cause(gaps.iter().map(|gap| (gap.cause, gap.missing))) {
+        writeln!(stdout, "  {line}")?;
     }
     if !gaps.is_empty() {
         let mut rows = table(&["gap from", "to", "missing", "exact", "cause"]);
@@ -60,6 +105,22 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     }
     writeln!(stdout, "segments: {}", segments.len())?;
     Ok(Outcome::Done)
+}
+
+/// Both identities as a person reads them.
+fn accounting_lines(report: &Report) -> Vec<String> {
+    let discarded: u64 = report.discarded.values().sum();
+    let mut lines = Vec::new();
+    if let Some(received) = report.received {
+        lines.push(format!("received {received} = {} committed + {discarded} discarded", report.committed));
+    }
+    lines.push(format!("expected {} = {} received + {} missing", report.expected, report.committed, report.missing));
+    for unchecked in &report.unchecked {
+        let Unchecked { reason, samples, missing } = unchecked;
+        lines.push(format!("not checked by the sensor's ticks: {samples} samples, {missing} missing ({reason})"));
+    }
+    lines.extend(report.violations.iter().map(|violation| format!("DOES NOT AGREE: {violation}")));
+    lines
 }
 
 /// Prints what a recording's file would be as a capture.
@@ -98,8 +159,29 @@ fn recording(context: &Context, file: &str, rate_hz: Option<f64>) -> anyhow::Res
         for (cause, count) in &info.rejected {
             writeln!(stdout, "  rejected: {count} ({})", cause.name())?;
         }
+        for rejected in info.first_rejected.iter().take(REJECTED_SHOWN) {
+            let text: String = rejected.text.chars().take(REJECTED_CHARS).collect();
+            writeln!(stdout, "    {} {}: {text}", info.kind.entry(), rejected.line)?;
+        }
+        for remark in info.remarks() {
+            writeln!(stdout, "  {remark}")?;
+        }
+        for line in by_cause(recording.gaps.iter().map(|gap| (gap.cause, gap.missing))) {
+            writeln!(stdout, "  {line}")?;
+        }
     }
     Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
+}
+
+/// One line per cause of gaps.
+fn by_cause(gaps: impl Iterator<Item = (GapCause, u64)>) -> Vec<String> {
+    let mut causes = BTreeMap::<&str, (u64, u64)>::new();
+    for (cause, missing) in gaps {
+        let (gaps, sum) = causes.entry(cause.name()).or_default();
+        *gaps += 1;
+        *sum += missing;
+    }
+    causes.iter().map(|(cause, (gaps, missing))| format!("{gaps} gaps by {cause}: {missing} missing")).collect()
 }
 
 /// Every item of a list that comes in pages.

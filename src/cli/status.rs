@@ -67,6 +67,18 @@ fn table(status: &Value) -> Table {
             lasts(storage)
         ),
     );
+    for planned in status["retention"]["planned"].as_array().into_iter().flatten() {
+        let [id, name, at] = ["capture", "name", "delete_at"].map(|key| shown(&planned[key]));
+        row("", format!("capture {id} ({name}) will be deleted on {at} unless it is pinned"));
+    }
+    let notify = &status["notify"];
+    let told = ["sent", "failed", "dropped", "queued"].map(|name| notify[name].as_u64().unwrap_or(0));
+    if told.iter().any(|count| *count > 0) {
+        row("notify", format!("{} sent, {} failed, {} dropped, {} waiting", told[0], told[1], told[2], told[3]));
+        if !notify["error"].is_null() {
+            row("", shown(&notify["error"]));
+        }
+    }
     let counts = ["running", "queued", "done", "failed"].map(|name| format!("{} {name}", shown(&jobs[name])));
     row("jobs", counts.join(", "));
     table
@@ -129,6 +141,9 @@ mod tests {
             missing: 10,
             gaps: 2,
             committed: 143_950,
+            received: 0,
+            in_flight: 0,
+            discarded: Default::default(),
             last_sample_age_s: Some(4.0),
             gap_open_since: Some("2026-11-21T20:00:00Z".to_owned()),
         });

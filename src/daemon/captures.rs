@@ -3,13 +3,26 @@
 use super::resume_point;
 use crate::capture::recorder::Plan;
 use crate::capture::task::{Progress, TaskCommand};
+use crate::clock::{Clock, SystemClock};
 use crate::control::{CaptureRequest, Command, ControlError};
 use crate::jobs::Jobs;
-use crate::store::{CaptureState, NewCapture, Store, StoreError};
+use crate::store::{CaptureState, NewCapture, Store, StoreError, StoreErrorKind, Unfinished};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-/// Keeps the one capture that runs or waits.
+/// How long a request waits for a disk that refuses; the HTTP interface answers within ten seconds.
+const PATIENCE: Duration = Duration::from_secs(4);
+/// Between two tries.
+const RETRY: Duration = Duration::from_millis(200);
+/// Between two tries to take a request back.
+const WITHDRAW_RETRY: Duration = Duration::from_secs(1);
+
+/// Both ends of a channel.
+type Channel<T> = (mpsc::Sender<T>, mpsc::Receiver<T>);
+
+/// Keeps the one capture that runs or waits. It never waits for the disk longer than [`PATIENCE`].
 pub struct Keeper {
     store: Store,
     jobs: Jobs,
@@ -19,6 +32,9 @@ pub struct Keeper {
     device: String,
     /// The capture that the task has.
     running: Option<i64>,
+    /// Whether the database is being asked if it has ended.
+    asking: bool,
+    answers: Channel<(i64, bool)>,
 }
 
 impl Keeper {
@@ -31,16 +47,22 @@ impl Keeper {
         progress: watch::Receiver<Progress>,
         device: String,
     ) -> Self {
-        Self { store, jobs, task, progress, device, running: None }
+        Self { store, jobs, task, progress, device, running: None, asking: false, answers: mpsc::channel(4) }
     }
 
     /// Lets the capture go on that an earlier run of the daemon left; `true` where there was one. Of several (which
-    /// only a foreign hand can make) the newest goes on, the others are stopped.
+    /// only a foreign hand can make) the one with the latest sample goes on, the others are stopped.
     ///
     /// # Errors
     /// What the database says.
     pub async fn resume(&mut self) -> Result<bool, StoreError> {
         let mut unfinished = self.store.offload(Store::unfinished).await?;
+        // One with samples before one without, one that ran before one that waited, then the newest.
+        let rank = |capture: &Unfinished| {
+            let last = capture.last.map(|(_, _, utc_ns)| utc_ns);
+            (last, capture.state == CaptureState::Capturing, capture.id)
+        };
+        unfinished.sort_by_key(rank);
         let Some(capture) = unfinished.pop() else { return Ok(false) };
         for older in unfinished {
             let ended = older.last.map_or(0, |(_, _, utc_ns)| utc_ns);
@@ -53,15 +75,14 @@ impl Keeper {
             duration_ns: capture.planned.map_or(u64::MAX, |planned| planned.as_nanos() as u64),
             start_at_utc_ns: capture.start_at_utc_ns,
         };
-        let point = (capture.samples > 0).then(|| resume_point(&capture));
-        self.hand_over(plan, point).await;
+        self.hand_over(plan, Some(resume_point(&capture))).await;
         Ok(true)
     }
 
     async fn hand_over(&mut self, plan: Plan, point: Option<crate::capture::recorder::ResumePoint>) {
         self.running = Some(plan.id);
         // A task that is gone takes nothing: the daemon is ending, and the capture goes on when it runs again.
-        let _ = self.task.send(TaskCommand::Begin(plan, point)).await;
+        let _ = self.task.send(TaskCommand::Begin(plan, point.map(Box::new))).await;
     }
 
     /// Serves requests until `stop`.
@@ -81,22 +102,31 @@ impl Keeper {
                         let _ = reply.send(answer);
                     }
                 },
+                Some((id, ended)) = self.answers.1.recv() => self.answered(id, ended),
                 changed = self.progress.changed() => {
                     if changed.is_err() {
                         return;
                     }
-                    self.notice_end().await;
+                    self.notice_end();
                 }
             }
         }
     }
 
-    /// Makes a capture and has it recorded; answers its id.
+    /// Starts a capture.
     ///
     /// # Errors
     /// [`ControlError::Busy`] while one runs or waits, [`ControlError::NameTaken`], or what the database says.
     pub async fn start(&mut self, request: CaptureRequest) -> Result<i64, ControlError> {
-        self.notice_end().await;
+        self.notice_end();
+        if self.asking
+            && let Ok(Some((id, ended))) = tokio::time::timeout(PATIENCE, self.answers.1.recv()).await
+        {
+            self.answered(id, ended);
+        }
+        if self.asking {
+            return Err(ControlError::Store { reason: "the last capture's end is not on disk yet".to_owned() });
+        }
         if let Some(running) = self.running {
             return Err(ControlError::Busy { running });
         }
@@ -106,52 +136,118 @@ impl Keeper {
         capture.name.clone_from(&request.name);
         capture.planned = Some(request.duration);
         capture.start_at_utc_ns = request.start_at_utc_ns;
-        let id = self.store.offload(move |store| store.create_capture(capture)).await.map_err(refused)?;
+        let id = self.create(capture).await?;
         let name = request.name.unwrap_or_else(|| id.to_string());
         let duration_ns = request.duration.as_nanos() as u64;
         self.hand_over(Plan { id, name, duration_ns, start_at_utc_ns: request.start_at_utc_ns }, None).await;
         Ok(id)
     }
 
+    /// Makes the capture, once, however often a disk that fails has to be asked. Where it does not answer in time the
+    /// request is taken back as soon as it does.
+    async fn create(&self, mut capture: NewCapture) -> Result<i64, ControlError> {
+        let token = token();
+        capture.token = Some(token.clone());
+        let until = Instant::now() + PATIENCE;
+        let reason = loop {
+            let (left, capture) = (until.saturating_duration_since(Instant::now()), capture.clone());
+            let made = self.store.offload(move |store| store.create_capture(capture));
+            match tokio::time::timeout(left, made).await {
+                Ok(Ok(id)) => return Ok(id),
+                Ok(Err(error)) if !is_storage(&error) => return Err(refused(error)),
+                Ok(Err(error)) if Instant::now() + RETRY >= until => break error.to_string(),
+                Ok(Err(_)) => tokio::time::sleep(RETRY).await,
+                Err(_) => break "the disk does not answer".to_owned(),
+            }
+        };
+        let store = self.store.clone();
+        tokio::spawn(async move {
+            loop {
+                let token = token.clone();
+                match store.offload(move |store| store.withdraw(&token)).await {
+                    Ok(()) | Err(StoreError::Closed) => return,
+                    Err(_) => tokio::time::sleep(WITHDRAW_RETRY).await,
+                }
+            }
+        });
+        Err(ControlError::Store { reason })
+    }
+
     async fn stop(&mut self, id: i64) -> Result<(), ControlError> {
-        self.notice_end().await;
-        if self.running != Some(id) {
+        self.notice_end();
+        // In a file that took a lost one's place it may have another id.
+        let Some(id) = self.running.filter(|running| *running == id || self.store.stored_id(*running) == id) else {
             return Err(ControlError::NotRunning { id });
-        }
+        };
         let (reply, answer) = oneshot::channel();
         self.task.send(TaskCommand::Stop(reply)).await.map_err(|_| ControlError::Stopping)?;
         answer.await.map_err(|_| ControlError::Stopping)?;
-        self.ended(id).await;
+        self.running = None;
+        // A disk that refuses has what is left in memory; the capture is stopped all the same.
+        let _ = tokio::time::timeout(PATIENCE, self.analyse(id)).await;
         Ok(())
     }
 
-    /// The task has let go of the capture: it is at its end.
-    async fn notice_end(&mut self) {
+    /// The task has let go of the capture: whether it is at its end the database knows, once all is written.
+    fn notice_end(&mut self) {
         let held = self.progress.borrow_and_update().capture.as_ref().map(|(plan, ..)| plan.id);
-        if let Some(id) = self.running.filter(|id| Some(*id) != held) {
+        let Some(id) = self.running.filter(|id| Some(*id) != held && !self.asking) else { return };
+        self.asking = true;
+        let (store, answers) = (self.store.clone(), self.answers.0.clone());
+        tokio::spawn(async move {
             // The task publishes before it has heard of a capture that was just handed over: the database decides.
-            if self.store.flush().await.is_ok() && self.has_ended(id).await {
-                self.ended(id).await;
+            let ended = store.flush().await.is_ok() && has_ended(&store, id).await;
+            // Without a keeper nobody wants to know.
+            let _ = answers.send((id, ended)).await;
+        });
+    }
+
+    fn answered(&mut self, id: i64, ended: bool) {
+        self.asking = false;
+        if ended && self.running == Some(id) {
+            self.running = None;
+            drop(self.analyse(id));
+        }
+    }
+
+    /// Has the capture analysed once all of it is on disk, however long that takes; what is answered ends when it is.
+    fn analyse(&self, id: i64) -> oneshot::Receiver<()> {
+        let (store, jobs) = (self.store.clone(), self.jobs.clone());
+        let (written, answer) = oneshot::channel();
+        tokio::spawn(async move {
+            if store.flush().await.is_err() {
+                return;
             }
-        }
+            let stored = store.stored_id(id);
+            let submitted = tokio::task::spawn_blocking(move || jobs.submit_all(stored)).await;
+            match submitted {
+                Ok(Ok(_)) => tracing::info!(capture = id, "capture ended, its analysis is queued"),
+                Ok(Err(error)) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
+                Err(error) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
+            }
+            // Whoever waited may have given up.
+            let _ = written.send(());
+        });
+        answer
     }
+}
 
-    async fn has_ended(&self, id: i64) -> bool {
-        self.store.offload(move |store| store.reader()?.capture(id)).await.is_ok_and(|row| !row.state.is_open())
-    }
+async fn has_ended(store: &Store, id: i64) -> bool {
+    let stored = store.stored_id(id);
+    store.offload(move |store| store.reader()?.capture(stored)).await.is_ok_and(|row| !row.state.is_open())
+}
 
-    async fn ended(&mut self, id: i64) {
-        self.running = None;
-        if self.store.flush().await.is_err() {
-            return;
-        }
-        let jobs = self.jobs.clone();
-        match tokio::task::spawn_blocking(move || jobs.submit_all(id)).await {
-            Ok(Ok(_)) => tracing::info!(capture = id, "capture ended, its analysis is queued"),
-            Ok(Err(error)) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
-            Err(error) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
-        }
-    }
+/// A name for a request that no other has.
+fn token() -> String {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    format!("{:x}-{:x}-{number:x}", SystemClock.utc_ns(), std::process::id())
+}
+
+/// Whether the request may succeed when it is given again.
+fn is_storage(error: &StoreError) -> bool {
+    matches!(error.kind(), StoreErrorKind::Io | StoreErrorKind::Unavailable | StoreErrorKind::CannotCreate)
+        && !matches!(error, StoreError::Closed)
 }
 
 fn refused(error: StoreError) -> ControlError {

@@ -1,10 +1,13 @@
 //! Import: a recording's file becomes a capture, whole or not at all; the same file once.
 
 use crate::clock::Clock;
-use crate::recording::{Options, Recording, RecordingAccountant, RecordingError, RecordingInfo};
+use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
+use crate::jobs::Jobs;
+use crate::recording::{Options, Recording, RecordingAccountant, RecordingError, RecordingInfo, Rejected};
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NewCapture, Store, StoreError};
 use sha2::{Digest, Sha256};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Why a file was not imported.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +27,14 @@ pub enum ImportError {
         /// The system's words.
         source: std::io::Error,
     },
+    /// The disk has no room for it.
+    #[error("{free_mib} MiB are free and {reserve_mib} MiB are kept for captures: make room and import again")]
+    NoRoom {
+        /// What is free.
+        free_mib: u64,
+        /// What stays free.
+        reserve_mib: u64,
+    },
 }
 
 /// What an import came to.
@@ -37,26 +48,81 @@ pub struct Imported {
     pub counts: (u64, u64, u64),
 }
 
-/// Imports one file; `progress` hears how many samples are written and how many there are.
+impl Imported {
+    /// The same for a program.
+    #[must_use]
+    pub fn report(&self) -> ImportReport {
+        let (samples, missing, gaps) = self.counts;
+        let conversions = self.info.conversions.iter().map(|conversion| ConversionReport {
+            channel: conversion.channel.name().to_owned(),
+            column: conversion.column.clone(),
+            original_unit: conversion.original_unit.to_owned(),
+            factor: conversion.factor,
+        });
+        let rejected = |rejected: &Rejected| RejectedReport {
+            entry: self.info.kind.entry().to_owned(),
+            line: rejected.line,
+            cause: rejected.cause.name().to_owned(),
+            text: rejected.text.clone(),
+        };
+        ImportReport {
+            file: self.info.file.display().to_string(),
+            capture: self.end.id(),
+            new: matches!(self.end, ImportEnd::Created(_)),
+            samples,
+            missing,
+            gaps,
+            rate_hz: self.info.rate_hz,
+            rate_assumed: self.info.rate_assumed,
+            rejected: self.info.rejected.iter().map(|(cause, count)| (cause.name().to_owned(), *count)).collect(),
+            first_rejected: self.info.first_rejected.iter().map(rejected).collect(),
+            stamps: json(&self.info.stamps).as_str().unwrap_or_default().to_owned(),
+            stamp_choice: self.info.stamp_choice.as_ref().map(json),
+            findings: json(&self.info.findings),
+            remarks: self.info.remarks(),
+            ignored_columns: self.info.ignored_columns.clone(),
+            conversions: conversions.collect(),
+        }
+    }
+}
+
+/// A plain value as JSON.
+fn json(value: &impl serde::Serialize) -> serde_json::Value {
+    serde_json::to_value(value).unwrap_or_default()
+}
+
+/// A recording's file, and how it is to be read.
+#[derive(Debug, Clone, Copy)]
+pub struct Source<'a> {
+    /// Where its bytes are.
+    pub file: &'a Path,
+    /// What it is called, where that is something else.
+    pub called: &'a Path,
+    /// Rate of a recording without stamps, Hz.
+    pub rate_hz: Option<f64>,
+}
+
+/// Imports one file; `progress` hears how many samples are written and how many there are, and may end it.
 ///
 /// # Errors
 /// [`ImportError`]; nothing of the recording stays.
 pub fn import(
     store: &Store,
     clock: &dyn Clock,
-    file: &Path,
-    rate_hz: Option<f64>,
+    source: Source<'_>,
     name: Option<String>,
-    progress: &mut dyn FnMut(u64, u64),
+    progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
+    let Source { file, called, rate_hz } = source;
     let fingerprint = fingerprint(file, rate_hz)?;
     let recording = Recording::open(file, Options { rate_hz, started_utc_ns: clock.utc_ns() })?;
-    let info = recording.info().clone();
+    let mut info = recording.info().clone();
+    info.file = called.to_owned();
     let mut accountant = RecordingAccountant::new(&info);
-    let mut capture = NewCapture::new(&file.display().to_string(), CaptureState::Imported);
+    let mut capture = NewCapture::new(&called.display().to_string(), CaptureState::Imported);
     capture.name = match name {
         Some(name) => Some(name),
-        None => free_name(store, file)?,
+        None => free_name(store, called)?,
     };
     capture.started_utc_ns = Some(info.started_utc_ns);
     capture.rate_assumed = info.rate_assumed;
@@ -73,12 +139,73 @@ pub fn import(
         }
         if accountant.received() >= written + 10_000 {
             written = accountant.received();
-            progress(written, info.samples);
+            progress(written, info.samples)?;
         }
     }
     let end = import.finish(Some(accountant.last_utc_ns()))?;
-    progress(info.samples, info.samples);
     Ok(Imported { end, counts: (accountant.received(), accountant.missing(), accountant.gaps()), info })
+}
+
+/// Imports beside a running capture, for the HTTP interface.
+#[derive(Debug)]
+pub struct DaemonImporter {
+    store: Store,
+    jobs: Jobs,
+    clock: Arc<dyn Clock>,
+    reserve_bytes: u64,
+}
+
+impl DaemonImporter {
+    /// An importer that leaves `reserve_bytes` of the disk free. What an earlier run of the daemon had put aside when it
+    /// was killed is removed: the store's lock says that nobody else has use for it.
+    #[must_use]
+    pub fn new(store: Store, jobs: Jobs, clock: Arc<dyn Clock>, reserve_bytes: u64) -> Self {
+        let folder = store.path().parent().unwrap_or(Path::new("."));
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            if entry.file_name().to_string_lossy().starts_with(control::IMPORT_PREFIX)
+                && let Err(error) = std::fs::remove_file(entry.path())
+            {
+                tracing::warn!(file = %entry.path().display(), %error, "what is left of an import could not be removed");
+            }
+        }
+        Self { store, jobs, clock, reserve_bytes }
+    }
+}
+
+impl Importer for DaemonImporter {
+    fn import(&self, request: ImportRequest) -> Result<ImportReport, control::ImportError> {
+        let source = Source { file: &request.file, called: Path::new(&request.called), rate_hz: request.rate_hz };
+        let mut room = |_, _| {
+            let free_bytes = self.store.progress().free_bytes;
+            if free_bytes < self.reserve_bytes {
+                return Err(ImportError::NoRoom { free_mib: free_bytes >> 20, reserve_mib: self.reserve_bytes >> 20 });
+            }
+            Ok(())
+        };
+        let imported = import(&self.store, self.clock.as_ref(), source, request.name.clone(), &mut room)
+            .map_err(|error| refused(&error, &request))?;
+        if let ImportEnd::Created(id) = imported.end {
+            let queued = self.jobs.submit_all(id);
+            if let Err(error) = queued {
+                tracing::error!(capture = id, %error, "the analysis could not be queued");
+            }
+        }
+        tracing::info!(capture = imported.end.id(), file = %request.called, samples = imported.counts.0, "imported");
+        Ok(imported.report())
+    }
+}
+
+/// The error as whoever sent the recording understands it: by the name they know.
+fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError {
+    let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
+    match error {
+        ImportError::Recording(_) => control::ImportError::Recording { reason },
+        ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
+        ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused { reason },
+        ImportError::Store(_) | ImportError::Read { .. } | ImportError::NoRoom { .. } => {
+            control::ImportError::Store { reason }
+        }
+    }
 }
 
 /// Names the recording's content and how it is read.
@@ -96,7 +223,12 @@ fn fingerprint(file: &Path, rate_hz: Option<f64>) -> Result<String, ImportError>
 /// The file's name without its endings, where no capture has it yet.
 fn free_name(store: &Store, file: &Path) -> Result<Option<String>, StoreError> {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let stem = name.trim_end_matches(".gz").trim_end_matches(".csv").trim_end_matches(".txt").to_owned();
+    let stem = name
+        .trim_end_matches(".gz")
+        .trim_end_matches(".csv")
+        .trim_end_matches(".txt")
+        .trim_end_matches(".bag")
+        .to_owned();
     let reader = store.reader()?;
     let taken = stem.is_empty() || stem.bytes().all(|byte| byte.is_ascii_digit()) || reader.resolve(&stem).is_ok();
     Ok((!taken).then_some(stem))
@@ -110,6 +242,9 @@ fn description(info: &RecordingInfo) -> serde_json::Value {
         "rate_hz": info.rate_hz,
         "ignored_columns": info.ignored_columns,
         "conversions": info.conversions,
+        "stamp_choice": info.stamp_choice,
+        "findings": info.findings,
+        "remarks": info.remarks(),
     })
 }
 

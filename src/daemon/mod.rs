@@ -5,8 +5,12 @@
 //! that is queued, HTTP last so that the status answers to the end.
 
 pub mod captures;
+#[cfg(test)]
+mod identities;
 pub mod import;
+pub mod notices;
 pub mod publish;
+pub mod retention;
 pub mod watchdog;
 
 use crate::api;
@@ -18,8 +22,9 @@ use crate::clock::Clock;
 use crate::config::{Baud, Config, Device};
 use crate::control::{CaptureControl, CaptureRequest};
 use crate::jobs::{JobError, Jobs, JobsOptions, Live};
-use crate::observe::{Metrics, Status};
-use crate::sample::Record;
+use crate::notify::{Notifier, Tap};
+use crate::observe::{Metrics, RetentionStatus, Status, Tally};
+use crate::sample::{DiscardCause, Record};
 use crate::store::{RecordSender, Refused, Store, StoreError, StoreOptions};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -31,6 +36,8 @@ use tokio_util::sync::CancellationToken;
 
 /// How long the capture has to put back the sensor's output.
 const RESTORE: Duration = Duration::from_secs(4);
+/// How often the store's failures are looked at.
+const DISK_LOOK: Duration = Duration::from_millis(200);
 
 /// What the daemon is told.
 #[derive(Debug, Clone)]
@@ -52,6 +59,9 @@ pub enum DaemonError {
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The disk.
+    #[error("the disk failed three times within a minute: see the log, and `vn100d check` once it is well again")]
+    Disk,
     /// The background jobs.
     #[error(transparent)]
     Jobs(#[from] JobError),
@@ -69,6 +79,9 @@ pub enum DaemonError {
         /// The system's words.
         source: std::io::Error,
     },
+    /// The notifications cannot be set up.
+    #[error("a thread for notifications cannot be started: {0}")]
+    Notify(std::io::Error),
     /// The capture asked for was refused.
     #[error(transparent)]
     Control(#[from] crate::control::ControlError),
@@ -89,6 +102,8 @@ pub struct Handle {
 struct Counted {
     records: RecordSender,
     metrics: Arc<Metrics>,
+    tally: publish::SharedTally,
+    tap: Tap,
 }
 
 impl Sink for Counted {
@@ -101,6 +116,9 @@ impl Sink for Counted {
             return Err(Box::new(record));
         }
         self.metrics.record(&record);
+        if let Record::Gap(gap) = &record {
+            self.tap.gap(capture_id, gap);
+        }
         match self.records.try_send(capture_id, record) {
             Err(Refused::Full(record)) => Err(Box::new(record)),
             // A closed queue means that the daemon is ending; the status and the log say what was not written.
@@ -109,6 +127,12 @@ impl Sink for Counted {
     }
     fn is_closed(&self) -> bool {
         self.records.is_closed()
+    }
+    fn tally(&self, tally: Tally) {
+        *self.tally.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(tally);
+    }
+    fn woke(&self, late: std::time::Duration) {
+        self.metrics.reader_woke(late.as_secs_f64());
     }
 }
 
@@ -127,7 +151,12 @@ pub async fn run(
     let listener =
         tokio::net::TcpListener::bind(address).await.map_err(|source| DaemonError::Listen { address, source })?;
     let address = listener.local_addr().map_err(|source| DaemonError::Listen { address, source })?;
-    let store_options = StoreOptions { queue: config.storage.queue_samples(), clock: Arc::clone(&clock) };
+    let store_options = StoreOptions {
+        queue: config.storage.queue_samples(),
+        clock: Arc::clone(&clock),
+        file_check: config.storage.file_check,
+        wal_alarm_bytes: config.storage.wal_alarm_mib << 20,
+    };
     let store = tokio::task::spawn_blocking(move || Store::open(&database, store_options))
         .await
         .map_err(|_| StoreError::Closed)??;
@@ -136,10 +165,13 @@ pub async fn run(
     let jobs = Jobs::start(&store, JobsOptions::default())?;
     let live = Arc::new(Live::new());
     let metrics = Arc::new(Metrics::default());
+    let notifier = Notifier::start(notices::options(&config, store.path())).map_err(DaemonError::Notify)?;
+    let tap = notifier.tap();
 
     let (task_sender, task_receiver) = mpsc::channel(16);
     let (progress_sender, progress) = watch::channel(Progress::default());
     let turns = Arc::new(AtomicU64::new(0));
+    let tally = publish::SharedTally::default();
     let task_options = TaskOptions { device: device(&config), session, seed: clock.mono_ns() };
     let source = device(&config).unwrap_or_else(|| "serial port".to_owned());
     let (control, commands) = CaptureControl::pair();
@@ -153,7 +185,12 @@ pub async fn run(
     let reader = tokio::spawn(task::run(
         task_options,
         Arc::clone(&clock),
-        Box::new(Counted { records: store.records(), metrics: Arc::clone(&metrics) }),
+        Box::new(Counted {
+            records: store.records(),
+            metrics: Arc::clone(&metrics),
+            tally: Arc::clone(&tally),
+            tap: tap.clone(),
+        }),
         task_receiver,
         progress_sender,
         Arc::clone(&turns),
@@ -163,17 +200,35 @@ pub async fn run(
 
     let (status_sender, status) = watch::channel(Status::default());
     let publishing = CancellationToken::new();
+    let (retention_sender, retention) = watch::channel(RetentionStatus::default());
+    let keeping_within = tokio::spawn(
+        retention::Retention {
+            store: store.clone(),
+            jobs: jobs.clone(),
+            tap: tap.clone(),
+            clock: Arc::clone(&clock),
+            limits: retention::limits(&config),
+        }
+        .run(retention_sender, stop.child_token()),
+    );
+    let unattended = publish::Unattended { retention, notify: notifier.figures() };
     let publisher = tokio::spawn(publish::run(
         store.clone(),
         jobs.clone(),
-        progress.clone(),
+        unattended,
+        publish::Captured { progress: progress.clone(), tally },
         Arc::clone(&clock),
         status_sender,
         publishing.clone(),
     ));
 
     let serving = CancellationToken::new();
+    let limits = api::Limits::fitting(open_files());
+    let importer =
+        import::DaemonImporter::new(store.clone(), jobs.clone(), Arc::clone(&clock), config.storage.reserve_bytes());
     let router = api::router(api::ApiParts {
+        loopback: config.http.listen.ip().is_loopback(),
+        importer: Arc::new(importer),
         status: status.clone(),
         control: control.clone(),
         store: store.clone(),
@@ -183,17 +238,22 @@ pub async fn run(
         token: (!config.http.listen.ip().is_loopback()).then(|| config.http.token.secret().to_owned()),
         default_duration: config.capture.duration,
         reserve_bytes: config.storage.reserve_bytes(),
-        limits: api::Limits::default(),
+        limits,
     });
-    let server = tokio::spawn(api::serve(listener, router, api::Limits::default(), metrics, serving.clone()));
+    let server = tokio::spawn(api::serve(listener, router, limits, metrics, serving.clone()));
     let warming = tokio::spawn(publish::keep_warm(store.clone(), live, status.clone(), publishing.clone()));
+    let ends = tokio::spawn(notices::tell_of_ends(store.clone(), tap, status.clone(), publishing.clone()));
+    let notifying = tokio::spawn(notifier.run(status.clone(), Arc::clone(&clock), publishing.clone()));
     let feeder = tokio::spawn(watchdog::feed(turns, store.clone(), publishing.clone()));
 
     tracing::info!(%address, "HTTP answers");
     watchdog::notify(&[sd_notify::NotifyState::Ready]);
     ready(Handle { address, status, control });
 
-    stop.cancelled().await;
+    let disk_failed = tokio::select! {
+        () = stop.cancelled() => false,
+        () = disk_fails(&store) => true,
+    };
     tracing::info!("vn100d stops");
     watchdog::notify(&[sd_notify::NotifyState::Stopping]);
     // The task may be gone already; then there is nothing to stop.
@@ -206,6 +266,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
         keeping.abort();
     }
+    keeping_within.abort();
     let closed = {
         let store = store.clone();
         let ending = move || {
@@ -216,9 +277,27 @@ pub async fn run(
     };
     publishing.cancel();
     serving.cancel();
-    let _ = tokio::join!(publisher, warming, feeder, server);
+    let _ = tokio::join!(publisher, warming, feeder, server, ends, notifying);
     closed??;
-    Ok(())
+    if disk_failed { Err(DaemonError::Disk) } else { Ok(()) }
+}
+
+/// Returns when the disk has failed too often.
+async fn disk_fails(store: &Store) {
+    while !store.progress().gives_up() {
+        tokio::time::sleep(DISK_LOOK).await;
+    }
+    tracing::error!("the disk has failed three times within a minute: the daemon ends, so that it is started anew");
+}
+
+/// How many files this process may have open: as many as the system lets it.
+fn open_files() -> u64 {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let limit = getrlimit(Resource::Nofile);
+    let wanted = Rlimit { current: limit.maximum, maximum: limit.maximum };
+    // Where the soft limit may not be raised, it stands.
+    let limit = if setrlimit(Resource::Nofile, wanted).is_ok() { wanted } else { limit };
+    limit.current.unwrap_or(u64::MAX)
 }
 
 /// The configured port or pattern; `None` is the usual places.
@@ -265,16 +344,23 @@ pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
 
 /// Where an unfinished capture goes on.
 fn resume_point(unfinished: &crate::store::Unfinished) -> ResumePoint {
+    let discarded: std::collections::BTreeMap<DiscardCause, u64> = (unfinished.rejected.iter())
+        .filter_map(|(cause, count)| Some((DiscardCause::from_name(cause).filter(|cause| cause.is_frame())?, *count)))
+        .collect();
     ResumePoint {
         segments: unfinished.segment,
         epoch: unfinished.epoch,
         samples: unfinished.samples,
+        // A capture of a version that did not count begins with what became of its measurements.
+        received: unfinished.received.unwrap_or_else(|| unfinished.samples + discarded.values().sum::<u64>()),
+        discarded,
         missing: unfinished.missing,
         gaps: unfinished.gaps,
         elapsed_ns: unfinished.sample_time_ns,
         // The monotonic clock may be another boot's: civil time tells how long the daemon was away.
         last: unfinished.last.map(|(device_time_ns, _, host_utc_ns)| crate::sample::accounting::Position {
             device_time_ns,
+            sync_count: unfinished.last_sync_count,
             host_mono_ns: 0,
             host_utc_ns,
         }),
@@ -282,8 +368,15 @@ fn resume_point(unfinished: &crate::store::Unfinished) -> ResumePoint {
         serial_number: unfinished
             .sensor
             .as_ref()
+            // A capture is of the first sensor that it has samples of.
+            .filter(|_| unfinished.samples > 0)
             .and_then(|sensor| sensor["serial_number"].as_str())
             .map(str::to_owned),
+        baud: unfinished
+            .sensor
+            .as_ref()
+            .and_then(|sensor| sensor["baud"].as_u64())
+            .and_then(|baud| u32::try_from(baud).ok()),
         previous_output: unfinished
             .configuration
             .as_ref()

@@ -3,28 +3,54 @@
 use crate::capture::task::Progress;
 use crate::clock::{Clock, rfc3339};
 use crate::jobs::{Jobs, Live};
-use crate::observe::{CaptureStatus, SensorState, Status};
+use crate::notify::NotifyFigures;
+use crate::observe::{CaptureStatus, RetentionStatus, SensorState, Status, Tally};
+use crate::sample::DiscardCause;
 use crate::store::Store;
-use std::sync::Arc;
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 /// How often the status is renewed, in real time.
 const EVERY: Duration = Duration::from_millis(250);
 
+/// The reader's side of the running capture's numbers, as of its last measurement.
+pub type SharedTally = Arc<Mutex<Option<Tally>>>;
+
+/// What the capture task says about itself.
+#[derive(Debug, Clone)]
+pub struct Captured {
+    /// Sensor, plan and counts, a few times a second.
+    pub progress: watch::Receiver<Progress>,
+    /// Where every measurement is, at once.
+    pub tally: SharedTally,
+}
+
+/// What the status shows of retention and notifications, from memory.
+#[derive(Debug, Clone)]
+pub struct Unattended {
+    /// What is going to be deleted.
+    pub retention: watch::Receiver<RetentionStatus>,
+    /// How the telling goes.
+    pub notify: NotifyFigures,
+}
+
 /// Renews the status until `stop`.
 pub async fn run(
     store: Store,
     jobs: Jobs,
-    mut progress: watch::Receiver<Progress>,
+    unattended: Unattended,
+    mut captured: Captured,
     clock: Arc<dyn Clock>,
     status: watch::Sender<Status>,
     stop: CancellationToken,
 ) {
     let mut said = None;
     loop {
-        let now = compose(&store, &jobs, &progress.borrow_and_update(), clock.as_ref());
+        let mut now = compose(&store, &jobs, &mut captured, clock.as_ref());
+        now.retention = unattended.retention.borrow().clone();
+        now.notify = unattended.notify.status();
         let line = one_line(&now);
         if said.as_ref() != Some(&line) {
             super::watchdog::notify(&[sd_notify::NotifyState::Status(&line)]);
@@ -46,36 +72,62 @@ const WARM: Duration = Duration::from_secs(10);
 pub async fn keep_warm(store: Store, live: Arc<Live>, status: watch::Receiver<Status>, stop: CancellationToken) {
     loop {
         let running = status.borrow().capture.as_ref().filter(|capture| capture.samples > 0).map(|capture| capture.id);
+        let mut pause = WARM;
         if let Some(id) = running {
-            let live = Arc::clone(&live);
+            let (live, begun) = (Arc::clone(&live), Instant::now());
             let outcome = store.offload(move |store| Ok(live.catch_up(&store.reader()?, id))).await;
-            if let Ok(Err(error)) = outcome {
-                tracing::warn!(%error, "the running capture could not be analysed");
+            match outcome {
+                // After a restart there is a night to catch up with; half of the time is left to others.
+                Ok(Ok(false)) => pause = begun.elapsed(),
+                Ok(Err(error)) => tracing::warn!(%error, "the running capture could not be analysed"),
+                Ok(Ok(true)) | Err(_) => {}
             }
         }
         tokio::select! {
             () = stop.cancelled() => return,
-            () = tokio::time::sleep(WARM) => {}
+            () = tokio::time::sleep(pause) => {}
         }
     }
 }
 
-fn compose(store: &Store, jobs: &Jobs, progress: &Progress, clock: &dyn Clock) -> Status {
-    let committed = store.progress().committed;
-    let capture = progress.capture.as_ref().map(|(plan, counts, waiting)| CaptureStatus {
-        id: plan.id,
-        name: plan.name.clone(),
-        state: if *waiting { "waiting" } else { "capturing" }.to_owned(),
-        elapsed_s: counts.elapsed_ns / 1e9,
-        remaining_s: ((plan.duration_ns as f64 - counts.elapsed_ns) / 1e9).max(0.0),
-        samples: counts.samples,
-        missing: counts.missing,
-        gaps: counts.gaps,
-        committed: committed.get(&plan.id).copied().unwrap_or(0),
-        last_sample_age_s: counts.last_mono_ns.map(|last| clock.mono_ns().saturating_sub(last) as f64 / 1e9),
-        gap_open_since: counts.gap_open_since_utc_ns.map(rfc3339),
+fn compose(store: &Store, jobs: &Jobs, captured: &mut Captured, clock: &dyn Clock) -> Status {
+    // The disk's side first: what it has, the reader has counted before, so that nothing is in flight less than not at
+    // all, and received = committed + in flight + discarded at whatever instant somebody asks.
+    let on_disk = store.progress().committed;
+    let tally = *captured.tally.lock().unwrap_or_else(PoisonError::into_inner);
+    let progress = &*captured.progress.borrow_and_update();
+    let capture = progress.capture.as_ref().map(|(plan, counts, waiting)| {
+        let tally = tally.filter(|tally| tally.capture_id == plan.id);
+        let base = tally.map_or(0, |tally| tally.base);
+        let committed = on_disk.get(&plan.id).copied().unwrap_or(base);
+        let discarded = tally.iter().flat_map(|tally| DiscardCause::ALL.into_iter().zip(tally.dropped));
+        CaptureStatus {
+            id: store.stored_id(plan.id),
+            name: plan.name.clone(),
+            state: if *waiting { "waiting" } else { "capturing" }.to_owned(),
+            elapsed_s: counts.elapsed_ns / 1e9,
+            remaining_s: ((plan.duration_ns as f64 - counts.elapsed_ns) / 1e9).max(0.0),
+            samples: counts.samples,
+            missing: counts.missing,
+            gaps: counts.gaps,
+            received: tally.map_or(committed, |tally| tally.received),
+            committed,
+            in_flight: tally.map_or(0, |tally| (tally.samples + tally.held) as i64 - committed as i64),
+            discarded: discarded
+                .filter(|(_, count)| *count > 0)
+                .map(|(cause, count)| (cause.name().to_owned(), count))
+                .collect(),
+            last_sample_age_s: counts.last_mono_ns.map(|last| clock.mono_ns().saturating_sub(last) as f64 / 1e9),
+            gap_open_since: counts.gap_open_since_utc_ns.map(rfc3339),
+        }
     });
-    Status { sensor: progress.sensor.clone(), capture, storage: store.status(), jobs: jobs.status() }
+    Status {
+        sensor: progress.sensor.clone(),
+        capture,
+        storage: store.status(),
+        jobs: jobs.status(),
+        ..Status::default()
+    }
 }
 
 /// What `systemctl status` shows.

@@ -9,6 +9,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
+/// The writer turns every second: a shorter look would take its rest for a standstill.
+const LEAST: Duration = Duration::from_secs(2);
+
 /// Decides whether to feed. Pure.
 #[derive(Debug, Default)]
 pub struct Judge {
@@ -24,7 +27,8 @@ impl Judge {
     }
 }
 
-/// Feeds systemd's watchdog at half its interval; returns at once where there is none. `reader` counts the turns of the
+/// Feeds systemd's watchdog four times in its interval, so that a writer that stands still is noticed within 1.25
+/// intervals; returns at once where there is none. `reader` counts the turns of the
 /// reader's loop.
 pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken) {
     let Some(interval) = sd_notify::watchdog_enabled() else { return };
@@ -36,7 +40,7 @@ pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken)
             tracing::error!("reader or writer stands still: the watchdog is not fed");
         }
         tokio::select! {
-            () = tokio::time::sleep((interval / 2).max(Duration::from_secs(2))) => {}
+            () = tokio::time::sleep((interval / 4).max(LEAST)) => {}
             () = stop.cancelled() => return,
         }
     }

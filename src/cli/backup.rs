@@ -1,0 +1,25 @@
+//! `vn100d backup`: a copy of the database.
+
+use super::args::BackupArgs;
+use super::{Context, Outcome, print_json};
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Copies the database as it stands now.
+pub(super) fn run(context: &Context, args: &BackupArgs) -> anyhow::Result<Outcome> {
+    let reader = context.reader()?;
+    let bar =
+        ProgressBar::no_length().with_style(ProgressStyle::with_template("{bytes} of {total_bytes} {bar:30} {eta}")?);
+    let report = reader.backup(&args.out, args.force, &mut |done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    let report = report?;
+    if context.json {
+        let file = args.out.display().to_string();
+        print_json(&serde_json::json!({ "file": file, "bytes": report.bytes, "seconds": report.seconds }))?;
+    } else {
+        eprintln!("{}: {} bytes in {:.1} s", args.out.display(), report.bytes, report.seconds);
+    }
+    Ok(Outcome::Done)
+}

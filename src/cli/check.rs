@@ -1,0 +1,47 @@
+//! `vn100d check`: is a database whole, and does its accounting add up?
+
+use super::{Context, Outcome, print_json};
+use std::io::Write as _;
+use std::path::PathBuf;
+
+/// Prints what is wrong; exit code 3 where anything is.
+pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Result<Outcome> {
+    let path = database.map_or_else(|| context.database(), Ok)?;
+    let report = crate::store::check(&path)?;
+    let outcome = if report.is_clean() { Outcome::Done } else { Outcome::WithLoss };
+    if context.json {
+        let ok = report.is_clean();
+        print_json(&serde_json::json!({
+            "database": report.database, "ok": ok, "captures": report.captures, "findings": report.findings,
+        }))?;
+        return Ok(outcome);
+    }
+    let mut stdout = std::io::stdout().lock();
+    for capture in &report.captures {
+        write!(
+            stdout,
+            "capture {} `{}`: {} samples, {} missing, {} batches with the right checksum",
+            capture.id, capture.name, capture.samples, capture.missing, capture.batches
+        )?;
+        match capture.without_checksum {
+            0 => writeln!(stdout)?,
+            count => writeln!(stdout, ", {count} samples without one")?,
+        }
+    }
+    for finding in &report.findings {
+        match finding.capture {
+            Some(capture) => writeln!(stdout, "{}: capture {capture}: {}", finding.check, finding.message)?,
+            None => writeln!(stdout, "{}: {}", finding.check, finding.message)?,
+        }
+    }
+    match report.findings.len() {
+        0 => writeln!(stdout, "{}: all is well", report.database.display())?,
+        count => writeln!(
+            stdout,
+            "{}: {count} findings; `vn100d recover {} --out FILE` salvages what is intact",
+            report.database.display(),
+            report.database.display()
+        )?,
+    }
+    Ok(outcome)
+}

@@ -1,0 +1,69 @@
+//! `vn100d completions` and `vn100d generate`: what a shell and a manual need, made of the arguments themselves.
+
+use super::args::{Cli, CompletionsArgs, GenerateArgs};
+use super::{CliError, Failure, Outcome};
+use anyhow::Context as _;
+use clap::CommandFactory as _;
+use clap_complete::Shell;
+use std::io::Write as _;
+use std::path::Path;
+
+/// The shells of the package, and the names under which they look for completions.
+const SHELLS: [(Shell, &str); 3] =
+    [(Shell::Bash, "vn100d.bash"), (Shell::Zsh, "_vn100d"), (Shell::Fish, "vn100d.fish")];
+
+/// Prints completions for a shell.
+pub(super) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
+    let mut text = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "vn100d", &mut text);
+    std::io::stdout().write_all(&text)?;
+    Ok(Outcome::Done)
+}
+
+/// Writes the manual pages, or all completions, into a folder.
+pub(super) fn generate(args: &GenerateArgs) -> anyhow::Result<Outcome> {
+    let folder = &args.dir;
+    std::fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
+    match args.what.as_str() {
+        "man" => manual(folder)?,
+        "completions" => {
+            for (shell, name) in SHELLS {
+                let mut text = Vec::new();
+                clap_complete::generate(shell, &mut Cli::command(), "vn100d", &mut text);
+                write(&folder.join(name), &text)?;
+            }
+        }
+        other => {
+            return Err(CliError {
+                failure: Failure::Usage,
+                message: format!("`{other}` cannot be generated: expected man or completions"),
+            }
+            .into());
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+/// `vn100d.1`, and `vn100d-COMMAND.1` for each command that is shown.
+fn manual(folder: &Path) -> anyhow::Result<()> {
+    let mut command = Cli::command();
+    command.build();
+    page(folder, "vn100d", command.clone())?;
+    for sub in command.get_subcommands().filter(|sub| !sub.is_hide_set() && sub.get_name() != "help") {
+        let name = format!("vn100d-{}", sub.get_name());
+        // Leaked: clap's names live as long as the program, which ends after this.
+        let named = sub.clone().name(&*name.clone().leak()).bin_name(format!("vn100d {}", sub.get_name()));
+        page(folder, &name, named)?;
+    }
+    Ok(())
+}
+
+fn page(folder: &Path, name: &str, command: clap::Command) -> anyhow::Result<()> {
+    let mut text = Vec::new();
+    clap_mangen::Man::new(command).section("1").manual("vn100d").render(&mut text)?;
+    write(&folder.join(format!("{name}.1")), &text)
+}
+
+fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}

@@ -1,0 +1,47 @@
+//! `vn100d recover`: what is intact in a damaged database becomes a new one.
+
+use super::args::RecoverArgs;
+use super::{Context, Outcome, print_json};
+use std::io::Write as _;
+
+/// Salvages; exit code 3 where anything was lost or damaged.
+pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcome> {
+    let path = args.database.map_or_else(|| context.database(), Ok)?;
+    let report = crate::store::recover(&path, &args.out, args.force)?;
+    let outcome = if report.has_damage() { Outcome::WithLoss } else { Outcome::Done };
+    if context.json {
+        print_json(&report)?;
+        return Ok(outcome);
+    }
+    let mut stdout = std::io::stdout().lock();
+    for capture in &report.captures {
+        writeln!(
+            stdout,
+            "capture {} `{}`: {} samples recovered in {} batches, {} samples lost in {} batches; {} gaps recovered, {} lost",
+            capture.id,
+            capture.name,
+            capture.samples,
+            capture.batches,
+            capture.samples_lost,
+            capture.batches_lost,
+            capture.gaps,
+            capture.gaps_lost
+        )?;
+        if capture.without_checksum > 0 {
+            writeln!(
+                stdout,
+                "  of these {} samples are of no batch: no checksum vouches for them",
+                capture.without_checksum
+            )?;
+        }
+    }
+    let (pages, rows, frames) = (report.damaged_pages, report.damaged_rows, report.damaged_frames);
+    if pages + rows + frames > 0 {
+        writeln!(stdout, "unreadable: {pages} pages, {rows} rows on other pages, {frames} pages of the log")?;
+    }
+    for finding in &report.findings {
+        writeln!(stdout, "found: {}", finding.message)?;
+    }
+    writeln!(stdout, "{}: what is intact of {}", report.out.display(), report.database.display())?;
+    Ok(outcome)
+}

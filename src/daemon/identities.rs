@@ -1,0 +1,293 @@
+//! Both identities of a capture's numbers, through recorder, store, kills and restarts, against what a made-up sensor
+//! knows of itself.
+
+use super::resume_point;
+use crate::capture::recorder::{Plan, Recorder};
+use crate::sample::audit::Report;
+use crate::sample::{Channel, DiscardCause, GapCause, Record, Sample, Timebase};
+use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
+use proptest::prelude::*;
+use std::path::Path;
+
+const START_UTC_NS: i64 = 1_800_000_000_000_000_000;
+const HOUR_NS: u64 = 3_600_000_000_000;
+
+#[derive(Debug, Clone)]
+enum Step {
+    /// So many measurements arrive.
+    Run(u64),
+    /// So many are lost on the line.
+    Drop(u64),
+    /// The last one comes again.
+    Duplicate,
+    /// Two change places.
+    Reorder,
+    /// The clock starts again after this many periods of silence.
+    Reset(u64),
+    /// Valid measurements of another format.
+    Foreign(u64),
+    /// The queue is full for so many.
+    Backpressure(u64),
+    /// The cable is out for so many.
+    Unplug(u64),
+    /// The sensor changes its rate by itself.
+    Rate(f64),
+    /// The rate is set anew.
+    Configure(f64),
+    /// What was recorded is committed.
+    Commit,
+    /// The daemon dies with what was not committed and is away for so many periods.
+    Kill(u64),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        8 => (1_u64..60).prop_map(Step::Run),
+        2 => (1_u64..9).prop_map(Step::Drop),
+        1 => Just(Step::Duplicate),
+        1 => Just(Step::Reorder),
+        1 => (100_u64..400).prop_map(Step::Reset),
+        1 => (1_u64..5).prop_map(Step::Foreign),
+        1 => (1_u64..30).prop_map(Step::Backpressure),
+        1 => (100_u64..4000).prop_map(Step::Unplug),
+        1 => prop_oneof![Just(40.0), Just(50.0), Just(100.0)].prop_map(Step::Configure),
+        1 => prop_oneof![Just(40.0), Just(80.0), Just(200.0)].prop_map(Step::Rate),
+        3 => Just(Step::Commit),
+        1 => (40_u64..200).prop_map(Step::Kill),
+    ]
+}
+
+/// A sensor that remembers every measurement it made, and the daemon's side of the line.
+struct World {
+    folder: tempfile::TempDir,
+    store: Store,
+    recorder: Recorder,
+    id: i64,
+    pending: Vec<Record>,
+    /// Measurements made: epoch, device time, rate.
+    made: Vec<(u32, u64, f64)>,
+    epoch: u32,
+    device_ns: u64,
+    host_ns: u64,
+    rate_hz: f64,
+    last: Option<Sample>,
+    /// Measurements that were given to the recorder, since the capture began and as far as the disk knows of earlier runs.
+    given: u64,
+    /// Samples that a commit was asked for.
+    acknowledged: u64,
+}
+
+impl World {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = open(folder.path());
+        let capture = NewCapture {
+            planned: Some(std::time::Duration::from_nanos(100 * HOUR_NS)),
+            ..NewCapture::new("pty", CaptureState::Capturing)
+        };
+        let id = store.create_capture(capture).unwrap();
+        let mut world = Self {
+            folder,
+            store,
+            recorder: Recorder::new(plan(id), None, 0.0),
+            id,
+            pending: Vec::new(),
+            made: Vec::new(),
+            epoch: 1,
+            device_ns: 5 * HOUR_NS,
+            host_ns: HOUR_NS,
+            rate_hz: 40.0,
+            last: None,
+            given: 0,
+            acknowledged: 0,
+        };
+        world.recorder.accept(40.0, Timebase::Device, &mut world.pending);
+        world
+    }
+
+    fn period_ns(&self) -> u64 {
+        (1e9 / self.rate_hz) as u64
+    }
+
+    /// The sensor makes one measurement.
+    fn make(&mut self) -> Sample {
+        self.device_ns += self.period_ns();
+        self.host_ns += self.period_ns();
+        self.made.push((self.epoch, self.device_ns, self.rate_hz));
+        let mut sample = Sample::at(self.host_ns, START_UTC_NS + self.host_ns as i64);
+        sample.device_time_ns = Some(self.device_ns);
+        sample.set(Channel::GyroX, 1e-3);
+        sample
+    }
+
+    fn give(&mut self, sample: Sample) {
+        self.given += 1;
+        self.recorder.sample(sample.clone(), &mut self.pending);
+        self.last = Some(sample);
+    }
+
+    fn commit(&mut self) {
+        self.recorder.write_discards(&mut self.pending);
+        for record in self.pending.drain(..) {
+            self.store.records().blocking_send(self.id, record).unwrap();
+        }
+        self.store.flush_blocking().unwrap();
+        self.acknowledged = self.recorder.tally().samples;
+        let report = self.report();
+        let tally = self.recorder.tally();
+        assert_eq!(tally.received, self.given);
+        assert_eq!(tally.received, tally.samples + tally.held + tally.dropped.iter().sum::<u64>(), "{tally:?}");
+        // Nothing is in flight but what is held, and what was refused behind it.
+        let on_disk = report.received.unwrap();
+        assert!(
+            on_disk <= self.given - tally.held && (tally.held > 0 || on_disk == self.given),
+            "{tally:?} {report:?}"
+        );
+    }
+
+    fn report(&self) -> Report {
+        let report = self.store.reader().unwrap().accounting_of_every_row(self.id).unwrap();
+        assert!(report.holds, "{:?}", report.violations);
+        assert_eq!(report, self.store.reader().unwrap().accounting(self.id).unwrap());
+        report
+    }
+
+    fn step(&mut self, step: &Step) {
+        match *step {
+            Step::Run(count) => {
+                for _ in 0..count {
+                    let sample = self.make();
+                    self.give(sample);
+                }
+            }
+            Step::Drop(count) => {
+                for _ in 0..count {
+                    self.make();
+                }
+            }
+            Step::Duplicate => {
+                if let Some(last) = self.last.clone() {
+                    self.give(last);
+                }
+            }
+            Step::Reorder => {
+                let (first, second) = (self.make(), self.make());
+                self.give(second.clone());
+                self.give(first);
+                self.last = Some(second);
+            }
+            Step::Reset(silence) => {
+                self.host_ns += silence * self.period_ns();
+                self.device_ns = 0;
+                self.epoch += 1;
+                self.last = None;
+            }
+            Step::Foreign(count) => {
+                for _ in 0..count {
+                    self.given += 1;
+                    self.recorder.refuse(DiscardCause::UnexpectedFormat);
+                }
+            }
+            Step::Backpressure(count) => {
+                for _ in 0..count {
+                    self.make();
+                    self.given += 1;
+                    self.recorder.interrupt(GapCause::StorageBackpressure, &mut self.pending);
+                    self.recorder.refuse(DiscardCause::StorageBackpressure);
+                }
+            }
+            Step::Unplug(count) => {
+                self.recorder.interrupt(GapCause::Unplugged, &mut self.pending);
+                for _ in 0..count {
+                    self.make();
+                }
+                self.recorder.accept(self.rate_hz, Timebase::Device, &mut self.pending);
+            }
+            Step::Configure(rate_hz) => {
+                self.rate_hz = rate_hz;
+                self.recorder.accept(rate_hz, Timebase::Device, &mut self.pending);
+            }
+            Step::Rate(rate_hz) => {
+                self.rate_hz = rate_hz;
+                self.step(&Step::Run(20));
+            }
+            Step::Commit => self.commit(),
+            Step::Kill(away) => self.kill(away),
+        }
+    }
+
+    fn kill(&mut self, away: u64) {
+        // Of what was not committed a batch may still have made it.
+        let half = self.pending.len() / 2;
+        for record in self.pending.drain(..).take(half) {
+            self.store.records().blocking_send(self.id, record).unwrap();
+        }
+        self.store.close().unwrap();
+        for _ in 0..away {
+            self.make();
+        }
+        self.store = open(self.folder.path());
+        let unfinished = self.store.unfinished().unwrap().pop().unwrap();
+        let report = self.report();
+        assert!(report.committed >= self.acknowledged, "nothing that was committed is lost");
+        let received = report.received.unwrap();
+        assert!(received <= self.given);
+        self.given = received;
+        self.recorder = Recorder::new(plan(self.id), Some(resume_point(&unfinished)), 0.0);
+        self.recorder.accept(self.rate_hz, Timebase::Device, &mut self.pending);
+        self.last = None;
+    }
+
+    /// What the sensor knows of each stretch of the report.
+    fn compare(&self) {
+        let report = self.report();
+        let connection = rusqlite::Connection::open(self.store.path()).unwrap();
+        for stretch in &report.stretches {
+            let sql = "SELECT min(device_time_ns), max(device_time_ns), count(*) FROM sample WHERE segment_id BETWEEN ?1 AND ?2";
+            let (from, to, rows): (i64, i64, i64) = connection
+                .query_row(sql, [stretch.first_segment, stretch.last_segment], |row| {
+                    Ok((row.get(0)?, row.get(1)?, row.get(2)?))
+                })
+                .unwrap();
+            let sent = |(_, device_ns, _): &&(u32, u64, f64)| (from as u64..=to as u64).contains(device_ns);
+            if self.made.iter().filter(sent).any(|(.., rate_hz)| *rate_hz != stretch.rate_hz) {
+                // While nothing arrived the sensor had another rate, or another epoch has the same times: nobody can know.
+                continue;
+            }
+            // Epochs are told apart by both sides in the same order, but for those of which nothing was received.
+            let by_epoch: Vec<u64> = (1..=self.epoch)
+                .map(|epoch| self.made.iter().filter(|made| made.0 == epoch).filter(sent).count() as u64)
+                .collect();
+            let missing = stretch.missing;
+            assert!(
+                by_epoch.contains(&(rows as u64 + missing)),
+                "the sensor made {by_epoch:?}, {rows} rows and {missing} missing: {stretch:?}"
+            );
+        }
+    }
+}
+
+fn open(folder: &Path) -> Store {
+    Store::open(&folder.join("vn100d.db"), StoreOptions::default()).unwrap()
+}
+
+fn plan(id: i64) -> Plan {
+    Plan { id, name: "night".to_owned(), duration_ns: 100 * HOUR_NS, start_at_utc_ns: None }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
+    #[test]
+    fn both_identities_hold_whatever_happens_and_say_what_the_sensor_knows(steps in proptest::collection::vec(step(), 1..40)) {
+        let mut world = World::new();
+        for step in &steps {
+            world.step(step);
+        }
+        world.step(&Step::Run(30));
+        world.commit();
+        world.compare();
+        world.recorder.stop(world.host_ns, START_UTC_NS + world.host_ns as i64, &mut world.pending);
+        world.commit();
+        prop_assert_eq!(world.report().in_flight, 0);
+    }
+}
