@@ -1,4 +1,4 @@
-//! The systemd unit, judged by systemd itself: `systemd-analyze verify` has nothing to say and `security` scores it 2.0
+//! The systemd units, the plain one and that of instances, judged by systemd itself: `systemd-analyze verify` has nothing to say and `security` scores it 2.0
 //! or better. Skipped, with a note, where there is no `systemd-analyze`.
 
 use std::path::{Path, PathBuf};
@@ -7,22 +7,28 @@ use std::process::{Command, Output};
 /// The worst exposure level that passes: 2.0, in tenths.
 const THRESHOLD: &str = "--threshold=20";
 
+/// The plain unit and an instance of the other.
+const UNITS: [(&str, &str); 2] = [
+    ("vn100d.service", include_str!("../systemd/vn100d.service")),
+    ("vn100d@left.service", include_str!("../systemd/vn100d@.service")),
+];
+
 fn analyze(arguments: &[&str], unit: &Path) -> Option<Output> {
     match Command::new("systemd-analyze").args(arguments).arg(unit).output() {
         Ok(output) => Some(output),
         Err(error) => {
+            assert!(std::env::var_os("VN100D_REQUIRE_TOOLS").is_none(), "systemd-analyze is required here: {error}");
             println!("skipped: systemd-analyze cannot be run: {error}");
             None
         }
     }
 }
 
-/// The shipped unit with the program just built in place of the installed one, which `verify` would not find.
-fn unit_with_the_built_binary(directory: &Path) -> std::io::Result<PathBuf> {
-    let shipped = include_str!("../systemd/vn100d.service");
+/// A shipped unit with the program just built in place of the installed one, which `verify` would not find.
+fn unit_with_the_built_binary(directory: &Path, name: &str, shipped: &str) -> std::io::Result<PathBuf> {
     let text = shipped.replace("ExecStart=/usr/bin/vn100d", concat!("ExecStart=", env!("CARGO_BIN_EXE_vn100d")));
     assert_ne!(text, shipped, "the unit starts /usr/bin/vn100d");
-    let unit = directory.join("vn100d.service");
+    let unit = directory.join(name);
     std::fs::write(&unit, text)?;
     Ok(unit)
 }
@@ -32,21 +38,49 @@ fn said(output: &Output) -> String {
 }
 
 #[test]
-fn systemd_finds_nothing_to_say_about_the_unit() {
+fn systemd_finds_nothing_to_say_about_the_units() {
     let directory = tempfile::tempdir().unwrap();
-    let unit = unit_with_the_built_binary(directory.path()).unwrap();
-    let Some(output) = analyze(&["verify"], &unit) else { return };
-    // What it says about other units of this machine is not ours.
-    let ours: Vec<String> = said(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
-    assert!(ours.is_empty() && output.status.success(), "{}", said(&output));
+    for (name, shipped) in UNITS {
+        let unit = unit_with_the_built_binary(directory.path(), name, shipped).unwrap();
+        let Some(output) = analyze(&["verify"], &unit) else { return };
+        // What it says about other units of this machine is not ours.
+        let ours: Vec<String> =
+            said(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
+        assert!(ours.is_empty() && output.status.success(), "{name}: {}", said(&output));
+    }
 }
 
 #[test]
-fn the_unit_s_exposure_is_two_or_better() {
+fn the_units_exposure_is_two_or_better() {
     let directory = tempfile::tempdir().unwrap();
-    let unit = unit_with_the_built_binary(directory.path()).unwrap();
-    let Some(output) = analyze(&["security", "--offline=true", THRESHOLD], &unit) else { return };
-    assert!(output.status.success(), "{}", said(&output));
+    for (name, shipped) in UNITS {
+        let unit = unit_with_the_built_binary(directory.path(), name, shipped).unwrap();
+        let Some(output) = analyze(&["security", "--offline=true", THRESHOLD], &unit) else { return };
+        assert!(output.status.success(), "{name}: {}", said(&output));
+    }
+}
+
+/// What is said for one holds for the other: they differ in what makes an instance, and in nothing else.
+#[test]
+fn an_instance_differs_in_its_configuration_and_its_data_alone() {
+    let [plain, instance] = UNITS.map(|(_, text)| {
+        let keys = text.lines().filter(|line| !line.starts_with('#') && line.contains('='));
+        keys.map(str::to_owned).collect::<std::collections::BTreeSet<_>>()
+    });
+    let only_here: Vec<&String> = instance.difference(&plain).collect();
+    assert_eq!(
+        only_here,
+        [
+            "Description=VN-100 capture and noise analysis, sensor %i",
+            "ExecStart=/usr/bin/vn100d --config /etc/vn100d/%i.toml run",
+            "StateDirectory=vn100d/%i",
+        ]
+    );
+    assert_eq!(plain.difference(&instance).count(), only_here.len());
+    for key in ["WatchdogSec=30", "Restart=always", "RestartPreventExitStatus=2 78", "LimitNOFILE=4096", "Type=notify"]
+    {
+        assert!(plain.contains(key), "{key}");
+    }
 }
 
 #[test]
