@@ -1,0 +1,33 @@
+//! Targets: what must hold for any bytes. Each function panics where it does not.
+//!
+//! One definition for the harness on stable (`tests/fuzz/main.rs`) and for libFuzzer (`fuzz/fuzz_targets`).
+
+mod config;
+mod decoder;
+mod faults;
+pub mod http;
+mod recording;
+
+/// A function of any bytes.
+pub type Target = fn(&[u8]);
+
+/// Every target by its name.
+pub const TARGETS: [(&str, Target); 7] = [
+    ("decoder", decoder::any_split),
+    ("csv", recording::csv),
+    ("raw_text", recording::raw_text),
+    ("bag", recording::bag),
+    ("config", config::refused_with_its_place),
+    ("http", http::no_server_error),
+    ("faults", faults::refused_with_its_line),
+];
+
+/// Runs a target by name.
+#[allow(dead_code, reason = "libFuzzer's entry")]
+pub fn run(name: &str, input: &[u8]) {
+    for (known, target) in TARGETS {
+        if known == name {
+            target(input);
+        }
+    }
+}

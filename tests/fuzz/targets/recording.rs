@@ -1,0 +1,164 @@
+//! Recordings: every entry becomes a sample or a rejected one, and the accounting's identities hold.
+
+use std::collections::{BTreeMap, BTreeSet};
+use vn100d::recording::{GAP_PERIODS, Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
+use vn100d::sample::{DiscardCause, Record};
+use vn100d::units::NANOS_PER_SECOND;
+
+/// A line that is longer is read in pieces.
+const LINE_BYTES: usize = 4096;
+
+pub fn csv(input: &[u8]) {
+    let Some(items) = holds(input) else { return };
+    // Quotation marks may hold line ends, other kinds are other targets; else each line that is not empty is a row.
+    if input.contains(&b'"') || input.windows(3).any(|window| window == b"$VN") || input.starts_with(b"#ROSBAG") {
+        return;
+    }
+    if input.starts_with(&[0x1F, 0x8B]) {
+        return;
+    }
+    let lines = input.split(|byte| *byte == b'\n' || *byte == b'\r').filter(|line| !line.is_empty()).count();
+    assert_eq!(items.len() + 1, lines, "rows and lines");
+}
+
+pub fn raw_text(input: &[u8]) {
+    let Some(items) = holds(input) else { return };
+    let is_text = input.windows(3).any(|window| window == b"$VN");
+    if !is_text || input.starts_with(b"#ROSBAG") || input.starts_with(&[0x1F, 0x8B]) {
+        return;
+    }
+    let lines: Vec<_> = input.split(|byte| *byte == b'\n').collect();
+    if lines.iter().any(|line| line.len() >= LINE_BYTES) {
+        return;
+    }
+    // Which of the line-wise kinds it was found to be does not matter here: `$VN` may stand beyond what is looked at.
+    let rejected: BTreeSet<u64> = items.iter().filter_map(|(rejected, _)| *rejected).collect();
+    if items.iter().any(|(_, is_csv)| *is_csv) {
+        return;
+    }
+    for (index, line) in lines.iter().enumerate() {
+        let line = line.trim_ascii();
+        if !line.is_empty() && !line.windows(3).any(|window| window == b"$VN") {
+            assert!(rejected.contains(&(index as u64 + 1)), "line {} is neither sample nor rejected", index + 1);
+        }
+    }
+}
+
+pub fn bag(input: &[u8]) {
+    holds(input);
+}
+
+/// Reads it as the import does and checks what must hold; each item's line, where it was rejected, and whether the
+/// recording is a CSV. `None` where it was refused as a whole.
+fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
+    let options = Options { rate_hz: None, started_utc_ns: 1 };
+    let recording = match Recording::read(Input::memory("fuzz", input), options) {
+        Ok(recording) => recording,
+        Err(error) => {
+            let text = error.to_string();
+            assert!(text.contains("fuzz") && text.len() < 20_000, "{text}");
+            return None;
+        }
+    };
+    let info = recording.info();
+    assert!(info.rate_hz.is_finite() && info.rate_hz > 0.0);
+    assert!(info.remarks().iter().all(|remark| !remark.contains("NaN")));
+    let mut accountant = RecordingAccountant::new(info);
+    let mut records = Vec::new();
+    let (mut items, mut rejected) = (Vec::new(), BTreeMap::<DiscardCause, u64>::new());
+    let is_csv = info.kind == vn100d::recording::Kind::Csv;
+    let mut expected = Expected { period_ns: NANOS_PER_SECOND as f64 / info.rate_hz, ..Expected::default() };
+    for item in recording.items().expect("it was read once") {
+        let item = item.expect("it was read once");
+        match &item {
+            Item::Sample(sample) => {
+                assert!(sample.channels().iter().all(|channel| info.channels.contains(channel)));
+                items.push((None, is_csv));
+                expected.sample(sample.device_time_ns);
+            }
+            Item::Rejected(bad) => {
+                assert!(bad.text.chars().count() <= 256);
+                *rejected.entry(bad.cause).or_default() += bad.amount();
+                items.push((Some(bad.line), is_csv));
+                expected.rejected(bad.at.map(|(device_ns, _)| device_ns).filter(|_| bad.stands_for_sample));
+            }
+        }
+        accountant.take(item, &mut records);
+    }
+    assert_eq!(rejected, info.rejected, "both passes");
+    check_records(&records, &accountant);
+    assert_eq!(accountant.received(), info.samples);
+    if let Some(expected) = expected.total {
+        assert_eq!(accountant.received() + accountant.missing(), expected, "received and missing");
+    }
+    let loaded = columns(&recording).expect("it was read once");
+    assert_eq!((loaded.samples, loaded.missing), (accountant.received(), accountant.missing()));
+    for column in &loaded.columns {
+        assert!(column.values.iter().all(|value| value.is_finite()));
+    }
+    Some(items)
+}
+
+fn check_records(records: &[Record], accountant: &RecordingAccountant) {
+    let (mut samples, mut missing, mut gaps, mut events, mut last_ns) = (0, 0, 0, 0, None);
+    for record in records {
+        match record {
+            Record::Sample { seq, sample, .. } => {
+                assert_eq!(*seq, samples);
+                if let (Some(last), Some(now)) = (last_ns, sample.device_time_ns) {
+                    assert!(now > last, "samples are in order");
+                }
+                last_ns = sample.device_time_ns;
+                samples += 1;
+            }
+            Record::Gap(gap) => {
+                assert!(gap.missing > 0 && gap.from_utc_ns <= gap.to_utc_ns && gap.before_seq == samples);
+                missing += gap.missing;
+                gaps += 1;
+            }
+            Record::Event(_) => events += 1,
+            _ => {}
+        }
+    }
+    assert_eq!((samples, missing, gaps), (accountant.received(), accountant.missing(), accountant.gaps()));
+    assert!(events <= REJECTED_KEPT);
+}
+
+/// 1 + Σ max(1, round(step/period)) over the stamps of samples and of rejected lines that stand for one.
+#[derive(Default)]
+struct Expected {
+    period_ns: f64,
+    total: Option<u64>,
+    last_ns: Option<u64>,
+    between: Vec<u64>,
+}
+
+impl Expected {
+    fn rejected(&mut self, stamp_ns: Option<u64>) {
+        // As many as the accountant keeps.
+        if let Some(stamp_ns) = stamp_ns
+            && self.between.len() < 1000
+            && self.between.last().is_none_or(|last| *last < stamp_ns)
+        {
+            self.between.push(stamp_ns);
+        }
+    }
+
+    fn sample(&mut self, stamp_ns: Option<u64>) {
+        let Some(stamp_ns) = stamp_ns else { return };
+        if let Some(last_ns) = self.last_ns {
+            let mut from_ns = last_ns;
+            let inside = |at: &u64| (last_ns..stamp_ns).contains(at) && *at > last_ns;
+            for at_ns in self.between.iter().copied().filter(inside).chain([stamp_ns]) {
+                let periods = (at_ns - from_ns) as f64 / self.period_ns;
+                let steps = if periods > GAP_PERIODS { periods.round() as u64 } else { 1 };
+                self.total = self.total.map(|total| total + steps);
+                from_ns = at_ns;
+            }
+        } else {
+            self.total = Some(1);
+        }
+        self.between.clear();
+        self.last_ns = Some(stamp_ns);
+    }
+}
