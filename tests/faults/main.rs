@@ -4,7 +4,7 @@
 //! is named for what it promises and ends in the same audit ([`audit`]). The sizes are scaled so that all of it runs on
 //! every push; `VN100D_FAULTS=full` runs the figures that docs/reliability.md states.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 
 mod audit;
 mod http;

@@ -1,1 +1,250 @@
 //! Soak: everything at once, for as long as asked, from a seed (row G).
+//!
+//! `VN100D_SOAK=8h` runs it for eight hours (30 s where it is not set), `VN100D_SOAK_SEED=N` repeats a run: the same faults in
+//! the same order after the same pauses. What depends on the scheduler (which sample a kill falls on) differs.
+
+use crate::audit::Held;
+use crate::world::{Process, World, program, vn100d};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+const CONFIGURATION: &str = "[sensor]\nrate-hz = 400.0\nbaud = 921600\n";
+const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
+/// Requests per second.
+const REQUESTS: u32 = 20;
+const ROUTES: [&str; 8] = [
+    "/v1/status",
+    "/healthz",
+    "/readyz",
+    "/metrics",
+    "/v1/captures",
+    "/v1/captures/latest",
+    "/v1/captures/latest/gaps",
+    "/v1/status",
+];
+
+/// How long, and from which seed.
+fn asked() -> (Duration, u64) {
+    let duration = std::env::var("VN100D_SOAK").map_or(Duration::from_secs(30), |text| {
+        vn100d::units::parse_duration(&text).expect("VN100D_SOAK is a duration, such as 10m")
+    });
+    let seed = std::env::var("VN100D_SOAK_SEED").ok().map(|text| text.parse().expect("VN100D_SOAK_SEED is a number"));
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+    (duration, seed.unwrap_or(u64::from(now.subsec_nanos())))
+}
+
+/// The daemon's civil time, where it can be set.
+struct Civil(Option<PathBuf>);
+
+impl Civil {
+    fn new(world: &World) -> Self {
+        if !std::path::Path::new(FAKETIME).exists() {
+            eprintln!("libfaketime is not at hand: no clock is stepped");
+            return Self(None);
+        }
+        let file = world.path("faketime");
+        std::fs::write(&file, "+0").unwrap();
+        Self(Some(file))
+    }
+
+    fn start(&self, world: &World, arguments: &[&str]) -> Process {
+        let mut command = program();
+        if let Some(file) = &self.0 {
+            command.env("LD_PRELOAD", FAKETIME).env("FAKETIME_TIMESTAMP_FILE", file);
+            command.env("FAKETIME_NO_CACHE", "1").env("FAKETIME_DONT_FAKE_MONOTONIC", "1");
+        }
+        world.daemon_of(command, world.port().to_str().unwrap(), CONFIGURATION, arguments)
+    }
+
+    fn step(&self, seconds: i32) {
+        if let Some(file) = &self.0 {
+            std::fs::write(file, format!("{seconds:+}")).unwrap();
+        }
+    }
+}
+
+/// What the next fault is; `None` is a kill.
+fn fault(random: &mut ChaCha8Rng) -> Option<String> {
+    let ms = random.random_range(200..2500);
+    Some(match random.random_range(0..12) {
+        0 | 1 => return None,
+        2 | 3 => format!("unplug {ms}ms"),
+        4 => format!("eof {ms}ms"),
+        5 => format!("silence {}ms", 2 * ms),
+        6 => format!("garbage {}", 4 * ms),
+        7 => format!("checksum {}", random.random_range(1..20)),
+        8 => format!("drop {}", random.random_range(1..40)),
+        9 => format!("duplicate {}", random.random_range(1..20)),
+        10 => format!("hold {}ms", ms / 4),
+        _ => "reset".to_owned(),
+    })
+}
+
+/// What the requests came to.
+#[derive(Default)]
+struct Asked {
+    answered: AtomicU64,
+    server_errors: AtomicU64,
+    status_s: Mutex<Vec<f64>>,
+    jobs: AtomicU64,
+}
+
+impl Asked {
+    fn ask(&self, world: &World, stop: &AtomicBool) {
+        for route in ROUTES.iter().cycle() {
+            if stop.load(Ordering::Relaxed) {
+                return;
+            }
+            let begun = Instant::now();
+            if let Some((code, body)) = world.request("GET", route, "") {
+                self.answered.fetch_add(1, Ordering::Relaxed);
+                if code >= 500 && code != 503 {
+                    eprintln!("{route}: {code} {body}");
+                    self.server_errors.fetch_add(1, Ordering::Relaxed);
+                }
+                if *route == "/v1/status" {
+                    self.status_s.lock().unwrap().push(begun.elapsed().as_secs_f64());
+                }
+            }
+            std::thread::sleep((Duration::from_secs(1) / REQUESTS).saturating_sub(begun.elapsed()));
+        }
+    }
+
+    /// One job after the other.
+    fn work(&self, world: &World, stop: &AtomicBool) {
+        while !stop.load(Ordering::Relaxed) {
+            let submitted = world.request("POST", "/v1/jobs", r#"{"kind": "noise", "capture": "latest"}"#);
+            let id =
+                submitted.and_then(|(_, body)| serde_json::from_str::<serde_json::Value>(&body).ok()?["id"].as_u64());
+            while let Some(id) = id.filter(|_| !stop.load(Ordering::Relaxed)) {
+                let job = world.try_get(&format!("/v1/jobs/{id}"));
+                if job.is_some_and(|job| job["state"] == "done" || job["state"] == "failed") {
+                    self.jobs.fetch_add(1, Ordering::Relaxed);
+                    break;
+                }
+                std::thread::sleep(Duration::from_millis(200));
+            }
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    }
+}
+
+/// Growth of memory in bytes per hour, from (s, bytes) behind the first two minutes; `None` from less than ten.
+fn slope(points: &[(f64, f64)]) -> Option<f64> {
+    let points: Vec<_> = points.iter().filter(|(time, _)| *time > 120.0).collect();
+    let (first, last) = (points.first()?, points.last()?);
+    if last.0 - first.0 < 600.0 {
+        return None;
+    }
+    let count = points.len() as f64;
+    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(|point| value(point)).sum::<f64>() / count;
+    let (time, bytes) = (mean(|point| point.0), mean(|point| point.1));
+    let covariance: f64 = points.iter().map(|point| (point.0 - time) * (point.1 - bytes)).sum();
+    let variance: f64 = points.iter().map(|point| (point.0 - time).powi(2)).sum();
+    Some(3600.0 * covariance / variance)
+}
+
+/// G.
+#[test]
+fn everything_at_once_loses_nothing_silently() {
+    let (duration, seed) = asked();
+    println!(
+        "G: {duration:?} with seed {seed}; to repeat it: VN100D_SOAK={}s VN100D_SOAK_SEED={seed}",
+        duration.as_secs()
+    );
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    // Eight hours see a fault every two and a half minutes, half a minute one every three seconds.
+    let mean_s = (duration.as_secs_f64() / 200.0).clamp(2.0, 150.0);
+    let world = World::new();
+    let log = world.path("sensor.log");
+    let civil = Civil::new(&world);
+    let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600", "--log", log.to_str().unwrap()]);
+    let mut daemon = civil.start(&world, &["--capture", "30h"]);
+    world.until_more_samples(400, &daemon);
+    let has_backup = String::from_utf8_lossy(&vn100d(&["--help"]).stdout).contains("backup");
+    let (asked, stop) = (Asked::default(), AtomicBool::new(false));
+    let (mut kills, mut starts, mut faults, mut steps, mut backups) = (0, 1, 0, 0, 0);
+    let mut baseline = Held::of(daemon.id());
+    let mut slopes = Vec::new();
+    std::thread::scope(|scope| {
+        let asking = [scope.spawn(|| asked.ask(&world, &stop)), scope.spawn(|| asked.work(&world, &stop))];
+        let begun = Instant::now();
+        let mut started = Instant::now();
+        let mut memory = Vec::new();
+        while begun.elapsed() < duration {
+            let pause = Duration::from_secs_f64(mean_s * random.random_range(0.5..1.5));
+            let until = Instant::now() + pause;
+            while Instant::now() < until {
+                let held = Held::of(daemon.id());
+                assert!(held.rss_bytes > 0, "the daemon ended by itself:\n{}", daemon.log());
+                memory.push((started.elapsed().as_secs_f64(), held.rss_bytes as f64));
+                std::thread::sleep(Duration::from_millis(500).min(pause));
+            }
+            match fault(&mut random) {
+                Some(fault) => {
+                    sensor.say(&fault);
+                    faults += 1;
+                }
+                None => {
+                    daemon.kill();
+                    kills += 1;
+                    slopes.extend(slope(&std::mem::take(&mut memory)));
+                    daemon = civil.start(&world, &[]);
+                    (starts, started, baseline) = (starts + 1, Instant::now(), Held::of(daemon.id()));
+                }
+            }
+            if random.random_bool(0.1) {
+                civil.step(random.random_range(-7200..7200));
+                steps += 1;
+            }
+            if has_backup && random.random_bool(0.1) {
+                backups += 1;
+                let out = world.path(&format!("backup-{backups}.db"));
+                let data = world.path("data");
+                let made = vn100d(&["--data-dir", data.to_str().unwrap(), "backup", "--out", out.to_str().unwrap()]);
+                assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+                let copy = rusqlite::Connection::open(&out).unwrap();
+                let whole: String = copy.query_row("PRAGMA integrity_check", [], |row| row.get(0)).unwrap();
+                assert_eq!(whole, "ok", "backup {backups}");
+                drop(copy);
+                std::fs::remove_file(&out).unwrap();
+            }
+        }
+        slopes.extend(slope(&memory));
+        stop.store(true, Ordering::Relaxed);
+        for thread in asking {
+            thread.join().unwrap();
+        }
+    });
+    world.until_more_samples(400, &daemon);
+    // Descriptors of a start may be fewer than those of a daemon at work.
+    baseline.fds = baseline.fds.max(24);
+    baseline.threads = baseline.threads.max(24);
+    let found = world.settle_and_audit(&mut daemon, &log, Some(baseline));
+    let mut status_s = asked.status_s.into_inner().unwrap();
+    status_s.sort_by(f64::total_cmp);
+    let p99 = status_s[status_s.len() * 99 / 100];
+    println!(
+        "G: {faults} faults, {kills} kills, {steps} clock steps, {backups} backups, {} requests, {} jobs; {} frames made, {} rows, {} missing in {} gaps, {:?}; status p99 {:.0} ms; {} MiB, slopes {slopes:?} B/h",
+        asked.answered.load(Ordering::Relaxed),
+        asked.jobs.load(Ordering::Relaxed),
+        found.log.frames.len(),
+        found.samples,
+        found.missing,
+        found.gaps.len(),
+        found.rejected,
+        1e3 * p99,
+        found.held.rss_bytes >> 20,
+    );
+    assert_eq!(starts - 1, kills, "every restart was a kill");
+    assert_eq!(asked.server_errors.load(Ordering::Relaxed), 0);
+    assert!(found.samples > 0 && asked.answered.load(Ordering::Relaxed) > 0);
+    if !slopes.is_empty() {
+        let mean = slopes.iter().sum::<f64>() / slopes.len() as f64;
+        assert!(mean < f64::from(1 << 20), "memory grows by {mean} B/h");
+    }
+}

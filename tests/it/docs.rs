@@ -19,9 +19,11 @@ struct Block {
 fn pages() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut pages = vec![root.join("README.md")];
-    for entry in std::fs::read_dir(root.join("docs")).unwrap().flatten() {
-        if entry.path().extension().is_some_and(|extension| extension == "md") {
-            pages.push(entry.path());
+    for folder in ["docs", "docs/reliability"] {
+        for entry in std::fs::read_dir(root.join(folder)).unwrap().flatten() {
+            if entry.path().extension().is_some_and(|extension| extension == "md") {
+                pages.push(entry.path());
+            }
         }
     }
     pages.sort();
@@ -64,6 +66,8 @@ fn blocks() -> Vec<Block> {
 fn every_shell_block_runs_or_says_why_not() {
     let program = Path::new(env!("CARGO_BIN_EXE_vn100d"));
     let mut run = 0;
+    // The blocks of a page follow each other, as a reader types them: one folder for all of them.
+    let mut folders = std::collections::BTreeMap::new();
     for block in blocks().iter().filter(|block| block.language == "sh") {
         let place = format!("{}:{}", block.file, block.line);
         if let Some(reason) = &block.no_run {
@@ -73,7 +77,7 @@ fn every_shell_block_runs_or_says_why_not() {
         if OF_THE_TESTS.contains(&block.text.trim()) {
             continue;
         }
-        let folder = tempfile::tempdir().unwrap();
+        let folder = folders.entry(&block.file).or_insert_with(|| tempfile::tempdir().unwrap());
         let path = format!("{}:{}", program.parent().unwrap().display(), std::env::var("PATH").unwrap());
         let output = Command::new("sh")
             .args(["-e", "-c", &block.text])

@@ -3,11 +3,15 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod bad_input;
+#[path = "../world/bag.rs"]
+mod bag;
 mod demo;
 mod docs;
 mod night;
+mod recordings;
 mod replay;
 mod restart;
 mod tidy;
+mod unattended;
 #[path = "../world/mod.rs"]
 mod world;

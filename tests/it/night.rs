@@ -94,7 +94,7 @@ fn ascii_output_at_another_rate_is_captured_as_configured() {
     assert_eq!((capture["samples"].as_u64(), capture["missing"].as_u64()), (Some(1000), Some(0)));
     assert_eq!(capture["rate_hz"], 50.0);
     let segments = world.get("/v1/captures/latest/segments");
-    assert_eq!(segments["segments"][0]["timebase"], "arrival");
+    assert_eq!(segments["segments"][0]["timebase"], "sync_counter", "the sensor's serial count is switched on");
     let rows = world.query("SELECT count(yaw), count(temperature), count(device_time_ns) FROM sample");
     assert_eq!(format!("{rows:?}"), "[[Integer(0), Integer(1000), Integer(0)]]");
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 17] = [
+const MAY_USE: [(&str, &[&str]); 19] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -18,15 +18,19 @@ const MAY_USE: [(&str, &[&str]); 17] = [
     ("store", &["sample", "clock", "observe", "units"]),
     ("recording", &["protocol", "sample", "clock", "units"]),
     ("jobs", &["store", "noise", "sample", "clock", "observe", "units"]),
-    ("config", &["units", "protocol"]),
+    ("config", &["units", "protocol", "observe"]),
+    ("notify", &["observe", "sample", "clock", "units"]),
+    ("retention", &[]),
     ("api", &["store", "jobs", "observe", "control", "noise", "sample", "clock", "units"]),
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 5] = ["protocol", "sample", "noise", "effects", "simulator"];
+const PURE: [&str; 6] = ["protocol", "sample", "noise", "effects", "simulator", "retention"];
 /// Files of shells that are pure all the same.
-const PURE_FILES: [&str; 12] = [
+const PURE_FILES: &[&str] = &[
+    "capture/host_watch.rs",
     "capture/session.rs",
+    "capture/session/connect.rs",
     "capture/script.rs",
     "capture/recorder.rs",
     "capture/backoff.rs",
@@ -37,6 +41,18 @@ const PURE_FILES: [&str; 12] = [
     "emulator/registers.rs",
     "emulator/instant.rs",
     "emulator/sensor.rs",
+    "emulator/faults.rs",
+    "emulator/line.rs",
+    "emulator/outbox.rs",
+    "emulator/uart.rs",
+    "notify/coalesce.rs",
+    "notify/notice.rs",
+    "notify/watch.rs",
+    "recording/account.rs",
+    "recording/between.rs",
+    "recording/choice.rs",
+    "recording/order.rs",
+    "recording/ros_message.rs",
     "units.rs",
 ];
 const IMPURE: [&str; 11] = [

@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each test binary uses its part")]
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -31,7 +31,7 @@ pub struct Process {
 
 impl Process {
     pub fn start(command: &mut Command, wait_for_line: bool) -> Self {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let log = std::sync::Arc::new(std::sync::Mutex::new(String::new()));
         let (errors, shared) = (child.stderr.take().unwrap(), log.clone());
         std::thread::spawn(move || {
@@ -61,6 +61,13 @@ impl Process {
         self.child.id()
     }
 
+    /// Says a line on its standard input: a fault, to an emulator that was started with `--faults -`.
+    pub fn say(&mut self, line: &str) {
+        let input = self.child.stdin.as_mut().unwrap();
+        writeln!(input, "{line}").unwrap();
+        input.flush().unwrap();
+    }
+
     /// Ends it as systemd would, and returns its exit code.
     pub fn terminate(&mut self) -> Option<i32> {
         let pid = rustix::process::Pid::from_child(&self.child);
@@ -74,11 +81,21 @@ impl Process {
         let _ = self.child.wait();
     }
 
+    /// Sends it a signal.
+    pub fn signal(&self, signal: rustix::process::Signal) {
+        rustix::process::kill_process(rustix::process::Pid::from_child(&self.child), signal).unwrap();
+    }
+
     pub fn wait(&mut self, patience: Duration) -> Option<i32> {
+        self.ended(patience).code()
+    }
+
+    /// How it ended, by itself or by a signal.
+    pub fn ended(&mut self, patience: Duration) -> std::process::ExitStatus {
         let deadline = Instant::now() + patience;
         while Instant::now() < deadline {
             if let Some(status) = self.child.try_wait().unwrap() {
-                return status.code();
+                return status;
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -132,16 +149,37 @@ impl World {
 
     /// The daemon on that port with this configuration; returns once its HTTP interface answers.
     pub fn daemon(&self, configuration: &str, arguments: &[&str]) -> Process {
+        self.daemon_on(self.port().to_str().unwrap(), configuration, arguments)
+    }
+
+    /// The same with these environment variables.
+    pub fn daemon_in(&self, environment: &[(&str, &str)], configuration: &str, arguments: &[&str]) -> Process {
+        let mut command = program();
+        command.envs(environment.iter().copied());
+        self.daemon_of(command, self.port().to_str().unwrap(), configuration, arguments)
+    }
+
+    /// The same, on another port or pattern.
+    pub fn daemon_on(&self, device: &str, configuration: &str, arguments: &[&str]) -> Process {
+        self.daemon_of(program(), device, configuration, arguments)
+    }
+
+    /// The same, begun by this command.
+    pub fn daemon_of(&self, command: Command, device: &str, configuration: &str, arguments: &[&str]) -> Process {
+        let process = self.start_daemon(command, device, configuration, arguments);
+        self.until("the daemon answers", Duration::from_secs(20), || self.try_get("/healthz").map(|_| ()), &process);
+        process
+    }
+
+    /// The same, without waiting for anything.
+    pub fn start_daemon(&self, mut command: Command, device: &str, configuration: &str, arguments: &[&str]) -> Process {
         let config = self.path("vn100d.toml");
         std::fs::write(&config, configuration).unwrap();
-        let mut command = program();
         command
             .args(["--data-dir", self.path("data").to_str().unwrap(), "--config", config.to_str().unwrap()])
-            .args(["run", "--listen", &self.listen, "--device", self.port().to_str().unwrap()])
+            .args(["run", "--listen", &self.listen, "--device", device])
             .args(arguments);
-        let process = Process::start(&mut command, false);
-        self.until("the daemon answers", Duration::from_secs(10), || self.try_get("/healthz").map(|_| ()), &process);
-        process
+        Process::start(&mut command, false)
     }
 
     pub fn try_get(&self, route: &str) -> Option<serde_json::Value> {
