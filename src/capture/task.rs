@@ -674,7 +674,21 @@ impl Book {
             self.sink.tally(recorder.tally());
         }
         match self.recorder.as_ref().map(|recorder| recorder.plan().id) {
-            Some(id) => self.overflow.extend(self.out.drain(..).map(|record| (id, record))),
+            Some(id) => {
+                for record in self.out.drain(..) {
+                    // While the disk refuses, every tick counts what was dropped: one record grows instead of the queue.
+                    if let (
+                        Some((last_id, Record::Discarded { cause: last, count: total })),
+                        Record::Discarded { cause, count },
+                    ) = (self.overflow.back_mut(), &record)
+                        && (*last_id, *last) == (id, *cause)
+                    {
+                        *total += count;
+                        continue;
+                    }
+                    self.overflow.push_back((id, record));
+                }
+            }
             None => self.out.clear(),
         }
         while let Some((id, record)) = self.overflow.pop_front() {

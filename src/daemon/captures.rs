@@ -176,7 +176,7 @@ impl Keeper {
     async fn stop(&mut self, id: i64) -> Result<(), ControlError> {
         self.notice_end();
         // In a file that took a lost one's place it may have another id.
-        let Some(id) = self.running.filter(|running| *running == id || self.store.stored_id(*running) == id) else {
+        let Some(id) = self.running.filter(|running| self.store.stored_id(*running) == id) else {
             return Err(ControlError::NotRunning { id });
         };
         let (reply, answer) = oneshot::channel();

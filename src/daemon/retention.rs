@@ -53,12 +53,14 @@ impl Retention {
         let mut offset_ns = None;
         loop {
             let this = self.clone();
+            // Only a second look tells whether the clock is being set: nothing is deleted at the first.
+            let first = offset_ns.is_none();
             let now_ns = self.clock.utc_ns();
             // Saturating: a clock that is years wrong must not stop this.
             let offset_now_ns = now_ns.saturating_sub(self.clock.mono_ns() as i64);
             let stepped = offset_ns.is_some_and(|before: i64| offset_now_ns.saturating_sub(before).abs() > STEP_NS);
             let before = status.borrow().deleted;
-            match self.store.offload(move |_| this.look(now_ns, stepped)).await {
+            match self.store.offload(move |_| this.look(now_ns, stepped, !first)).await {
                 Ok((planned, deleted)) => {
                     offset_ns = Some(offset_now_ns);
                     let planned_total = planned.len() as u64;
@@ -79,7 +81,12 @@ impl Retention {
     }
 
     /// One look: answers what is planned, and how many were deleted.
-    fn look(&self, now_utc_ns: i64, stepped: bool) -> Result<(Vec<PlannedDeletion>, u64), StoreError> {
+    fn look(
+        &self,
+        now_utc_ns: i64,
+        stepped: bool,
+        may_delete: bool,
+    ) -> Result<(Vec<PlannedDeletion>, u64), StoreError> {
         let rows = self.store.reader()?.retention_rows()?;
         let planned = plan(&rows.iter().map(candidate).collect::<Vec<_>>(), now_utc_ns, stepped, &self.limits);
         let row = |id: i64| rows.iter().find(|row| row.id == id);
@@ -113,7 +120,7 @@ impl Retention {
             self.tap.deletions(new);
         }
         let mut deleted = 0;
-        for one in planned.iter().filter(|one| one.is_due) {
+        for one in planned.iter().filter(|one| one.is_due && may_delete) {
             match self.store.delete_capture(one.id) {
                 Ok(()) => {
                     deleted += 1;
@@ -127,7 +134,7 @@ impl Retention {
         if deleted > 0 {
             self.jobs.wake();
         }
-        Ok((planned.iter().filter(|one| !one.is_due).map(listed).collect(), deleted))
+        Ok((planned.iter().filter(|one| !(one.is_due && may_delete)).map(listed).collect(), deleted))
     }
 }
 

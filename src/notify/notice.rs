@@ -91,9 +91,14 @@ pub struct Notice {
     pub sensor: Option<SensorStatus>,
     /// The store.
     pub storage: Option<StorageStatus>,
-    /// What is going to be deleted.
+    /// What is going to be deleted: the first of them, at most [`DELETIONS_NAMED`].
     pub deletions: Vec<PlannedDeletion>,
+    /// How many are going to be deleted.
+    pub deletions_total: u64,
 }
+
+/// A message fits into a pipe and an environment variable however many captures it is about.
+pub const DELETIONS_NAMED: usize = 20;
 
 /// What a receiver gets.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -120,6 +125,7 @@ impl Notice {
             sensor: None,
             storage: None,
             deletions: Vec::new(),
+            deletions_total: 0,
         }
     }
 
@@ -131,7 +137,11 @@ impl Notice {
             (before, now) => before.or(now),
         };
         let (count, first_utc_ns) = (self.count + later.count, self.first_utc_ns);
-        *self = Self { count, first_utc_ns, ..later };
+        let deletions_total = self.deletions_total + later.deletions_total;
+        let mut deletions = std::mem::take(&mut self.deletions);
+        deletions.extend_from_slice(&later.deletions);
+        deletions.truncate(DELETIONS_NAMED);
+        *self = Self { count, first_utc_ns, deletions, deletions_total, ..later };
         if let Some(gap) = &mut self.gap {
             gap.missing = sum;
         }
@@ -194,7 +204,9 @@ impl Notice {
                         format!("{capture} ({name}) on {delete_at}, for its {reason}")
                     })
                     .collect();
-                format!("captures are going to be deleted unless they are pinned: {}", names.join("; "))
+                let more = self.deletions_total.saturating_sub(self.deletions.len() as u64);
+                let more = if more > 0 { format!("; and {more} more (/v1/status)") } else { String::new() };
+                format!("captures are going to be deleted unless they are pinned: {}{more}", names.join("; "))
             }
             NotifyEvent::Test => "this is a test: notifications arrive".to_owned(),
         }

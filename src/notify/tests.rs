@@ -404,6 +404,24 @@ async fn a_hanging_receiver_costs_the_other_one_nothing() {
 }
 
 #[test]
+fn a_thousand_deletions_are_one_short_message_that_counts_them() {
+    let planned = |id: i64| PlannedDeletion {
+        capture: id,
+        name: format!("night {id}"),
+        bytes: 1,
+        reason: "age".to_owned(),
+        delete_at: "2026-11-22T20:00:00Z".to_owned(),
+    };
+    let mut watcher = watcher();
+    let mut notices = watcher.sign(0, Sign::Deletions((0..1000).map(planned).collect()));
+    let later = watcher.sign(1, Sign::Deletions(vec![planned(1000)])).remove(0);
+    notices[0].take_in(later);
+    let notice = &notices[0];
+    assert_eq!((notice.deletions.len(), notice.deletions_total, notice.count), (20, 1001, 2));
+    assert!(notice.message().ends_with("and 981 more (/v1/status)") && notice.message().len() < 4096);
+}
+
+#[test]
 fn without_receivers_the_tap_forgets() {
     let tap = Tap::default();
     assert!(!tap.is_heard());

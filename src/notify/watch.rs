@@ -1,6 +1,6 @@
 //! Watch: what of all that happens is worth telling. Pure: status snapshots and times in, notices out.
 
-use super::notice::{CaptureFacts, GapFacts, Notice};
+use super::notice::{CaptureFacts, DELETIONS_NAMED, GapFacts, Notice};
 use crate::observe::{CaptureStatus, NotifyEvent, PlannedDeletion, SensorState, Status, StorageState, StorageStatus};
 use crate::sample::Gap;
 use std::time::Duration;
@@ -91,7 +91,9 @@ impl Watcher {
             }
             Sign::Deletions(planned) => {
                 let mut notice = Notice::new(NotifyEvent::DeletionPlanned, utc_ns);
+                notice.deletions_total = planned.len() as u64;
                 notice.deletions = planned;
+                notice.deletions.truncate(DELETIONS_NAMED);
                 vec![notice]
             }
         }

@@ -38,7 +38,7 @@ impl Reader {
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<BackupReport, StoreError> {
         let begun = Instant::now();
-        let new = NewFile::beside(out, replace)?;
+        let new = NewFile::beside(out, replace, Path::new(self.connection.path().unwrap_or_default()))?;
         let mut copy = Connection::open(new.path())?;
         // The file is synced as a whole at the end.
         copy.pragma_update(None, "synchronous", "OFF")?;
@@ -86,10 +86,19 @@ pub(super) struct NewFile {
 }
 
 impl NewFile {
-    /// Begins a file in the directory of `out`.
-    pub(super) fn beside(out: &Path, replace: bool) -> Result<Self, StoreError> {
-        if !replace && out.symlink_metadata().is_ok() {
-            return Err(StoreError::Exists { path: out.to_owned() });
+    /// Begins a file in the directory of `out`, made from `source`. Never in the place of a database that is in use.
+    pub(super) fn beside(out: &Path, replace: bool, source: &Path) -> Result<Self, StoreError> {
+        if out.symlink_metadata().is_ok() {
+            if !replace {
+                return Err(StoreError::Exists { path: out.to_owned() });
+            }
+            let same = out.canonicalize().ok().zip(source.canonicalize().ok()).is_some_and(|(one, other)| one == other);
+            // The log of what stood there would be taken for that of the new file.
+            let has_log = std::fs::metadata(schema::wal_path(out)).is_ok_and(|log| log.len() > 0);
+            if same || has_log {
+                return Err(StoreError::InUse { path: out.to_owned() });
+            }
+            super::lock::refuse_writer(out)?;
         }
         let directory =
             out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();

@@ -513,8 +513,8 @@ fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
         &format!(
             "UPDATE capture SET missing = missing - (SELECT CAST(total(missing) AS INTEGER) FROM gap WHERE {open}), \
              gaps = gaps - (SELECT count(*) FROM gap WHERE {open}), \
-             sample_time_ns = max(0, sample_time_ns - CAST(round((SELECT total(missing) FROM gap WHERE {open}) * 1e9 / \
-             (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1)) AS INTEGER)) \
+             sample_time_ns = max(0, sample_time_ns - coalesce(CAST(round((SELECT total(missing) FROM gap WHERE {open}) * 1e9 / \
+             (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1)) AS INTEGER), 0)) \
              WHERE state = 'capturing' AND lifecycle = 'live' AND EXISTS (SELECT 1 FROM gap WHERE {open})"
         ),
         [],

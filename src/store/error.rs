@@ -38,6 +38,12 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// A file that must not be replaced.
+    #[error("{path} is the database itself or has a log beside it (-wal): name another file; nothing was replaced")]
+    InUse {
+        /// The file.
+        path: PathBuf,
+    },
     /// There is no database to read.
     #[error("there is no database at {path}: capture or import something first, or name its directory with --data-dir")]
     NoDatabase {
@@ -258,6 +264,7 @@ impl StoreError {
             Self::Locked { .. }
             | Self::Create { .. }
             | Self::Exists { .. }
+            | Self::InUse { .. }
             | Self::NetworkFileSystem { .. }
             | Self::Foreign { .. } => StoreErrorKind::CannotCreate,
             Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,

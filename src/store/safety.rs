@@ -202,6 +202,11 @@ fn a_backup_is_whole_and_a_database_of_its_own() {
     assert_ne!(identity(&out), identity(world.store.path()));
     assert!(matches!(world.reader().backup(&out, false, &mut |_, _| ()), Err(StoreError::Exists { .. })));
     world.reader().backup(&out, true, &mut |_, _| ()).unwrap();
+    // The database itself is never what is replaced, nor one whose log is there.
+    let itself = world.store.path();
+    assert!(matches!(world.reader().backup(itself, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
+    std::fs::write(world.directory.path().join("copy.db-wal"), b"log").unwrap();
+    assert!(matches!(world.reader().backup(&out, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
     let left: Vec<_> =
         std::fs::read_dir(world.directory.path()).unwrap().flatten().map(|file| file.file_name()).collect();
     assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".part")), "{left:?}");

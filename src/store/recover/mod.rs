@@ -110,7 +110,7 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
     let image = Image::open(path, &schema::wal_path(path))
         .map_err(|source| StoreError::Read { path: path.to_owned(), source })?;
     let mut salvage = Salvage::of(image);
-    let new = NewFile::beside(out, replace)?;
+    let new = NewFile::beside(out, replace, path)?;
     let mut connection = schema::open_and_migrate(new.path(), None)?;
     // The file is synced as a whole at the end.
     connection.pragma_update(None, "synchronous", "OFF")?;
