@@ -5,7 +5,7 @@
 //! capture.
 
 use crate::observe::Tally;
-use crate::sample::accounting::Position;
+use crate::sample::accounting::{Position, civil_elapsed_ns};
 use crate::sample::record::CaptureEnd;
 use crate::sample::{
     Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, Record, Sample, Timebase,
@@ -354,7 +354,7 @@ impl Recorder {
         let (last, rate_hz) = known.or(resumed)?;
         let silence_ns = match self.counts.last_mono_ns {
             Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
-            None => (now_utc_ns - last.host_utc_ns).max(0) as f64,
+            None => civil_elapsed_ns(last.host_utc_ns, now_utc_ns),
         };
         Some((last, rate_hz, silence_ns))
     }

@@ -401,9 +401,14 @@ impl Session {
         let read = self.script.read().clone();
         self.status.model = read.get(&1).cloned().or(self.status.model.take());
         let serial_number = read.get(&3).cloned();
-        if self.previous_of != serial_number {
+        if let (Some(before), Some(found)) = (&self.previous_of, &serial_number)
+            && before != found
+        {
             // Another unit: what the first one sent before is not to be written into it.
             self.previous.clear();
+        }
+        // A number that was not answered this once says nothing of another unit.
+        if serial_number.is_some() {
             self.previous_of.clone_from(&serial_number);
         }
         self.status.serial_number = serial_number;

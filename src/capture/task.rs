@@ -8,6 +8,7 @@ use super::session::{Session, SessionOptions};
 use crate::clock::Clock;
 use crate::observe::{SensorState, SensorStatus, Tally};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
+use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 use crate::sample::device_clock::{ClockEstimate, DeviceClock};
 use crate::sample::{DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
 use rand::SeedableRng;
@@ -24,8 +25,6 @@ use tokio_serial::SerialStream;
 const TICK: Duration = Duration::from_millis(200);
 /// What arrives within this time after the host stood or slept may show what it lost, ns.
 const HOST_BLAME_NS: u64 = 3_000_000_000;
-/// Civil time before 2025 is that of a host whose clock nobody has set, UTC ns.
-const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
 /// How often the estimate of the sensor's clock is written down, ns.
 const CLOCK_EVERY_NS: u64 = 60_000_000_000;
 /// Places in the queue that samples never take: segments, gaps and events always find room.

@@ -643,8 +643,21 @@ fn host_elapsed_ns(last: &Position, sample: &Sample) -> f64 {
     if is_one_boot(last, sample) {
         (sample.host_mono_ns - last.host_mono_ns) as f64
     } else {
-        ((sample.host_utc_ns - last.host_utc_ns) as f64).max(0.0)
+        civil_elapsed_ns(last.host_utc_ns, sample.host_utc_ns)
     }
+}
+
+/// Civil time before 2025 is that of a host whose clock nobody has set, UTC ns.
+pub const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
+
+/// Civil time from one instant to a later one, ns; 0 where it went back, or where the clock was set in between and nobody
+/// knows how long it was: what the sensor's own clock shows is then all that counts.
+#[must_use]
+pub fn civil_elapsed_ns(from_utc_ns: i64, to_utc_ns: i64) -> f64 {
+    if from_utc_ns < UTC_UNSET_BEFORE_NS && to_utc_ns >= UTC_UNSET_BEFORE_NS {
+        return 0.0;
+    }
+    to_utc_ns.saturating_sub(from_utc_ns).max(0) as f64
 }
 
 #[cfg(test)]
@@ -673,6 +686,14 @@ mod tests {
                 |record| if let Record::Sample { seq, segment, .. } = record { Some((*seq, *segment)) } else { None },
             )
             .collect()
+    }
+
+    #[test]
+    fn a_clock_that_was_set_in_between_does_not_make_decades_of_absence() {
+        assert_eq!(civil_elapsed_ns(1_000_000_000, 1_800_000_000_000_000_000), 0.0);
+        assert_eq!(civil_elapsed_ns(1_000_000_000, 3_000_000_000), 2e9);
+        assert_eq!(civil_elapsed_ns(3_000_000_000, 1_000_000_000), 0.0);
+        assert_eq!(civil_elapsed_ns(1_800_000_000_000_000_000, 1_800_000_003_000_000_000), 3e9);
     }
 
     #[test]
