@@ -1,9 +1,14 @@
 # Shared by .ci/run and .ci/full: tools, real recordings, steps with their times.
 export CARGO_TERM_COLOR=${CARGO_TERM_COLOR:-never}
 times=()
+# Each test that does without a tool or a recording leaves a line there.
+mkdir -p target
+VN100D_SKIPPED=$PWD/target/skipped
+export VN100D_SKIPPED
+: >"$VN100D_SKIPPED"
 
 # Package by package what the tests call; root on Debian installs what is missing.
-tools="strace:strace setpriv:util-linux sqlite3:sqlite3 systemd-analyze:systemd systemd-sysusers:systemd lintian:lintian
+tools="strace:strace udevadm:udev setpriv:util-linux sqlite3:sqlite3 systemd-analyze:systemd systemd-sysusers:systemd lintian:lintian
   dpkg-shlibdeps:dpkg-dev mandoc:mandoc man:man-db xz:xz-utils"
 
 install_tools() {
@@ -29,7 +34,7 @@ find_real_data() {
     VN100D_REAL_DATA=$(cd ../shared/data && pwd)
   fi
   if [ -n "${VN100D_REAL_DATA:-}" ]; then
-    export VN100D_REAL_DATA
+    export VN100D_REAL_DATA VN100D_REQUIRE_DATA=1
     echo "real recordings: $VN100D_REAL_DATA"
   else
     echo "real recordings: none here, so the tests on them are skipped (set VN100D_REAL_DATA)"
@@ -46,6 +51,13 @@ can_package() {
   cargo deb --version >/dev/null 2>&1 || step cargo install cargo-deb --version 3.8.0 --locked --no-default-features || exit 1
 }
 
+# `cargo test` with a filter: a filter that nothing matches is no success.
+filtered() {
+  local said=target/filtered
+  "$@" 2>&1 | tee "$said"
+  grep -qE '^test result: ok\. [1-9][0-9]* passed' "$said" || { echo "no test has passed: $*"; return 1; }
+}
+
 step() {
   echo
   echo "== $*"
@@ -59,5 +71,7 @@ summary() {
   echo
   echo "== times"
   printf '%s\n' "${times[@]}"
+  echo "== skipped: $(wc -l <"$VN100D_SKIPPED")"
+  sort "$VN100D_SKIPPED" | uniq -c
   echo "$(printf '%5d s  in all' "$SECONDS")"
 }

@@ -22,13 +22,18 @@ cleanup() {
 }
 trap cleanup EXIT
 
+# True where the tool is at hand; else says so, or fails where CI requires it.
+have() {
+  command -v "$1" >/dev/null && return
+  [ -z "${VN100D_REQUIRE_TOOLS:-}" ] || fail "$1 is required here"
+  echo "skipped: $1 is not at hand"
+  [ -z "${VN100D_SKIPPED:-}" ] || echo "test-deb.sh: $1 is not at hand" >>"$VN100D_SKIPPED"
+  return 1
+}
+
 say "lintian"
-if command -v lintian >/dev/null; then
+if have lintian; then
   lintian --fail-on error --suppress-tags bad-distribution-in-changes-file --tag-display-limit 0 "$deb"
-elif [ -n "${VN100D_REQUIRE_TOOLS:-}" ]; then
-  fail "lintian is required here"
-else
-  echo "skipped: lintian is not at hand"
 fi
 
 say "install"
@@ -51,17 +56,24 @@ for file in /usr/bin/vn100d /lib/systemd/system/vn100d.service /lib/systemd/syst
 done
 dpkg-query -W -f '${Conffiles}' vn100d | grep -q ' /etc/vn100d/vn100d.toml ' || fail "no conffile"
 bash -n /usr/share/bash-completion/completions/vn100d
-if command -v udevadm >/dev/null && udevadm verify --help >/dev/null 2>&1; then
-  udevadm verify /lib/udev/rules.d/70-vn100.rules
+if have udevadm; then
+  # Releases before 254 have no `verify`; the rule is then judged by nobody, and that is said.
+  if udevadm verify --help >/dev/null 2>&1; then
+    udevadm verify /lib/udev/rules.d/70-vn100.rules
+  else
+    echo "skipped: $(udevadm --version | sed 's/^/udevadm /') cannot verify rules"
+  fi
 fi
 
 say "manual"
-for page in $(dpkg -L vn100d | grep '/man1/.*\.1\.gz$'); do
-  if command -v mandoc >/dev/null; then
+pages=$(dpkg -L vn100d | grep '/man1/.*\.1\.gz$' || true)
+[ "$(wc -l <<<"$pages")" -ge 10 ] || fail "only these man pages: $pages"
+for page in $pages; do
+  if have mandoc; then
     # Styles of a generated page are no errors.
     gunzip -c "$page" | mandoc -T lint -W error || fail "$page"
   fi
-  if command -v man >/dev/null; then
+  if have man; then
     said=$(LC_ALL=C.UTF-8 MANWIDTH=100 man --warnings -E UTF-8 -l "$page" 2>&1 >"$work/page") || fail "$page"
     [ -z "$said" ] || fail "$page: $said"
     [ -s "$work/page" ] || fail "$page is empty"
@@ -69,13 +81,14 @@ for page in $(dpkg -L vn100d | grep '/man1/.*\.1\.gz$'); do
 done
 
 say "units"
-if command -v systemd-analyze >/dev/null; then
-  systemd-analyze verify vn100d.service 2>&1 | grep vn100d && fail "vn100d.service" || true
-  systemd-analyze verify vn100d@left.service 2>&1 | grep vn100d && fail "vn100d@.service" || true
+if have systemd-analyze; then
+  for unit in vn100d.service vn100d@left.service; do
+    # What it says about other units of this machine is not ours; its status is.
+    systemd-analyze verify "$unit" >"$work/verify" 2>&1 || { cat "$work/verify"; fail "$unit"; }
+    ! grep vn100d "$work/verify" || fail "$unit"
+  done
   systemd-analyze security --offline=true --threshold=20 vn100d.service | tail -n 1
   systemd-analyze security --offline=true --threshold=20 vn100d@left.service | tail -n 1
-elif [ -n "${VN100D_REQUIRE_TOOLS:-}" ]; then
-  fail "systemd-analyze is required here"
 fi
 
 say "the installed program, as its user, with the installed configuration"
@@ -95,11 +108,7 @@ case $state in *complete*) ;; *) cat "$work/log"; fail "the capture is not compl
 kill -TERM "$daemon"
 wait "$daemon" || fail "the daemon ended with $?"
 daemon=''
-if vn100d --help | grep -q '^  check '; then
-  vn100d --data-dir /var/lib/vn100d check || fail "check finds something"
-else
-  echo "vn100d check: not in this version"
-fi
+vn100d --data-dir /var/lib/vn100d check || fail "check finds something"
 install -d -o vn100d -g vn100d /var/lib/vn100d/left
 echo instance >/var/lib/vn100d/left/vn100d.db
 kill "$emulator"

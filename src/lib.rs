@@ -12,6 +12,10 @@
 //! as arguments. Shells ([`capture`], [`store`], [`jobs`], [`api`], [`cli`]) do the input and output and meet only in
 //! [`daemon`]. `docs/architecture.md` draws the map; `tests/it/tidy.rs` keeps it true.
 
+#[cfg(test)]
+#[path = "../tests/world/skip.rs"]
+mod skip;
+
 pub mod clock;
 pub mod control;
 pub mod observe;

@@ -357,20 +357,9 @@ fn every_binary_vector_is_what_its_source_says() {
     }
 }
 
-/// A file beside the real recordings; `None`, said aloud, where they are not at hand.
-fn real_file(path: &str) -> Option<std::path::PathBuf> {
-    let Some(folder) = std::env::var_os("VN100D_REAL_DATA") else {
-        println!("skipped: VN100D_REAL_DATA is not set, {path} not read");
-        return None;
-    };
-    let path = std::path::Path::new(&folder).join(path);
-    assert!(path.exists(), "{} is missing", path.display());
-    Some(path)
-}
-
 #[test]
 fn excerpts_of_real_streams_decode_as_counted_there() {
-    let Some(path) = real_file("../vectors/captures.json") else { return };
+    let Some(path) = crate::skip::real_data("../vectors/captures.json") else { return };
     let captures = json(&std::fs::read_to_string(path).unwrap());
     for frame in captures["frames"].as_array().unwrap() {
         let bytes = bytes_of_hex(text(frame, "hex"));
@@ -411,7 +400,7 @@ fn excerpts_of_real_streams_decode_as_counted_there() {
 #[test]
 fn a_real_recording_is_decoded_and_written_again_byte_for_byte() {
     use std::io::Read;
-    let Some(path) = real_file("vn100-desk/live_capture.txt.gz") else { return };
+    let Some(path) = crate::skip::real_data("vn100-desk/live_capture.txt.gz") else { return };
     let mut bytes = Vec::new();
     flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap()).read_to_end(&mut bytes).unwrap();
     let crlf = bytes.windows(2).any(|pair| pair == b"\r\n");

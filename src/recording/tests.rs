@@ -360,19 +360,10 @@ fn a_line_without_end_takes_bounded_memory() {
     assert_eq!(loaded.missing, 0);
 }
 
-/// The folder of real recordings; without it the caller is skipped, with a note.
-fn real_data(test: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("VN100D_REAL_DATA").map(PathBuf::from);
-    if folder.is_none() {
-        println!("{test} was skipped: VN100D_REAL_DATA is not set");
-    }
-    folder
-}
-
 #[test]
 fn the_real_desk_capture_has_30178_samples_and_no_rejected_line() {
-    let Some(folder) = real_data("the real desk capture") else { return };
-    let loaded = load_columns(&folder.join("vn100-desk/live_capture.txt.gz"), Options::default()).unwrap();
+    let Some(folder) = crate::skip::real_data("vn100-desk") else { return };
+    let loaded = load_columns(&folder.join("live_capture.txt.gz"), Options::default()).unwrap();
     assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_assumed), (30_178, 0, true));
     assert!(loaded.info.rejected.is_empty());
     assert_eq!(loaded.segments, std::slice::from_ref(&(0..30_178)));
@@ -383,8 +374,8 @@ fn the_real_desk_capture_has_30178_samples_and_no_rejected_line() {
 
 #[test]
 fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines() {
-    let Some(folder) = real_data("the real cart recording") else { return };
-    let file = folder.join("vn100-cart/circle_carter.imu.raw.txt.gz");
+    let Some(folder) = crate::skip::real_data("vn100-cart") else { return };
+    let file = folder.join("circle_carter.imu.raw.txt.gz");
     let loaded = load_columns(&file, Options::default()).unwrap();
     assert_eq!(loaded.samples, 3_875);
     assert_eq!(loaded.info.rejected, [(DiscardCause::Checksum, 5)].into());
@@ -407,8 +398,8 @@ fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines
 
 #[test]
 fn the_real_adis16405_run_has_a_million_samples_at_the_told_rate() {
-    let Some(folder) = real_data("the real ADIS16405 run") else { return };
-    let loaded = load_columns(&folder.join("adis16405/adis_16405_imu1.csv.gz"), at_rate(100.0)).unwrap();
+    let Some(folder) = crate::skip::real_data("adis16405") else { return };
+    let loaded = load_columns(&folder.join("adis_16405_imu1.csv.gz"), at_rate(100.0)).unwrap();
     assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_hz), (1_000_000, 0, 100.0));
     assert!(loaded.info.rejected.is_empty());
     assert_eq!(loaded.info.conversions.len(), 6);
@@ -418,7 +409,7 @@ fn the_real_adis16405_run_has_a_million_samples_at_the_told_rate() {
 
 #[test]
 fn real_stamped_recordings_of_other_sensors_are_read_whole() {
-    let Some(folder) = real_data("real stamped recordings") else { return };
+    let Some(folder) = crate::skip::real_data("") else { return };
     for (file, samples, missing, rate_hz) in [
         ("vn100-car/data_circle2_0.imu.raw.txt.gz", 2_617, 0, 39.992_792),
         ("broad/01_undisturbed_slow_rotation_A.csv.gz", 56_940, 0, 285.714_286),

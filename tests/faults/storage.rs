@@ -2,7 +2,7 @@
 
 mod damaged;
 mod failing;
-mod full;
+pub mod full;
 mod held;
 mod images;
 mod large;
@@ -150,10 +150,10 @@ impl Watch {
 }
 
 /// A file system of its own under the world's data directory; gone with the test.
-struct Mount(PathBuf);
+pub struct Mount(pub PathBuf);
 
 impl Mount {
-    fn tmpfs(world: &World, size: &str) -> Self {
+    pub fn tmpfs(world: &World, size: &str) -> Self {
         let data = world.path("data");
         std::fs::create_dir_all(&data).unwrap();
         let mounted = Command::new("mount")

@@ -2,30 +2,32 @@
 
 #![allow(dead_code, reason = "not every machine runs every row")]
 
+use crate::world::skip::tool;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// True where this program can be run. Where it cannot, says that the test is skipped; with `VN100D_REQUIRE_TOOLS` set, as
 /// CI does, a missing tool fails the test instead.
-pub fn have(tool: &str, reason: &str) -> bool {
+pub fn have(name: &str, reason: &str) -> bool {
     let found = Command::new("sh")
-        .args(["-c", &format!("command -v {tool}")])
+        .args(["-c", &format!("command -v {name}")])
         .stdout(Stdio::null())
         .status()
         .is_ok_and(|status| status.success());
-    told(found, tool, reason)
+    tool(found, name, reason)
 }
 
 /// True for the superuser, who may mount and set limits.
 pub fn root(reason: &str) -> bool {
-    told(rustix::process::geteuid().is_root(), "root", reason)
+    tool(rustix::process::geteuid().is_root(), "root", reason)
 }
 
-fn told(found: bool, what: &str, reason: &str) -> bool {
-    if !found {
-        assert!(std::env::var_os("VN100D_REQUIRE_TOOLS").is_none(), "{what} is required here: {reason}");
-        eprintln!("skipped: {what} is not at hand ({reason})");
-    }
-    found
+/// The library that sets a program's clock, where it is installed.
+pub fn libfaketime() -> Option<PathBuf> {
+    let folders = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+    let library = folders.map(|folder| folder.join("faketime/libfaketime.so.1")).find(|library| library.exists());
+    tool(library.is_some(), "libfaketime", "it steps the daemon's clock");
+    library
 }
 
 /// The full figure where `VN100D_FAULTS=full` asks for it, else the scaled one.

@@ -1,7 +1,8 @@
 //! Recordings that others made: bags whose every value is known, damaged ones, and the real ones.
 
 use crate::bag;
-use crate::world::{World, real_data, vn100d};
+use crate::world::skip::real_data;
+use crate::world::{World, vn100d};
 use std::collections::BTreeMap;
 use std::path::Path;
 use vn100d::recording::{

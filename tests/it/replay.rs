@@ -1,6 +1,7 @@
 //! A real recording through the terminal into the database.
 
-use crate::world::{World, real_data};
+use crate::world::World;
+use crate::world::skip::real_data;
 use std::io::Read;
 use std::time::Duration;
 use vn100d::noise::allan::{FixedPoint, Overlapping, TauGrid};

@@ -2,8 +2,10 @@
 
 #![allow(dead_code, reason = "each test binary uses its part")]
 
+pub mod skip;
+
 use std::io::{BufRead, BufReader, Read, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
@@ -240,15 +242,4 @@ impl World {
         let rows = statement.query_map([], |row| (0..columns).map(|column| row.get(column)).collect()).unwrap();
         rows.map(Result::unwrap).collect()
     }
-}
-
-/// The folder of real recordings; `None` (said) where the environment does not name one.
-pub fn real_data(file: &str) -> Option<PathBuf> {
-    let Some(folder) = std::env::var_os("VN100D_REAL_DATA") else {
-        eprintln!("skipped: VN100D_REAL_DATA is not set, so {file} is not at hand");
-        return None;
-    };
-    let path = Path::new(&folder).join(file);
-    assert!(path.exists(), "VN100D_REAL_DATA is set, but {} is missing", path.display());
-    Some(path)
 }

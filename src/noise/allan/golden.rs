@@ -266,11 +266,7 @@ fn fourteen_million_samples_in_chunks_have_allantools_deviations() {
 #[test]
 fn a_desk_recording_has_its_authors_deviations() {
     use std::io::Read;
-    let Some(folder) = std::env::var_os("VN100D_REAL_DATA") else {
-        println!("skipped: VN100D_REAL_DATA is not set");
-        return;
-    };
-    let folder = std::path::Path::new(&folder).join("vn100-desk");
+    let Some(folder) = crate::skip::real_data("vn100-desk") else { return };
     let read = |name: &str| {
         let file = std::fs::File::open(folder.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
         let mut text = String::new();

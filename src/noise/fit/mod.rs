@@ -246,11 +246,7 @@ mod tests {
     #[test]
     fn a_desk_recording_has_the_densities_of_its_sensor() {
         use std::io::Read;
-        let Some(folder) = std::env::var_os("VN100D_REAL_DATA") else {
-            println!("skipped: VN100D_REAL_DATA is not set");
-            return;
-        };
-        let path = std::path::Path::new(&folder).join("vn100-desk/live_capture.txt.gz");
+        let Some(path) = crate::skip::real_data("vn100-desk/live_capture.txt.gz") else { return };
         let mut text = String::new();
         flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap()).read_to_string(&mut text).unwrap();
         let column = |index: usize| -> Vec<f64> {

@@ -4,7 +4,7 @@ use super::*;
 use crate::tools;
 
 /// Fills the file system to the last byte.
-fn fill(folder: &Path) -> PathBuf {
+pub fn fill(folder: &Path) -> PathBuf {
     use std::io::Write as _;
     let path = folder.join("filler");
     let mut file = std::fs::File::create(&path).unwrap();
