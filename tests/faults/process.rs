@@ -364,6 +364,7 @@ fn little_memory_is_enough_for_a_large_request_a_job_and_a_capture() {
 
 /// A6, in a handler.
 #[test]
+#[cfg_attr(not(debug_assertions), ignore = "only debug builds can be made to panic")]
 fn a_panic_ends_the_process_at_once_and_the_capture_goes_on_after_the_restart() {
     let world = World::new();
     let (_sensor, log) = fast_sensor(&world);
@@ -389,6 +390,7 @@ fn a_panic_ends_the_process_at_once_and_the_capture_goes_on_after_the_restart() 
 
 /// A6, in a job.
 #[test]
+#[cfg_attr(not(debug_assertions), ignore = "only debug builds can be made to panic")]
 fn a_job_that_brings_the_program_down_three_times_is_failed_and_not_tried_for_ever() {
     let world = World::new();
     recorded(&world, 1000);
