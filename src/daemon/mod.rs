@@ -287,7 +287,11 @@ async fn disk_fails(store: &Store) {
     while !store.progress().gives_up() {
         tokio::time::sleep(DISK_LOOK).await;
     }
-    tracing::error!("the disk has failed three times within a minute: the daemon ends, so that it is started anew");
+    if store.progress().damaged {
+        tracing::error!("the database is damaged: the daemon ends, and writes nothing more to it");
+    } else {
+        tracing::error!("the disk has failed three times within a minute: the daemon ends, so that it is started anew");
+    }
 }
 
 /// How many files this process may have open: as many as the system lets it.

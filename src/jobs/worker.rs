@@ -277,6 +277,12 @@ impl Inner {
                 Ok(())
             }
             Ok(Outcome::Cancelled | Outcome::Stopped) => Ok(()),
+            // A hole in the samples is the job's affair: its capture may be going away.
+            Err(JobError::Store(error)) if error.is_damage() && !matches!(error, StoreError::Damaged { .. }) => {
+                // The job stays as it is: nothing is written to a damaged database, not even that it failed.
+                self.store.report_damage(&error);
+                Err(error.into())
+            }
             Err(JobError::Store(error)) if is_passing(&error) => {
                 self.release(job.id)?;
                 Err(error.into())

@@ -317,6 +317,7 @@ pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>
     }
     if let Some(mark) = mark {
         not_behind(connection, path, mark).map_err(damaged)?;
+        met_before(connection, path, mark).map_err(damaged)?;
     }
     let until = Instant::now() + AT_START;
     super::writer::quick_check(connection, AT_START / 2).map_err(damaged)?;
@@ -332,8 +333,18 @@ fn truncated(connection: &Connection, path: &Path) -> Option<String> {
     (log == 0 && there < wanted).then(|| format!("the file has {there} bytes of {wanted}"))
 }
 
+/// Damage that was met while this database was in use may lie where the check of a start does not come to.
+fn met_before(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
+    let Some(report) = &mark.damage else { return Ok(()) };
+    // Where it cannot be read the checks that follow say so.
+    if super::writer::identity_of(connection).ok().as_ref() != Some(&mark.identity) {
+        return Ok(());
+    }
+    Err(StoreError::MetDamage { path: path.to_owned(), report: report.clone(), lock: super::lock::lock_path(path) })
+}
+
 /// A database that has fewer batches than were acknowledged lost its log.
-fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
+pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
     let sql = "SELECT identity, batch FROM writer";
     let found = connection.query_row(sql, [], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)));
     match found {

@@ -123,6 +123,20 @@ pub enum StoreError {
         /// What was found.
         report: String,
     },
+    /// Damage was met while the database was in use, now or in an earlier run.
+    #[error(
+        "{path} is damaged ({report}, met while it was in use): nothing more is written to it; `vn100d check {path}` \
+         says what is wrong, `vn100d recover {path} --out FILE` salvages what is intact: put that file in its place (if \
+         the check finds nothing, remove {lock} to go on)"
+    )]
+    MetDamage {
+        /// The database.
+        path: PathBuf,
+        /// What was met.
+        report: String,
+        /// The file that remembers.
+        lock: PathBuf,
+    },
     /// What was committed is not there: the log was taken away, or an older file was put in its place.
     #[error(
         "{path} lacks {lost} batches that were committed: its log `-wal` was taken away, or an older copy was put in \
@@ -271,6 +285,7 @@ impl StoreError {
             Self::Read { .. }
             | Self::Damaged { .. }
             | Self::RefusedDamaged { .. }
+            | Self::MetDamage { .. }
             | Self::LogMissing { .. }
             | Self::Thread(_)
             | Self::Unwritten { .. } => StoreErrorKind::Io,
@@ -300,6 +315,20 @@ impl StoreError {
             },
             Self::Lost { .. } => StorageState::StorageLost,
             _ => StorageState::StorageError,
+        }
+    }
+
+    /// Whether the file is not what was committed to it: no disk that recovers mends that.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Sqlite(error) => {
+                matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
+            }
+            Self::Damaged { .. } | Self::RefusedDamaged { .. } | Self::MetDamage { .. } | Self::LogMissing { .. } => {
+                true
+            }
+            _ => false,
         }
     }
 

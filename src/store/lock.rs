@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// Holds `<database>.lock` with this process's id in it; the kernel lets go of it when the process ends, however.
 ///
 /// Its second line remembers the last batch that was acknowledged ([`Mark`]): outside the database, so that a log that is
-/// taken away is noticed.
+/// taken away is noticed. A third says that damage was met, so that the next start knows it whatever its check finds.
 #[derive(Debug)]
 pub(super) struct WriterLock {
     file: File,
@@ -18,15 +18,18 @@ pub(super) struct WriterLock {
     pub(super) previous: Option<Mark>,
 }
 
-/// The last batch that was acknowledged, and of which database.
+/// The last batch that was acknowledged, of which database, and the damage that was met in it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Mark {
     pub(super) identity: String,
     pub(super) batch: i64,
+    pub(super) damage: Option<String>,
 }
 
 /// Bytes of the first line, so that the second can be written in its place.
 const PID_WIDTH: usize = 20;
+/// Where the third line begins: behind an identity of 32 characters and a number of 20.
+const DAMAGE_AT: u64 = PID_WIDTH as u64 + 1 + 32 + 1 + 20 + 1;
 
 impl WriterLock {
     /// Takes the lock, at once or not at all.
@@ -47,7 +50,7 @@ impl WriterLock {
             }
             return Err(StoreError::Locked { path: database.to_owned(), pid });
         }
-        let previous = lines.next().and_then(Mark::read);
+        let previous = lines.next().and_then(|second| Mark::read(second, lines.next()));
         let lock = Self { file, previous };
         let line = format!("{:<PID_WIDTH$}\n", std::process::id());
         lock.file.write_all_at(line.as_bytes(), 0).map_err(create)?;
@@ -55,17 +58,27 @@ impl WriterLock {
     }
 
     /// Remembers the last acknowledged batch. It is not synced: a mark that is older than the database does no harm.
-    pub(super) fn mark(&self, mark: &Mark) -> std::io::Result<()> {
-        let line = format!("{} {:020}\n", mark.identity, mark.batch);
+    pub(super) fn mark(&self, identity: &str, batch: i64) -> std::io::Result<()> {
+        let line = format!("{identity} {batch:020}\n");
         self.file.write_all_at(line.as_bytes(), PID_WIDTH as u64 + 1)
+    }
+
+    /// Remembers that this database is damaged, durably.
+    pub(super) fn mark_damaged(&self, identity: &str, report: &str) -> std::io::Result<()> {
+        let line = format!("{identity} damaged: {}\n", report.replace('\n', "; "));
+        self.file.write_all_at(line.as_bytes(), DAMAGE_AT)?;
+        self.file.sync_all()
     }
 }
 
 impl Mark {
-    fn read(line: &str) -> Option<Self> {
+    fn read(line: &str, damage: Option<&str>) -> Option<Self> {
         let (identity, batch) = line.split_once(' ')?;
         let whole = identity.len() == 32 && batch.len() == 20;
-        Some(Self { identity: identity.to_owned(), batch: batch.parse().ok()? }).filter(|_| whole)
+        // What was said of a database that another one has taken the place of does not concern that one.
+        let said = damage.and_then(|line| line.strip_prefix(identity)?.strip_prefix(" damaged: "));
+        let damage = said.map(str::to_owned);
+        Some(Self { identity: identity.to_owned(), batch: batch.parse().ok()?, damage }).filter(|_| whole)
     }
 }
 

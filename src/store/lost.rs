@@ -3,13 +3,18 @@
 //! The open file takes data that nobody will find again. So the path's file is compared with the open one now and then;
 //! where they differ, what stands there (or a new file) takes what comes: the running capture goes on in it under its name,
 //! numbered from 0, with its remaining duration and an event that says so. Nothing that was not committed is lost.
+//!
+//! While the connection is closed (after an I/O error) nothing holds the file: another one may then have its number, and the
+//! same one another device. So before it is opened again the database's own identity is compared, in the file alone: beside
+//! another file the log that was left would destroy it.
 
 use super::captures::name_is_free;
 use super::insert::{Inserted, timebase_from_name};
 use super::{SOFTWARE, StoreError, schema};
 use crate::sample::{Channel, EventKind, Gap, Record, Segment};
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -39,16 +44,57 @@ fn id_of(path: &Path) -> Option<Id> {
     std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
 }
 
+/// What tells one log from the next in the same file: its header, with the salt.
+const LOG_HEADER: usize = 32;
+
+fn log_header(path: &Path) -> Option<[u8; LOG_HEADER]> {
+    let mut header = [0; LOG_HEADER];
+    std::fs::File::open(schema::wal_path(path)).ok()?.read_exact(&mut header).ok()?;
+    Some(header)
+}
+
 /// Which files are open: the database, its log, its shared memory.
 #[derive(Debug, Clone)]
 pub(super) struct FileId {
     database: Option<Id>,
     remains: Vec<(PathBuf, Id)>,
+    /// The log that stayed when the connection was closed after an error.
+    log: Option<[u8; LOG_HEADER]>,
+}
+
+/// What a file says of itself, its log left aside.
+#[derive(Debug, PartialEq, Eq)]
+enum Says {
+    /// It is the database of this identity.
+    Identity(String),
+    /// It is one of ours; who it is stands in its log.
+    Ours,
+    /// It is damaged or cannot be read now.
+    Nothing,
+    /// It is something else.
+    Foreign,
+}
+
+fn says(path: &Path) -> Says {
+    let uri = format!("file:{}?immutable=1", schema::uri_escaped(path));
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+    let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Says::Nothing };
+    match schema::refuse_foreign(&connection, path) {
+        Ok(()) => {}
+        // No database at all may be a damaged one.
+        Err(StoreError::Foreign { found, .. }) if found != 0 => return Says::Foreign,
+        Err(_) => return Says::Nothing,
+    }
+    match super::writer::identity_of(&connection) {
+        Ok(identity) => Says::Identity(identity),
+        Err(StoreError::Sqlite(error)) if schema::says_damaged(&error) => Says::Nothing,
+        Err(_) => Says::Ours,
+    }
 }
 
 impl FileId {
     pub(super) fn of(path: &Path) -> Self {
-        Self { database: id_of(path), remains: Vec::new() }
+        Self { database: id_of(path), remains: Vec::new(), log: None }
     }
 
     /// The file that this process writes from now on.
@@ -74,6 +120,35 @@ impl FileId {
         }
     }
 
+    /// As [`Self::is_lost`] where no connection holds the file.
+    pub(super) fn is_replaced(&self, path: &Path, identity: &str) -> bool {
+        let file = match std::fs::metadata(path) {
+            Ok(file) => file,
+            Err(error) => return error.kind() == std::io::ErrorKind::NotFound,
+        };
+        // A device may come back under another number, a file's own number stays.
+        let same_number = self.database.is_some_and(|(_, number)| number == file.ino());
+        match says(path) {
+            _ if file.len() == 0 || !same_number => true,
+            Says::Identity(found) => found != identity,
+            Says::Foreign => true,
+            Says::Ours | Says::Nothing => false,
+        }
+    }
+
+    /// The path names another database after all.
+    pub(super) fn set_lost(&mut self) {
+        self.database = None;
+    }
+
+    /// Closes the connection after an error, and notes what it leaves beside the file.
+    pub(super) fn close(&mut self, path: &Path, connection: Connection) {
+        drop(connection);
+        self.log = log_header(path);
+        self.remains =
+            [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
+    }
+
     /// Closes the connection to the lost file, complete for whoever has it under another name, and notes which log and
     /// shared memory belonged to it.
     pub(super) fn let_go(&mut self, path: &Path, connection: Connection) {
@@ -86,11 +161,26 @@ impl FileId {
         if let Err((_, error)) = connection.close() {
             tracing::warn!(message = "The lost file could not be closed.", %error);
         }
-        self.clear_remains();
+        self.log = None;
+        if let Err(error) = self.clear_remains(path) {
+            tracing::warn!(message = "What a lost file left cannot be removed.", %error);
+        }
     }
 
-    /// Takes log and shared memory of the lost file away: with another file they would destroy it.
-    pub(super) fn clear_remains(&mut self) {
+    /// Takes log and shared memory of the lost file away: with another file they would destroy it. A log that may hold
+    /// what the lost file lacks is kept under another name.
+    pub(super) fn clear_remains(&mut self, path: &Path) -> Result<(), StoreError> {
+        if let Some(header) = self.log
+            && log_header(path) == Some(header)
+        {
+            let (log, aside) = (schema::wal_path(path), kept_log(path));
+            std::fs::rename(&log, &aside).map_err(|source| StoreError::Create { path: aside.clone(), source })?;
+            tracing::warn!(
+                message = "The lost file's log is kept: beside that file, under its name and `-wal`, it completes it.",
+                path = %aside.display()
+            );
+        }
+        self.log = None;
         for (remains, id) in std::mem::take(&mut self.remains) {
             if id_of(&remains) == Some(id)
                 && let Err(error) = std::fs::remove_file(&remains)
@@ -98,7 +188,18 @@ impl FileId {
                 tracing::warn!(message = "What a lost file left cannot be removed.", path = %remains.display(), %error);
             }
         }
+        Ok(())
     }
+}
+
+/// A name beside the database that nothing has.
+fn kept_log(path: &Path) -> PathBuf {
+    let numbered = |number: u32| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".lost-{number}-wal"));
+        PathBuf::from(name)
+    };
+    (1..).map(numbered).find(|name| !name.exists()).unwrap_or_else(|| numbered(0))
 }
 
 /// A capture of the lost file that goes on.
@@ -136,11 +237,11 @@ pub(super) struct Lost {
 }
 
 impl Lost {
-    /// Notes the captures that run, from the lost file, which is still open.
+    /// Notes the captures that run, from a file that is still open. What was noted before stands where it cannot be read.
     pub(super) fn note(&mut self, connection: &Connection) {
         match seeds(connection) {
             Ok(seeds) => self.seeds = seeds,
-            Err(error) => tracing::error!(message = "The lost file cannot be read any more.", %error),
+            Err(error) => tracing::warn!(message = "The captures that run cannot be read any more.", %error),
         }
     }
 
@@ -161,6 +262,8 @@ impl Lost {
         }
         transaction.commit()?;
         self.moved = moved;
+        // They are made: a file that is lost next has its own.
+        self.note(connection);
         Ok(self.moved.iter().filter(|(id, moved)| **id != moved.to).map(|(id, moved)| (*id, moved.to)).collect())
     }
 
@@ -334,4 +437,148 @@ fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, Sto
         first_device_time_ns: None,
         first_utc_ns: 0,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::tests::{World, bare_writer, sample, segment};
+    use crate::store::{
+        CaptureFilter, CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress,
+    };
+    use std::time::Duration;
+
+    fn samples(id: i64, range: std::ops::Range<u64>) -> impl Iterator<Item = (i64, Record)> {
+        range.map(move |seq| (id, sample(1, seq)))
+    }
+
+    /// A capture `night` of an hour with 100 samples, closed.
+    fn night(world: &World) -> (PathBuf, i64) {
+        let planned = Some(Duration::from_secs(3600));
+        let new = NewCapture::new("pty", CaptureState::Capturing);
+        let id = world.store.create_capture(NewCapture { name: Some("night".to_owned()), planned, ..new }).unwrap();
+        world.send(id, [segment(1, 0)]);
+        world.send(id, samples(id, 0..100).map(|(_, record)| record));
+        world.store.close().unwrap();
+        (world.store.path().to_owned(), id)
+    }
+
+    /// Another database with captures of its own.
+    fn other(world: &World) -> PathBuf {
+        let path = world.directory.path().join("other.db");
+        let store = Store::open(&path, StoreOptions::default()).unwrap();
+        for number in 1..=3 {
+            let new = NewCapture::new("pty", CaptureState::Complete);
+            let name = Some(format!("other {number}"));
+            let id = store.create_capture(NewCapture { name, ..new }).unwrap();
+            store.records().blocking_send(id, segment(1, 0)).unwrap();
+            for (id, record) in samples(id, 0..1000) {
+                store.records().blocking_send(id, record).unwrap();
+            }
+        }
+        store.close().unwrap();
+        path
+    }
+
+    /// Names and samples of what is in a database that is whole.
+    fn content(path: &Path) -> Vec<(String, u64)> {
+        assert_eq!(check(path).unwrap().findings, []);
+        let reader = Reader::open(path).unwrap();
+        let page = reader.captures(&CaptureFilter::default(), &PageRequest::default()).unwrap();
+        page.rows.into_iter().map(|row| (row.name, row.samples)).collect()
+    }
+
+    fn others() -> Vec<(String, u64)> {
+        (1..=3).rev().map(|number| (format!("other {number}"), 1000)).collect()
+    }
+
+    #[test]
+    fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let other = other(&world);
+        // Whoever reads the old file keeps its log from being emptied.
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(reader.capture(id).unwrap().samples, 100);
+        let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+        assert_eq!(writer.write_now(samples(id, 100..150)), 0);
+        writer.pretend_io_error();
+        assert!(log_header(&path).is_some(), "the log is there");
+        let moved = world.directory.path().join("moved.db");
+        std::fs::rename(&path, &moved).unwrap();
+        std::fs::copy(&other, &path).unwrap();
+        assert_eq!(writer.write_now(samples(id, 150..160)), 1, "first it is said");
+        let seen = progress::locked(&progress).clone();
+        assert_eq!((seen.committed[&id], seen.moved[&id]), (160, 4));
+        let mut expected = others();
+        expected.insert(0, ("night".to_owned(), 10));
+        assert_eq!(content(&path), expected);
+        let row = Reader::open(&path).unwrap().capture(4).unwrap();
+        assert_eq!(row.state, CaptureState::Capturing);
+        let planned = row.planned_duration_s.unwrap();
+        assert!((planned - (3600.0 - 150.0 / 40.0)).abs() < 1e-6, "{planned} s are left");
+        drop(reader);
+        // What the old file lacks is in the log that was kept.
+        let mut kept = path.as_os_str().to_owned();
+        kept.push(".lost-1-wal");
+        std::fs::rename(PathBuf::from(kept), schema::wal_path(&moved)).unwrap();
+        assert_eq!(content(&moved), [("night".to_owned(), 150)]);
+        // Lost again: each capture goes on once.
+        writer.pretend_io_error();
+        std::fs::remove_file(&path).unwrap();
+        writer.write_now(samples(id, 160..165));
+        assert_eq!(content(&path), [("night".to_owned(), 5)]);
+        assert_eq!(progress::locked(&progress).committed[&id], 165);
+    }
+
+    #[test]
+    fn another_database_in_a_file_of_the_same_number_is_another() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let other = other(&world);
+        let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+        writer.pretend_io_error();
+        let number = id_of(&path);
+        std::fs::write(&path, std::fs::read(other).unwrap()).unwrap();
+        assert_eq!(id_of(&path), number);
+        writer.write_now(samples(id, 100..110));
+        let mut expected = others();
+        expected.insert(0, ("night".to_owned(), 10));
+        assert_eq!(content(&path), expected);
+    }
+
+    #[test]
+    fn the_same_database_on_a_device_of_another_number_goes_on() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+        let identity = super::super::writer::identity_of(&Reader::open(&path).unwrap().connection).unwrap();
+        let (device, number) = id_of(&path).unwrap();
+        let mut file = FileId::of(&path);
+        file.database = Some((device + 1, number));
+        assert!(!file.is_replaced(&path, &identity) && file.is_replaced(&path, "another"));
+        file.database = Some((device, number + 1));
+        assert!(file.is_replaced(&path, &identity), "a copy is not the file that was written");
+        writer.pretend_io_error();
+        assert_eq!(writer.write_now(samples(id, 100..110)), 0);
+        assert_eq!(content(&path), [("night".to_owned(), 110)]);
+    }
+
+    #[test]
+    fn a_log_that_is_taken_away_while_it_is_closed_ends_the_writing() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(reader.capture(id).unwrap().samples, 100);
+        let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+        writer.write_now(samples(id, 100..150));
+        writer.pretend_io_error();
+        drop(reader);
+        std::fs::remove_file(schema::wal_path(&path)).unwrap();
+        let before = std::fs::read(&path).unwrap();
+        writer.write_now(samples(id, 150..160));
+        let seen = progress::locked(&progress).clone();
+        assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("-wal")), "{seen:?}");
+        assert!(std::fs::read(&path).unwrap() == before);
+    }
 }

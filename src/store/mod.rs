@@ -16,6 +16,7 @@ mod backup;
 mod batch;
 mod captures;
 mod check;
+mod damage;
 mod error;
 mod import;
 mod insert;
@@ -281,6 +282,13 @@ impl Store {
         };
         self.inner.commands.send(Command::Run(Box::new(job))).map_err(|_| StoreError::Closed)?;
         answer.recv().map_err(|_| StoreError::Closed)?
+    }
+
+    /// Says that a reader of this database met damage ([`StoreError::is_damage`]): nothing more is written to it.
+    pub(crate) fn report_damage(&self, error: &StoreError) {
+        let failure = Failure::of(error);
+        // A writer that has ended writes nothing anyway.
+        let _ = self.inner.commands.send(Command::Run(Box::new(move |_| Some(failure))));
     }
 
     /// The clock's civil time.

@@ -58,15 +58,20 @@ pub struct WriterProgress {
     pub free_bytes: u64,
     /// Samples committed per real second, averaged over half a minute.
     pub samples_per_s: f64,
+    /// The file is damaged: nothing is written to it any more.
+    pub damaged: bool,
     /// Captures that go on under another id, in a file that took the place of a lost one.
     pub moved: BTreeMap<i64, i64>,
 }
 
 impl WriterProgress {
-    /// Whether the disk has failed so often that this process should end: the third I/O error within a minute. Another
-    /// process has other descriptors, and its start checks the database.
+    /// Whether this process should end: with a damaged file at once, else with the third I/O error within a minute.
+    /// Another process has other descriptors, and its start checks the database.
     #[must_use]
     pub fn gives_up(&self) -> bool {
+        if self.damaged {
+            return true;
+        }
         match self.io_failures_mono_ns.as_slice() {
             [first, .., last] if self.io_failures_mono_ns.len() >= IO_FAILURES => {
                 last.saturating_sub(*first) <= IO_FAILURES_WITHIN.as_nanos() as u64

@@ -3,6 +3,7 @@
 use super::tests::{World, a_capture, gap, sample, segment};
 use super::*;
 use crate::sample::Record;
+use std::time::Duration;
 
 const PERIOD_NS: u64 = 25_000_000;
 
@@ -210,4 +211,102 @@ fn a_backup_is_whole_and_a_database_of_its_own() {
     let left: Vec<_> =
         std::fs::read_dir(world.directory.path()).unwrap().flatten().map(|file| file.file_name()).collect();
     assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".part")), "{left:?}");
+}
+
+/// Makes the page that holds the root of this table or index unreadable, in the file itself.
+fn damage_root(path: &std::path::Path, name: &str) -> Vec<u8> {
+    let foreign = rusqlite::Connection::open_with_flags(path, rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY).unwrap();
+    let sql = "SELECT rootpage FROM sqlite_schema WHERE name = ?1";
+    let page = foreign.query_row(sql, [name], |row| row.get::<_, u32>(0)).unwrap() as usize;
+    drop(foreign);
+    let whole = std::fs::read(path).unwrap();
+    let mut image = whole.clone();
+    image[(page - 1) * 4096..(page - 1) * 4096 + 64].fill(0xA5);
+    std::fs::write(path, &image).unwrap();
+    whole
+}
+
+/// A database with a finished capture of some thousand samples, closed.
+fn with_old_capture(world: &World) -> std::path::PathBuf {
+    let old = NewCapture { name: Some("old".to_owned()), ..NewCapture::new("pty", CaptureState::Complete) };
+    let id = world.store.create_capture(old).unwrap();
+    world.send(id, [segment(1, 0)].into_iter().chain((0..6000).map(|seq| sample(1, seq))));
+    world.store.flush_blocking().unwrap();
+    world.store.close().unwrap();
+    world.store.path().to_owned()
+}
+
+#[test]
+fn a_purge_that_meets_damage_ends_the_writing_for_good() {
+    let world = World::new();
+    let path = with_old_capture(&world);
+    let store = Store::open(&path, StoreOptions::default()).unwrap();
+    let new = store.create_capture(NewCapture::new("pty", CaptureState::Capturing)).unwrap();
+    store.delete_capture(1).unwrap();
+    store.flush_blocking().unwrap();
+    let whole = damage_root(&path, "sample");
+    let files = || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
+    let before = files();
+    // Whoever asked hears what SQLite said; the next one hears what to do.
+    assert!(store.purge_step().unwrap_err().is_damage());
+    let told = store.purge_step().unwrap_err();
+    assert_eq!(told.kind(), StoreErrorKind::Io);
+    assert!(told.to_string().contains("vn100d check") && told.to_string().contains("vn100d recover"), "{told}");
+    let progress = store.progress();
+    assert!(progress.gives_up() && progress.io_failures_mono_ns.is_empty(), "{progress:?}");
+    assert_eq!(store.status().error, Some(told.to_string()));
+    for record in [segment(1, 0), sample(1, 0), sample(1, 1)] {
+        store.records().blocking_send(new, record).unwrap();
+    }
+    std::thread::sleep(COMMIT_AFTER + Duration::from_millis(300));
+    assert_eq!(store.close().unwrap_err().to_string(), told.to_string());
+    assert!(files() == before, "the damaged files were changed");
+    // The next start knows it, even where its own check finds nothing.
+    std::fs::write(&path, whole).unwrap();
+    let refused = Store::open(&path, StoreOptions::default()).map(drop).unwrap_err();
+    assert_eq!(refused.to_string(), told.to_string());
+    // As it says: where the full check finds nothing, it is a person's decision to go on.
+    assert_eq!(check(&path).unwrap().findings, []);
+    std::fs::remove_file(lock::lock_path(&path)).unwrap();
+    let store = Store::open(&path, StoreOptions::default()).unwrap();
+    while store.purge_step().unwrap() {}
+    store.close().unwrap();
+}
+
+#[test]
+fn damage_that_is_remembered_does_not_concern_the_database_that_takes_its_place() {
+    let world = World::new();
+    let path = with_old_capture(&world);
+    let store = Store::open(&path, StoreOptions::default()).unwrap();
+    store.delete_capture(1).unwrap();
+    damage_root(&path, "sample");
+    assert!(store.purge_step().is_err());
+    assert!(store.close().is_err());
+    let out = world.directory.path().join("out.db");
+    recover(&path, &out, false).unwrap();
+    std::fs::rename(&out, &path).unwrap();
+    std::fs::remove_file(schema::wal_path(&path)).unwrap();
+    std::fs::remove_file(schema::shm_path(&path)).unwrap();
+    Store::open(&path, StoreOptions::default()).unwrap().close().unwrap();
+}
+
+#[test]
+fn a_commit_that_meets_damage_is_not_tried_again() {
+    let world = World::new();
+    let path = with_old_capture(&world);
+    let store = Store::open(&path, StoreOptions::default()).unwrap();
+    let id = store.create_capture(NewCapture::new("pty", CaptureState::Capturing)).unwrap();
+    damage_root(&path, "gap");
+    for record in [segment(1, 0), sample(1, 0), gap(1, 3), segment(2, 1), sample(2, 1)] {
+        store.records().blocking_send(id, record).unwrap();
+    }
+    let begun = std::time::Instant::now();
+    while !store.progress().gives_up() {
+        assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", store.progress());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let progress = store.progress();
+    assert_eq!((progress.failures, progress.commits), (1, 0), "{progress:?}");
+    assert!(store.close().unwrap_err().to_string().contains("vn100d recover"));
+    assert!(Store::open(&path, StoreOptions::default()).is_err());
 }

@@ -172,7 +172,7 @@ pub(super) fn shm_path(path: &Path) -> std::path::PathBuf {
 }
 
 /// The characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
-fn uri_escaped(path: &Path) -> String {
+pub(super) fn uri_escaped(path: &Path) -> String {
     path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23")
 }
 
@@ -180,7 +180,7 @@ fn user_version(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.pragma_query_value(None, "user_version", |row| row.get(0))?)
 }
 
-fn refuse_foreign(connection: &Connection, path: &Path) -> Result<(), StoreError> {
+pub(super) fn refuse_foreign(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     let foreign = |found| StoreError::Foreign { path: path.to_owned(), found, expected: APPLICATION_ID };
     let found: i32 = match connection.pragma_query_value(None, "application_id", |row| row.get(0)) {
         Err(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::NotADatabase) => return Err(foreign(0)),

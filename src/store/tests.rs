@@ -81,6 +81,26 @@ impl World {
     }
 }
 
+/// The writer without its thread.
+pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Writer, SharedProgress) {
+    let (_, records) = mpsc::channel(1);
+    let (_, commands) = mpsc::unbounded_channel();
+    let progress = SharedProgress::default();
+    let parts = WriterParts {
+        path: path.to_owned(),
+        clock: Arc::new(SystemClock),
+        connection: schema::reopen(path).unwrap(),
+        records,
+        commands,
+        progress: progress.clone(),
+        lock: lock::WriterLock::take(lock).unwrap(),
+        file_check: Duration::from_secs(10),
+        wal_alarm_bytes: 1 << 28,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    (runtime.block_on(async { Writer::new(parts) }).unwrap(), progress)
+}
+
 /// 100 samples, a gap of 3, 50 samples, an event, rejections, the end.
 pub(super) fn a_capture() -> Vec<Record> {
     let mut records = vec![event(EventKind::CaptureStarted), segment(1, 0)];
@@ -256,25 +276,7 @@ fn a_batch_that_is_there_although_its_commit_failed_is_not_written_twice() {
     let world = World::new();
     let id = world.capturing();
     let records = vec![(id, segment(1, 0)), (id, sample(1, 0)), (id, event(EventKind::Warning))];
-    let connection = schema::reopen(world.store.path()).unwrap();
-    let (_, records_in) = mpsc::channel(1);
-    let (_, commands_in) = mpsc::unbounded_channel();
-    let clock = Arc::new(SystemClock);
-    let progress = SharedProgress::default();
-    let lock = lock::WriterLock::take(&world.directory.path().join("another")).unwrap();
-    let parts = WriterParts {
-        path: world.store.path().to_owned(),
-        clock,
-        connection,
-        records: records_in,
-        commands: commands_in,
-        progress: progress.clone(),
-        lock,
-        file_check: Duration::from_secs(10),
-        wal_alarm_bytes: 1 << 28,
-    };
-    let mut writer =
-        tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(async { Writer::new(parts) }).unwrap();
+    let (mut writer, progress) = bare_writer(world.store.path(), &world.directory.path().join("another"));
     writer.pretend_failed_commit(records);
     assert_eq!(world.one::<i64>("SELECT count(*) FROM event"), 1);
     writer.retry_now();

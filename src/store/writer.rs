@@ -10,6 +10,8 @@
 //! it is not there it is written again, in new pages that a new fsync vouches for. Where it is there it is made durable
 //! first: the log is copied into the file or, where a reader prevents that, written over itself.
 
+use super::check::not_behind;
+use super::damage::Damage;
 use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::{FileId, Lost};
@@ -18,6 +20,7 @@ use super::{StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
 use crate::sample::Record;
+use rusqlite::config::DbConfig;
 use rusqlite::{Connection, Transaction, TransactionBehavior};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -46,6 +49,7 @@ pub(super) struct Failure {
     pub(super) state: StorageState,
     text: String,
     sound: bool,
+    damage: Option<Damage>,
 }
 
 impl Failure {
@@ -56,7 +60,8 @@ impl Failure {
             }
             other => other.to_string(),
         };
-        Self { state: error.storage_state(), text, sound: error.connection_is_sound() }
+        let damage = Damage::of(error);
+        Self { state: error.storage_state(), text, sound: error.connection_is_sound(), damage }
     }
 }
 
@@ -90,7 +95,8 @@ pub(super) fn concerns_storage(error: &StoreError) -> bool {
         error.sqlite_error_code(),
         Some(Code::DiskFull | Code::ReadOnly | Code::DatabaseBusy | Code::DatabaseLocked | Code::SystemIoFailure
             | Code::DatabaseCorrupt | Code::CannotOpen | Code::NotADatabase | Code::PermissionDenied)
-    )) || matches!(error, StoreError::Damaged { .. } | StoreError::Lost { .. } | StoreError::RefusedDamaged { .. })
+    )) || matches!(error, StoreError::Lost { .. })
+        || error.is_damage()
 }
 
 /// What the writer is made of.
@@ -118,11 +124,15 @@ pub(super) struct Writer {
     file: FileId,
     file_checked: Instant,
     file_check: Duration,
+    /// While it is closed: another file stands in its place, and was said to.
+    replaced: bool,
     /// The file was lost: what goes into the one that took its place.
     lost: Lost,
     identity: String,
     wal_alarm_bytes: u64,
     warned: bool,
+    /// The database is damaged: nothing is written any more.
+    damage: Option<Damage>,
     /// Taken from the queue, not yet committed.
     batch: Vec<(i64, Record)>,
     /// The number the batch will have.
@@ -152,6 +162,7 @@ impl Writer {
             file: FileId::written(&path),
             file_checked: Instant::now(),
             file_check,
+            replaced: false,
             lost: Lost::default(),
             identity,
             wal_alarm_bytes,
@@ -163,6 +174,7 @@ impl Writer {
             progress,
             lock,
             connection: Some(connection),
+            damage: None,
             batch: Vec::with_capacity(COMMIT_RECORDS),
             number,
             in_doubt: false,
@@ -181,8 +193,7 @@ impl Writer {
 
     /// Writes down outside the database what was acknowledged. Also tells why a disk refuses: SQLite does not say.
     fn remember(&self) -> Option<std::io::Error> {
-        let mark = Mark { identity: self.identity.clone(), batch: self.number - 1 };
-        self.lock.mark(&mark).err()
+        self.lock.mark(&self.identity, self.number - 1).err()
     }
 
     /// Works until told to stop or every sender is gone.
@@ -192,7 +203,7 @@ impl Writer {
             let tick = self.measured_at + Duration::from_secs(1);
             let wake = [self.retry_at.or(self.due), Some(tick)].into_iter().flatten().min().unwrap_or(tick);
             let room = COMMIT_RECORDS.saturating_sub(self.batch.len());
-            let receive = records_open && room > 0 && self.retry_at.is_none();
+            let receive = records_open && room > 0 && self.retry_at.is_none() && self.damage.is_none();
             tokio::select! {
                 command = self.commands.recv() => match command {
                     Some(Command::Run(work)) => self.run_command(work),
@@ -211,7 +222,9 @@ impl Writer {
             let full = self.batch.len() >= COMMIT_RECORDS;
             let asked = !self.flushes.is_empty() && self.records.is_empty();
             let retry = self.retry_at.is_some_and(|at| now >= at);
-            if retry || self.retry_at.is_none() && (full || asked || self.due.is_some_and(|due| now >= due)) {
+            if self.damage.is_some() {
+                // What comes is left in the queue: the process is about to end.
+            } else if retry || self.retry_at.is_none() && (full || asked || self.due.is_some_and(|due| now >= due)) {
                 self.commit();
             }
             self.answer_flushes(0);
@@ -229,8 +242,12 @@ impl Writer {
 
     /// Runs a command. A batch that is being gathered is committed first, so that a command finds what preceded it.
     fn run_command(&mut self, work: Work) {
-        if self.retry_at.is_none() {
+        if self.retry_at.is_none() && self.damage.is_none() {
             self.commit();
+        }
+        if let Some(damage) = &self.damage {
+            work(Err(damage.error(&self.path)));
+            return;
         }
         if self.retry_at.is_some() && self.connection.is_none() {
             // Only the batch tries the disk again, at its own pace: a command that asks now hears so at once.
@@ -253,18 +270,42 @@ impl Writer {
 
     fn connection(&mut self) -> Result<&mut Connection, StoreError> {
         if self.connection.is_none() {
-            if self.file.is_lost(&self.path) {
+            if !self.file.is_replaced(&self.path, &self.identity) {
+                self.replaced = false;
+                self.reopen()?;
+            } else if std::mem::replace(&mut self.replaced, true) {
                 self.take_new_file()?;
             } else {
-                let connection = schema::reopen(&self.path)?;
-                if self.suspect {
-                    quick_check(&connection, QUICK_CHECK)?;
-                    self.suspect = false;
-                }
-                self.connection = Some(connection);
+                return Err(self.lost());
             }
         }
         self.connection.as_mut().ok_or(StoreError::Closed)
+    }
+
+    /// Opens the same file again, if it is still what was committed.
+    fn reopen(&mut self) -> Result<(), StoreError> {
+        let connection = schema::reopen(&self.path).map_err(|error| match error {
+            StoreError::Foreign { .. } => StoreError::Damaged { report: "its header is not one of ours".to_owned() },
+            other => other,
+        })?;
+        if identity_of(&connection)? != self.identity {
+            self.file.set_lost();
+            return Err(self.lost());
+        }
+        let mark = Mark { identity: self.identity.clone(), batch: self.number - 1, damage: None };
+        not_behind(&connection, &self.path, &mark)?;
+        if self.suspect {
+            quick_check(&connection, QUICK_CHECK)?;
+            self.suspect = false;
+        }
+        self.file = FileId::written(&self.path);
+        self.connection = Some(connection);
+        Ok(())
+    }
+
+    fn lost(&self) -> StoreError {
+        let detail = "a new file takes what comes, from what was not yet committed on";
+        StoreError::Lost { path: self.path.clone(), detail }
     }
 
     /// Whether the path still names the file that is open. A database that was deleted takes data in vain.
@@ -276,21 +317,21 @@ impl Writer {
         if let Some(connection) = self.connection.take() {
             self.lost.note(&connection);
             self.file.let_go(&self.path, connection);
-            let detail = "a new file takes what comes, from what was not yet committed on";
-            let lost = StoreError::Lost { path: self.path.clone(), detail };
-            self.fail(Failure::of(&lost));
+            self.replaced = true;
+            self.fail(Failure::of(&self.lost()));
         }
     }
 
     /// Opens what stands in the lost file's place, or a new file, and lets the captures go on there.
     fn take_new_file(&mut self) -> Result<(), StoreError> {
-        self.file.clear_remains();
+        self.file.clear_remains(&self.path)?;
         let mut connection = schema::open_and_migrate(&self.path, None)?;
         let moved = self.lost.settle(&mut connection, self.clock.utc_ns())?;
         self.number = last_batch(&connection)? + 1;
         self.identity = identity_of(&connection)?;
         self.in_doubt = false;
         self.suspect = false;
+        self.replaced = false;
         self.file = FileId::written(&self.path);
         self.connection = Some(connection);
         self.remember();
@@ -391,7 +432,15 @@ impl Writer {
                 self.check_file();
                 return;
             }
-            self.connection = None;
+            if let Some(damage) = failure.damage {
+                self.give_up(damage);
+                return;
+            }
+            if let Some(connection) = self.connection.take() {
+                // Should the file be replaced before it is opened again, they go on in the other one.
+                self.lost.note(&connection);
+                self.file.close(&self.path, connection);
+            }
             self.suspect |= failure.state == StorageState::StorageError;
         }
         if failure.state == StorageState::StorageError {
@@ -422,6 +471,31 @@ impl Writer {
         }
         progress.state = failure.state;
         progress.error = Some(failure.text);
+    }
+
+    /// The database is damaged: from now on nothing is written to it, by this process or the next.
+    fn give_up(&mut self, damage: Damage) {
+        if let Some(connection) = self.connection.take() {
+            // Closing would copy the log into the file: both stay as they are, for whoever salvages them.
+            let kept = connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true);
+            if let Err(error) = kept {
+                tracing::warn!(message = "The log may be copied into the damaged file.", %error);
+            }
+        }
+        if let Damage::Met(report) = &damage
+            && let Err(error) = self.lock.mark_damaged(&self.identity, report)
+        {
+            tracing::warn!(message = "The damage cannot be remembered for the next start.", %error);
+        }
+        let error = damage.error(&self.path);
+        tracing::error!("{error}");
+        (self.retry_at, self.due) = (None, None);
+        self.damage = Some(damage);
+        let mut progress = locked(&self.progress);
+        progress.failures += 1;
+        progress.state = StorageState::StorageError;
+        progress.error = Some(error.to_string());
+        progress.damaged = true;
     }
 
     /// What an I/O error comes from, as the system says it of a small write beside the database.
@@ -486,6 +560,9 @@ impl Writer {
     /// Writes everything that is there, copies the log into the file and closes it.
     fn stop(&mut self) -> Result<(), StoreError> {
         self.records.close();
+        if self.damage.is_some() {
+            return self.stop_damaged();
+        }
         let patience = Instant::now() + STOP_PATIENCE;
         loop {
             // A batch in doubt stays as it was handed over: its number stands for exactly these records.
@@ -499,6 +576,9 @@ impl Writer {
                 break;
             }
             self.commit();
+            if self.damage.is_some() {
+                return self.stop_damaged();
+            }
             let error = locked(&self.progress).error.clone();
             if let Some(reason) = error {
                 if Instant::now() >= patience {
@@ -522,6 +602,16 @@ impl Writer {
     }
 }
 
+impl Writer {
+    fn stop_damaged(&mut self) -> Result<(), StoreError> {
+        let records = self.batch.len() + self.records.len();
+        if records > 0 {
+            tracing::error!(message = "What was not committed is not written to a damaged file.", records);
+        }
+        Err(self.damage.as_ref().map_or(StoreError::Closed, |damage| damage.error(&self.path)))
+    }
+}
+
 impl Drop for Writer {
     fn drop(&mut self) {
         FileId::forget(&self.path);
@@ -539,6 +629,25 @@ impl Writer {
         self.connection = None;
     }
 
+    /// Behaves as if the disk had reported an error: the connection is closed.
+    pub(super) fn pretend_io_error(&mut self) {
+        let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_IOERR_WRITE);
+        self.fail(Failure::of(&rusqlite::Error::SqliteFailure(code, None).into()));
+        assert!(self.connection.is_none());
+    }
+
+    /// Commits the records at the first attempt that succeeds; answers how many failed.
+    pub(super) fn write_now(&mut self, records: impl IntoIterator<Item = (i64, Record)>) -> usize {
+        self.batch.extend(records);
+        for failed in 0..5 {
+            self.commit();
+            if self.batch.is_empty() || self.damage.is_some() {
+                return failed;
+            }
+        }
+        panic!("{:?}", locked(&self.progress));
+    }
+
     /// Tries the batch again.
     pub(super) fn retry_now(&mut self) {
         self.commit();
@@ -546,7 +655,7 @@ impl Writer {
     }
 }
 
-fn identity_of(connection: &Connection) -> Result<String, StoreError> {
+pub(super) fn identity_of(connection: &Connection) -> Result<String, StoreError> {
     Ok(connection.query_row("SELECT identity FROM writer", [], |row| row.get(0))?)
 }
 
