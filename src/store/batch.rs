@@ -161,19 +161,6 @@ pub(super) fn is_intact(connection: &Connection, batch: &BatchRow) -> Result<boo
     Ok(run.count == batch.count && run.crc() == batch.crc)
 }
 
-/// The capture's batches that are what was committed.
-pub(super) fn intact_of(connection: &Connection, capture_id: i64) -> Result<Vec<BatchRow>, StoreError> {
-    let sql = "SELECT capture_id, first_seq, count, crc FROM batch WHERE capture_id = ?1";
-    let batches = connection.prepare_cached(sql)?.query_map([capture_id], batch_row)?.collect::<Result<Vec<_>, _>>()?;
-    let mut intact = Vec::new();
-    for batch in batches {
-        if is_intact(connection, &batch)? {
-            intact.push(batch);
-        }
-    }
-    Ok(intact)
-}
-
 /// Gives batches whose rows were changed on purpose their new checksum. One that was damaged before stays so.
 pub(super) fn renew(connection: &Connection, batches: &[BatchRow]) -> Result<(), StoreError> {
     let mut update = connection.prepare_cached("UPDATE batch SET crc = ?3 WHERE capture_id = ?1 AND first_seq = ?2")?;

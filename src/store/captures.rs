@@ -399,7 +399,7 @@ impl Store {
 pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreError> {
     connection.execute("UPDATE capture SET lifecycle = 'deleted' WHERE lifecycle = 'importing'", [])?;
     connection.execute("UPDATE job SET state = 'queued' WHERE state = 'running'", [])?;
-    Ok(())
+    super::utc::close_all(connection)
 }
 
 fn no_such(id: i64) -> StoreError {

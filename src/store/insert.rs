@@ -8,7 +8,8 @@
 //! [`Inserted::refused`]: it must not hold up what comes behind it.
 
 use super::StoreError;
-use super::batch::{self, Run, StoredRow};
+use super::batch::{Run, StoredRow};
+use super::utc;
 use crate::sample::device_clock::ClockEstimate;
 use crate::sample::record::CaptureEnd;
 use crate::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
@@ -25,6 +26,8 @@ pub(super) struct Inserted {
     pub(super) samples: u64,
     /// Records that the schema refused.
     pub(super) refused: u64,
+    /// Times can be corrected now ([`utc::step`]).
+    pub(super) corrections: bool,
 }
 
 /// What a batch adds to one capture.
@@ -44,6 +47,8 @@ struct Added {
     next_seq: u64,
     /// Measurements received as of the last record; None where nobody counts.
     received: Option<u64>,
+    /// Times before this are still to be corrected, of samples too that come until one has a later time.
+    unset_before_utc_ns: Option<i64>,
     /// Consecutive samples that were added, for their checksum.
     run: Option<Run>,
 }
@@ -82,6 +87,14 @@ pub(super) fn insert(
         };
         let outcome = match record {
             Record::Sample { seq, segment, sample } => {
+                if added.unset_before_utc_ns.take_if(|before| sample.host_utc_ns >= *before).is_some() {
+                    // What is corrected and what is not never share a checksum.
+                    if let Some(run) = added.run.take() {
+                        run.store(connection, *capture_id, number)?;
+                    }
+                    utc::close(connection, *capture_id, *seq)?;
+                    inserted.corrections = true;
+                }
                 let row = StoredRow::of(*seq, *segment, sample);
                 let outcome = insert_sample(&mut sample_statement, *capture_id, *segment, *seq, sample, added);
                 outcome.and_then(|new| if new { cover(connection, *capture_id, &row, number, added) } else { Ok(()) })
@@ -98,18 +111,15 @@ pub(super) fn insert(
             }
             Record::DeviceClock { epoch, estimate } => insert_clock(connection, *capture_id, *epoch, estimate),
             Record::UtcSet { by_ns, before_utc_ns } => {
-                if let Some(run) = added.run.take() {
-                    run.store(connection, *capture_id, number)?;
-                }
-                let intact = batch::intact_of(connection, *capture_id)?;
-                correct_utc(connection, *capture_id, *by_ns, *before_utc_ns, added)
-                    .and_then(|()| batch::renew(connection, &intact))
+                added.unset_before_utc_ns = Some(*before_utc_ns);
+                utc::note(connection, *capture_id, *by_ns, *before_utc_ns, added.next_seq)
             }
             Record::Configuration(registers) => {
                 insert_configuration(connection, *capture_id, registers, added.next_seq, utc_ns)
             }
             Record::Ended { how, utc_ns } => {
                 added.ended = Some((*how, *utc_ns));
+                inserted.corrections |= added.unset_before_utc_ns.is_some();
                 Ok(())
             }
         };
@@ -145,7 +155,9 @@ fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, Stor
     let Some(row) = rows.next()? else { return Ok(None) };
     let next_seq = row.get::<_, i64>(0)? as u64;
     let received = row.get::<_, Option<i64>>(1)?.map(|received| received as u64);
-    Ok(Some(Added { next_seq, received, rate_hz: row.get(2)?, ..Added::default() }))
+    let rate_hz = row.get(2)?;
+    let unset_before_utc_ns = utc::open_before(connection, capture_id)?;
+    Ok(Some(Added { next_seq, received, rate_hz, unset_before_utc_ns, ..Added::default() }))
 }
 
 fn insert_sample(
@@ -303,36 +315,6 @@ fn insert_clock(
             estimate.latency_max_ms,
             estimate.span_s,
         ])?;
-    Ok(())
-}
-
-/// Moves every time of the capture that lies before `before_utc_ns` by `by_ns`: what was written while nobody had set the
-/// host's clock.
-fn correct_utc(
-    connection: &Connection,
-    capture_id: i64,
-    by_ns: i64,
-    before_utc_ns: i64,
-    added: &mut Added,
-) -> Result<(), StoreError> {
-    for (table, key, column) in [
-        ("sample", "capture_id", "host_utc_ns"),
-        ("segment", "capture_id", "first_utc_ns"),
-        ("segment", "capture_id", "last_utc_ns"),
-        ("gap", "capture_id", "from_utc_ns"),
-        ("gap", "capture_id", "to_utc_ns"),
-        ("event", "capture_id", "utc_ns"),
-        ("configuration", "capture_id", "utc_ns"),
-        ("capture", "id", "created_utc_ns"),
-        ("capture", "id", "started_utc_ns"),
-    ] {
-        let sql = format!("UPDATE {table} SET {column} = {column} + ?2 WHERE {key} = ?1 AND {column} < ?3");
-        connection.prepare_cached(&sql)?.execute(params![capture_id, by_ns, before_utc_ns])?;
-    }
-    let ends = added.ends.values_mut().map(|end| &mut end.utc_ns);
-    for utc_ns in ends.chain(&mut added.first_utc_ns).filter(|utc_ns| **utc_ns < before_utc_ns) {
-        *utc_ns += by_ns;
-    }
     Ok(())
 }
 

@@ -34,6 +34,7 @@ mod samples;
 mod schema;
 mod times;
 mod trail;
+mod utc;
 mod writer;
 
 #[cfg(test)]

@@ -84,9 +84,17 @@ fn a_civil_time_that_is_set_later_keeps_the_checksums_right() {
     world.store.flush_blocking().unwrap();
     world.send(id, (50..60).map(|seq| sample(1, seq)));
     let first: i64 = one(&world, "SELECT min(host_utc_ns) FROM sample");
-    world.send(id, [Record::UtcSet { by_ns: 1_000, before_utc_ns: i64::MAX }, sample(1, 60)]);
+    let before_utc_ns = first + 60 * PERIOD_NS as i64;
+    world.send(id, [Record::UtcSet { by_ns: 1_000, before_utc_ns }, sample(1, 60)]);
     world.store.flush_blocking().unwrap();
+    let begun = std::time::Instant::now();
+    while one::<i64>(&world, "SELECT count(*) FROM utc_correction") > 0 {
+        assert!(begun.elapsed() < Duration::from_secs(20));
+        std::thread::sleep(Duration::from_millis(5));
+    }
     assert_eq!(one::<i64>(&world, "SELECT min(host_utc_ns) FROM sample"), first + 1_000);
+    let last = one::<i64>(&world, "SELECT max(host_utc_ns) FROM sample");
+    assert_eq!(last, before_utc_ns, "what came with the right time keeps it");
     let report = check(world.store.path()).unwrap();
     assert!(!report.findings.iter().any(|finding| finding.check == "checksum"), "{report:?}");
     assert_eq!(report.captures[0].without_checksum, 0);

@@ -16,7 +16,7 @@ use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::{FileId, Lost};
 use super::progress::{IO_FAILURES, SLOW, SharedProgress, locked};
-use super::{StoreError, lock, schema};
+use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
 use crate::sample::Record;
@@ -38,8 +38,12 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_
 const RETRY_IO: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 /// How long the check after an I/O error may take: a large database is then taken as it is.
 const QUICK_CHECK: Duration = Duration::from_secs(2);
+/// The shortest rest between two steps of correcting civil times.
+const REST: Duration = Duration::from_millis(5);
 /// How long the end may wait for a disk that refuses.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
+/// How long the end goes on correcting civil times; what is left then is done at the next start.
+const STOP_CORRECTING: Duration = Duration::from_secs(1);
 /// Less free space than this explains an error that does not name its cause.
 const NO_SPACE_BYTES: u64 = 1 << 20;
 
@@ -133,6 +137,8 @@ pub(super) struct Writer {
     warned: bool,
     /// The database is damaged: nothing is written any more.
     damage: Option<Damage>,
+    /// Civil times are to be corrected; the next step not before the moment.
+    correcting: Option<Instant>,
     /// Taken from the queue, not yet committed.
     batch: Vec<(i64, Record)>,
     /// The number the batch will have.
@@ -175,6 +181,8 @@ impl Writer {
             lock,
             connection: Some(connection),
             damage: None,
+            // A run before this one may have left some.
+            correcting: Some(Instant::now()),
             batch: Vec::with_capacity(COMMIT_RECORDS),
             number,
             in_doubt: false,
@@ -201,7 +209,8 @@ impl Writer {
         let mut records_open = true;
         loop {
             let tick = self.measured_at + Duration::from_secs(1);
-            let wake = [self.retry_at.or(self.due), Some(tick)].into_iter().flatten().min().unwrap_or(tick);
+            let step = self.correcting.filter(|_| self.retry_at.is_none() && self.damage.is_none());
+            let wake = [self.retry_at.or(self.due), step, Some(tick)].into_iter().flatten().min().unwrap_or(tick);
             let room = COMMIT_RECORDS.saturating_sub(self.batch.len());
             let receive = records_open && room > 0 && self.retry_at.is_none() && self.damage.is_none();
             tokio::select! {
@@ -228,6 +237,9 @@ impl Writer {
                 self.commit();
             }
             self.answer_flushes(0);
+            if step.is_some_and(|step| now >= step) && self.retry_at.is_none() {
+                self.correct_times();
+            }
             if now >= self.file_checked + self.file_check {
                 self.check_file();
             }
@@ -334,6 +346,7 @@ impl Writer {
         self.replaced = false;
         self.file = FileId::written(&self.path);
         self.connection = Some(connection);
+        self.correcting = Some(Instant::now());
         self.remember();
         let mut progress = locked(&self.progress);
         progress.committed = self.lost.acknowledged();
@@ -366,6 +379,9 @@ impl Writer {
                 self.in_doubt = false;
                 self.due = None;
                 self.samples_since += inserted.samples;
+                if inserted.corrections {
+                    self.correcting.get_or_insert_with(Instant::now);
+                }
                 self.recovered();
                 {
                     let mut progress = locked(&self.progress);
@@ -386,6 +402,18 @@ impl Writer {
                 self.in_doubt = true;
                 self.fail(Failure::of(&error));
             }
+        }
+    }
+
+    /// A step of correcting civil times, between commits.
+    fn correct_times(&mut self) {
+        let begun = Instant::now();
+        let done = self.connection().and_then(|connection| in_transaction(connection, |step| utc::step(step)));
+        match done {
+            // At least as long as the step took, the writer is the capture's alone.
+            Ok(true) => self.correcting = Some(Instant::now() + begun.elapsed().max(REST)),
+            Ok(false) => self.correcting = None,
+            Err(error) => self.fail(Failure::of(&error)),
         }
     }
 
@@ -589,6 +617,13 @@ impl Writer {
             }
         }
         self.answer_flushes(0);
+        let until = Instant::now() + STOP_CORRECTING;
+        while self.correcting.is_some() && self.retry_at.is_none() && self.damage.is_none() && Instant::now() < until {
+            self.correct_times();
+        }
+        if self.damage.is_some() {
+            return self.stop_damaged();
+        }
         if let Ok(connection) = self.connection() {
             // A reader beside us may keep the log from being emptied; the next start does it then.
             if let Err(error) = copy_log(connection) {
