@@ -10,7 +10,8 @@
 //!    behind the last sample only host time tells what is missing, and arrival times tell nothing that could be checked
 //!    against: both enter `expected` as they were recorded, and [`Report::unchecked`] says how many and why.
 //!
-//! The definition is in one place: [`audit`]. The store feeds it from one snapshot of the database, tests from memory.
+//! The definition is in one place: [`audit_in_order`]. The store feeds it row by row from one snapshot of the database, tests
+//! from memory ([`audit`]).
 
 use super::Timebase;
 use crate::units::period_ns;
@@ -177,107 +178,285 @@ fn first_identity(
     difference
 }
 
-/// Checks a capture. `segments` and `gaps` are in their order.
+/// Checks a capture. `segments` are in their order, `gaps` in any.
 #[must_use]
 pub fn audit(segments: &[SegmentFacts], gaps: &[GapFacts], counts: CountFacts) -> Report {
-    let mut violations = Vec::new();
-    let mut unchecked: BTreeMap<&'static str, (u64, u64)> = BTreeMap::new();
-    let mut stretches = stretches(segments);
-    let mut between: u64 = 0;
-    for gap in gaps {
-        let home = stretches.partition_point(|(first_seq, _)| *first_seq < gap.before_seq);
-        let inside = home
-            .checked_sub(1)
-            .and_then(|index| stretches.get_mut(index))
-            .filter(|(first_seq, stretch)| gap.before_seq > *first_seq && gap.before_seq < first_seq + stretch.samples);
-        match inside {
-            Some((_, stretch)) => stretch.missing += gap.missing,
-            None => {
-                between += gap.missing;
-                unchecked.entry(BETWEEN).or_default().1 += gap.missing;
-            }
-        }
+    let mut gaps = gaps.to_vec();
+    gaps.sort_by_key(|gap| gap.before_seq);
+    let segments = segments.iter().cloned().map(Ok::<_, std::convert::Infallible>);
+    match audit_in_order(segments, gaps.into_iter().map(Ok), counts) {
+        Ok(report) => report,
+        Err(never) => match never {},
     }
-    let (mut samples, mut missing, mut expected) = (0, between, between);
-    for (_, stretch) in &mut stretches {
-        samples += stretch.samples;
-        missing += stretch.missing;
-        let had = stretch.samples + stretch.missing;
-        expected += stretch.expected.unwrap_or(had);
-        match stretch.expected {
-            Some(asked) => {
-                stretch.difference = difference(asked, had);
-                if asked != had {
-                    violations.push(format!(
-                        "epoch {} at {} Hz (segments {} to {}): its ticks ask for {asked} samples, {} are there and {} missing",
-                        stretch.epoch,
-                        stretch.rate_hz,
-                        stretch.first_segment,
-                        stretch.last_segment,
-                        stretch.samples,
-                        stretch.missing
-                    ));
+}
+
+/// The same of segments in the order of their numbers and gaps in the order of `before_seq`, one after the other: however
+/// many there are, one stretch and what the report lists are in memory.
+///
+/// # Errors
+/// The first that either of them answers.
+pub fn audit_in_order<E>(
+    segments: impl IntoIterator<Item = Result<SegmentFacts, E>>,
+    gaps: impl IntoIterator<Item = Result<GapFacts, E>>,
+    counts: CountFacts,
+) -> Result<Report, E> {
+    let mut walk = Walk::new(gaps.into_iter())?;
+    let mut open: Option<Open> = None;
+    for segment in segments {
+        let segment = segment?;
+        walk.follow(&segment);
+        if segment.samples == 0 {
+            continue;
+        }
+        match open.as_mut().filter(|open| open.goes_on_with(&segment)) {
+            Some(open) => open.push(&segment),
+            None => {
+                if let Some(whole) = open.replace(Open::new(&segment)) {
+                    walk.close(whole)?;
                 }
             }
-            None => {
-                let entry = unchecked.entry(why_unchecked(stretch.timebase)).or_default();
-                entry.0 += stretch.samples;
-                entry.1 += stretch.missing;
+        }
+    }
+    if let Some(whole) = open {
+        walk.close(whole)?;
+    }
+    walk.finish(counts)
+}
+
+/// A list that stays short: what does not fit is counted.
+struct Listed<T> {
+    first: Vec<T>,
+    more: u64,
+}
+
+impl<T> Listed<T> {
+    fn new() -> Self {
+        Self { first: Vec::new(), more: 0 }
+    }
+    fn push(&mut self, make: impl FnOnce() -> T) {
+        if self.first.len() < STRETCHES_SHOWN {
+            self.first.push(make());
+        } else {
+            self.more += 1;
+        }
+    }
+}
+
+impl Listed<String> {
+    fn lines(mut self) -> Vec<String> {
+        if self.more > 0 {
+            self.first.push(format!("and {} more of this kind", self.more));
+        }
+        self.first
+    }
+}
+
+/// Segments of one epoch, rate and timebase that follow each other, as far as they have come.
+struct Open {
+    first_seq: u64,
+    first: SegmentFacts,
+    last: SegmentFacts,
+    samples: u64,
+}
+
+impl Open {
+    fn new(segment: &SegmentFacts) -> Self {
+        let (first, last) = (segment.clone(), segment.clone());
+        Self { first_seq: segment.first_seq, first, last, samples: segment.samples }
+    }
+    fn goes_on_with(&self, next: &SegmentFacts) -> bool {
+        let one = &self.last;
+        (one.epoch, one.timebase) == (next.epoch, next.timebase) && one.rate_hz == next.rate_hz
+    }
+    fn push(&mut self, segment: &SegmentFacts) {
+        self.samples += segment.samples;
+        self.last = segment.clone();
+    }
+    /// The stretch, without what is missing in it.
+    fn stretch(&self) -> Stretch {
+        let Self { first, last, .. } = self;
+        let expected = first.ticks.zip(last.ticks).and_then(|((from, _), (_, to))| match first.timebase {
+            Timebase::Device => Some((to.wrapping_sub(from) as f64 / period_ns(first.rate_hz)).round() as u64 + 1),
+            // The counter has 32 bits; it steps once for each message.
+            Timebase::SyncCounter => Some((to.wrapping_sub(from) & u64::from(u32::MAX)) + 1),
+            Timebase::Arrival | Timebase::Stamps | Timebase::Rate => None,
+        });
+        Stretch {
+            epoch: first.epoch,
+            first_segment: first.number,
+            last_segment: last.number,
+            rate_hz: first.rate_hz,
+            timebase: first.timebase,
+            samples: self.samples,
+            missing: 0,
+            expected,
+            difference: 0,
+        }
+    }
+}
+
+/// What has been gone through.
+struct Walk<G> {
+    gaps: G,
+    next_gap: Option<GapFacts>,
+    gap_count: u64,
+    segment_count: u64,
+    next_seq: u64,
+    samples: u64,
+    missing: u64,
+    expected: u64,
+    unchecked: BTreeMap<&'static str, (u64, u64)>,
+    failing: Listed<Stretch>,
+    holding: Listed<Stretch>,
+    ticks_disagree: Listed<String>,
+    holes: Listed<String>,
+}
+
+impl<E, G: Iterator<Item = Result<GapFacts, E>>> Walk<G> {
+    fn new(mut gaps: G) -> Result<Self, E> {
+        let next_gap = gaps.next().transpose()?;
+        Ok(Self {
+            gaps,
+            next_gap,
+            gap_count: 0,
+            segment_count: 0,
+            next_seq: 0,
+            samples: 0,
+            missing: 0,
+            expected: 0,
+            unchecked: BTreeMap::new(),
+            failing: Listed::new(),
+            holding: Listed::new(),
+            ticks_disagree: Listed::new(),
+            holes: Listed::new(),
+        })
+    }
+
+    /// Each segment begins where the one before ends.
+    fn follow(&mut self, segment: &SegmentFacts) {
+        self.segment_count += 1;
+        if segment.first_seq != self.next_seq {
+            let next_seq = self.next_seq;
+            self.holes.push(|| {
+                format!(
+                    "segment {} begins at sample {}, the one before ends at {next_seq}",
+                    segment.number, segment.first_seq
+                )
+            });
+        }
+        self.next_seq = segment.first_seq + segment.samples;
+    }
+
+    /// The next gap before this `seq`.
+    fn gap_before(&mut self, seq: u64) -> Result<Option<GapFacts>, E> {
+        let Some(gap) = self.next_gap.filter(|gap| gap.before_seq < seq) else { return Ok(None) };
+        self.gap_count += 1;
+        self.next_gap = self.gaps.next().transpose()?;
+        Ok(Some(gap))
+    }
+
+    fn between(&mut self, gap: GapFacts) {
+        self.missing += gap.missing;
+        self.expected += gap.missing;
+        self.unchecked.entry(BETWEEN).or_default().1 += gap.missing;
+    }
+
+    /// Takes in a stretch that is whole, with the gaps inside it.
+    fn close(&mut self, open: Open) -> Result<(), E> {
+        let mut stretch = open.stretch();
+        while let Some(gap) = self.gap_before(open.first_seq + open.samples)? {
+            if gap.before_seq > open.first_seq {
+                stretch.missing += gap.missing;
+            } else {
+                self.between(gap);
             }
         }
-    }
-    let received_difference =
-        first_identity(counts.received, counts.committed, counts.in_flight, &counts.discarded, &mut violations);
-    if counts.received.is_none() {
-        unchecked.entry(NOT_COUNTED).or_default().0 += counts.committed;
-    }
-    if counts.committed != samples {
-        violations.push(format!("{} rows are there, the segments say {samples}", counts.committed));
-    }
-    let expected_difference = difference(expected, samples + missing);
-    let [counted_samples, counted_missing, counted_gaps, counted_segments] = counts.counters;
-    for (what, counted, found) in [
-        ("samples", counted_samples, samples),
-        ("missing samples", counted_missing, missing),
-        ("gaps", counted_gaps, gaps.len() as u64),
-        ("segments", counted_segments, segments.len() as u64),
-    ] {
-        if counted != found {
-            violations.push(format!("the capture counts {counted} {what}, its rows say {found}"));
+        let had = stretch.samples + stretch.missing;
+        self.samples += stretch.samples;
+        self.missing += stretch.missing;
+        self.expected += stretch.expected.unwrap_or(had);
+        if let Some(asked) = stretch.expected {
+            stretch.difference = difference(asked, had);
+        } else {
+            let entry = self.unchecked.entry(why_unchecked(stretch.timebase)).or_default();
+            entry.0 += stretch.samples;
+            entry.1 += stretch.missing;
         }
-    }
-    let mut next_seq = 0;
-    for segment in segments {
-        if segment.first_seq != next_seq {
-            violations.push(format!(
-                "segment {} begins at sample {}, the one before ends at {next_seq}",
-                segment.number, segment.first_seq
-            ));
+        if stretch.difference == 0 {
+            self.holding.push(|| stretch);
+            return Ok(());
         }
-        next_seq = segment.first_seq + segment.samples;
+        self.ticks_disagree.push(|| {
+            format!(
+                "epoch {} at {} Hz (segments {} to {}): its ticks ask for {} samples, {} are there and {} missing",
+                stretch.epoch,
+                stretch.rate_hz,
+                stretch.first_segment,
+                stretch.last_segment,
+                stretch.expected.unwrap_or(0),
+                stretch.samples,
+                stretch.missing
+            )
+        });
+        self.failing.push(|| stretch);
+        Ok(())
     }
-    let all = stretches.len();
-    let mut stretches: Vec<Stretch> = stretches.into_iter().map(|(_, stretch)| stretch).collect();
-    stretches.sort_by_key(|stretch| stretch.difference == 0);
-    stretches.truncate(STRETCHES_SHOWN);
-    Report {
-        holds: violations.is_empty(),
-        received: counts.received,
-        committed: counts.committed,
-        in_flight: counts.in_flight,
-        discarded: counts.discarded,
-        received_difference,
-        expected,
-        missing,
-        expected_difference,
-        stretches_omitted: (all - stretches.len()) as u64,
-        stretches,
-        unchecked: unchecked
-            .into_iter()
-            .filter(|(_, (samples, missing))| samples + missing > 0)
-            .map(|(reason, (samples, missing))| Unchecked { reason: reason.to_owned(), samples, missing })
-            .collect(),
-        violations,
+
+    fn finish(mut self, counts: CountFacts) -> Result<Report, E> {
+        while let Some(gap) = self.gap_before(u64::MAX)? {
+            self.between(gap);
+        }
+        let mut violations = self.ticks_disagree.lines();
+        let received_difference =
+            first_identity(counts.received, counts.committed, counts.in_flight, &counts.discarded, &mut violations);
+        if counts.received.is_none() {
+            self.unchecked.entry(NOT_COUNTED).or_default().0 += counts.committed;
+        }
+        let (samples, missing) = (self.samples, self.missing);
+        if counts.committed != samples {
+            violations.push(format!("{} rows are there, the segments say {samples}", counts.committed));
+        }
+        let [counted_samples, counted_missing, counted_gaps, counted_segments] = counts.counters;
+        for (what, counted, found) in [
+            ("samples", counted_samples, samples),
+            ("missing samples", counted_missing, missing),
+            ("gaps", counted_gaps, self.gap_count),
+            ("segments", counted_segments, self.segment_count),
+        ] {
+            if counted != found {
+                violations.push(format!("the capture counts {counted} {what}, its rows say {found}"));
+            }
+        }
+        violations.extend(self.holes.lines());
+        let mut stretches = self.failing.first;
+        let mut omitted = self.failing.more + self.holding.more;
+        for stretch in self.holding.first {
+            if stretches.len() < STRETCHES_SHOWN {
+                stretches.push(stretch);
+            } else {
+                omitted += 1;
+            }
+        }
+        Ok(Report {
+            holds: violations.is_empty(),
+            received: counts.received,
+            committed: counts.committed,
+            in_flight: counts.in_flight,
+            discarded: counts.discarded,
+            received_difference,
+            expected: self.expected,
+            missing,
+            expected_difference: difference(self.expected, samples + missing),
+            stretches_omitted: omitted,
+            stretches,
+            unchecked: self
+                .unchecked
+                .into_iter()
+                .filter(|(_, (samples, missing))| samples + missing > 0)
+                .map(|(reason, (samples, missing))| Unchecked { reason: reason.to_owned(), samples, missing })
+                .collect(),
+            violations,
+        })
     }
 }
 
@@ -292,38 +471,6 @@ fn why_unchecked(timebase: Timebase) -> &'static str {
         Timebase::Rate => "an imported recording without stamps",
         Timebase::Device | Timebase::SyncCounter => "samples without the sensor's tick",
     }
-}
-
-/// Segments of one epoch, rate and timebase that follow each other, each with the `seq` it begins at.
-fn stretches(segments: &[SegmentFacts]) -> Vec<(u64, Stretch)> {
-    let same = |one: &SegmentFacts, next: &SegmentFacts| {
-        (one.epoch, one.timebase) == (next.epoch, next.timebase) && one.rate_hz == next.rate_hz
-    };
-    let filled: Vec<&SegmentFacts> = segments.iter().filter(|segment| segment.samples > 0).collect();
-    filled
-        .chunk_by(|one, next| same(one, next))
-        .filter_map(|part| {
-            let (first, last) = (part.first()?, part.last()?);
-            let expected = first.ticks.zip(last.ticks).and_then(|((from, _), (_, to))| match first.timebase {
-                Timebase::Device => Some((to.wrapping_sub(from) as f64 / period_ns(first.rate_hz)).round() as u64 + 1),
-                // The counter has 32 bits; it steps once for each message.
-                Timebase::SyncCounter => Some((to.wrapping_sub(from) & u64::from(u32::MAX)) + 1),
-                Timebase::Arrival | Timebase::Stamps | Timebase::Rate => None,
-            });
-            let stretch = Stretch {
-                epoch: first.epoch,
-                first_segment: first.number,
-                last_segment: last.number,
-                rate_hz: first.rate_hz,
-                timebase: first.timebase,
-                samples: part.iter().map(|segment| segment.samples).sum(),
-                missing: 0,
-                expected,
-                difference: 0,
-            };
-            Some((first.first_seq, stretch))
-        })
-        .collect()
 }
 
 fn difference(one: u64, other: u64) -> i64 {
@@ -407,6 +554,25 @@ mod tests {
         assert!(audit(&[wrapped], &[], counts(10, 0, 0, 1)).holds);
         let clock = SegmentFacts { ticks: Some((u64::MAX - PERIOD_NS + 1, 8 * PERIOD_NS)), ..segment(1, 1, 0, 10, 0) };
         assert!(audit(&[clock], &[], counts(10, 0, 0, 1)).holds);
+    }
+
+    #[test]
+    fn what_is_listed_is_bounded_and_the_rest_is_counted() {
+        // Each segment an epoch of its own, every other one a sample short, and nothing follows on anything.
+        let segments = (0..1000).map(|number: u32| {
+            let mut one = segment(number + 1, number + 1, u64::from(number) * 20, 10, 0);
+            one.ticks = Some((0, (9 + u64::from(number % 2)) * PERIOD_NS));
+            Ok::<_, std::convert::Infallible>(one)
+        });
+        let gaps = (1..1000).map(|number: u64| Ok(GapFacts { before_seq: number * 20, missing: 3 }));
+        let report = audit_in_order(segments, gaps, counts(10_000, 2997, 999, 1000)).unwrap();
+        assert_eq!((report.expected, report.missing, report.expected_difference), (10_000 + 500 + 2997, 2997, 500));
+        assert_eq!((report.stretches.len(), report.stretches_omitted), (STRETCHES_SHOWN, 900));
+        assert!(report.stretches.iter().all(|stretch| stretch.difference == 1));
+        // A hundred of each sort and one line for the others.
+        assert_eq!(report.violations.len(), 202, "{:?}", report.violations.last());
+        assert_eq!(report.violations[100], "and 400 more of this kind");
+        assert_eq!(report.unchecked[0].missing, 2997);
     }
 
     #[test]

@@ -3,10 +3,10 @@
 
 use super::insert::timebase_from_name;
 use super::{Reader, StoreError};
-use crate::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit};
+use crate::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit_in_order};
 use crate::sample::device_clock::ClockEstimate;
 use crate::sample::{DiscardCause, Timebase};
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{CachedStatement, Connection, OptionalExtension, Row, params};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -66,25 +66,34 @@ impl Reader {
         // One snapshot: what a commit adds meanwhile is in none of the numbers.
         let snapshot = self.connection.unchecked_transaction()?;
         let mut counts = counts(&snapshot, capture_id)?;
-        let mut segments = segments(&snapshot, capture_id)?;
         if every_row {
-            let (rows, by_segment) = count_rows(&snapshot, capture_id)?;
-            counts.committed = rows;
-            for segment in &mut segments {
-                segment.samples = by_segment.get(&segment.number).copied().unwrap_or(0);
-            }
+            let sql = "SELECT count(*) FROM sample WHERE capture_id = ?1";
+            counts.committed = snapshot.query_row(sql, [capture_id], |row| row.get::<_, i64>(0))? as u64;
         }
-        add_ticks(&snapshot, capture_id, &mut segments)?;
-        let gaps = gaps(&snapshot, capture_id)?;
+        // Row by row: a capture may have a million of either.
+        let mut ticks = Ticks::new(&snapshot, capture_id, every_row)?;
+        let mut segments = snapshot.prepare_cached(
+            "SELECT segment_id, epoch, first_seq, samples, rate_hz, timebase FROM segment WHERE capture_id = ?1 \
+             ORDER BY segment_id",
+        )?;
+        let mut gaps =
+            snapshot.prepare_cached("SELECT before_seq, missing FROM gap WHERE capture_id = ?1 ORDER BY before_seq")?;
+        let report = audit_in_order(
+            segments.query_and_then([capture_id], |row| ticks.complete(segment_of(row)?))?,
+            gaps.query_and_then([capture_id], gap_of)?,
+            counts,
+        );
+        drop((segments, gaps, ticks));
         snapshot.finish()?;
-        Ok(audit(&segments, &gaps, counts))
+        report
     }
 }
 
 fn counts(connection: &Connection, capture_id: i64) -> Result<CountFacts, StoreError> {
     let sql = "SELECT received, samples, missing, gaps, segments, \
                (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), \
-               (SELECT max(seq) + 1 - min(seq) FROM sample WHERE capture_id = capture.id) \
+               (SELECT max(seq) FROM sample WHERE capture_id = capture.id) + 1 \
+               - (SELECT min(seq) FROM sample WHERE capture_id = capture.id) \
                FROM capture WHERE id = ?1";
     let found = connection
         .prepare_cached(sql)?
@@ -112,62 +121,121 @@ fn counts(connection: &Connection, capture_id: i64) -> Result<CountFacts, StoreE
     })
 }
 
-fn segments(connection: &Connection, capture_id: i64) -> Result<Vec<SegmentFacts>, StoreError> {
-    let sql = "SELECT segment_id, epoch, first_seq, samples, rate_hz, timebase FROM segment WHERE capture_id = ?1 \
-               ORDER BY segment_id";
-    let mut statement = connection.prepare_cached(sql)?;
-    let mut rows = statement.query([capture_id])?;
-    let mut segments = Vec::new();
-    while let Some(row) = rows.next()? {
-        let timebase: String = row.get(5)?;
-        segments.push(SegmentFacts {
-            number: row.get(0)?,
-            epoch: row.get(1)?,
-            first_seq: row.get::<_, i64>(2)? as u64,
-            samples: row.get::<_, i64>(3)? as u64,
-            rate_hz: row.get(4)?,
-            timebase: timebase_from_name(&timebase)
-                .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
-            ticks: None,
-        });
-    }
-    Ok(segments)
+fn segment_of(row: &Row<'_>) -> Result<SegmentFacts, StoreError> {
+    let timebase: String = row.get(5)?;
+    Ok(SegmentFacts {
+        number: row.get(0)?,
+        epoch: row.get(1)?,
+        first_seq: row.get::<_, i64>(2)? as u64,
+        samples: row.get::<_, i64>(3)? as u64,
+        rate_hz: row.get(4)?,
+        timebase: timebase_from_name(&timebase)
+            .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+        ticks: None,
+    })
 }
 
-/// The ticks come from the samples themselves, not from what the segment says of them.
-fn add_ticks(connection: &Connection, capture_id: i64, segments: &mut [SegmentFacts]) -> Result<(), StoreError> {
-    let mut statement = connection
-        .prepare_cached("SELECT device_time_ns, sync_count FROM sample WHERE capture_id = ?1 AND seq = ?2")?;
-    for segment in segments {
+fn gap_of(row: &Row<'_>) -> Result<GapFacts, StoreError> {
+    Ok(GapFacts { before_seq: row.get::<_, i64>(0)? as u64, missing: row.get::<_, i64>(1)? as u64 })
+}
+
+/// What the samples themselves say of a segment, not what its row says of them.
+struct Ticks<'a> {
+    capture_id: i64,
+    at: CachedStatement<'a>,
+    rows: Option<CachedStatement<'a>>,
+}
+
+impl<'a> Ticks<'a> {
+    fn new(connection: &'a Connection, capture_id: i64, every_row: bool) -> Result<Self, StoreError> {
+        let sql = "SELECT device_time_ns, sync_count FROM sample WHERE capture_id = ?1 AND seq = ?2";
+        let at = connection.prepare_cached(sql)?;
+        let sql = "SELECT count(*) FROM sample WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3 AND segment_id = ?4";
+        let rows = every_row.then(|| connection.prepare_cached(sql)).transpose()?;
+        Ok(Self { capture_id, at, rows })
+    }
+
+    /// The segment with its first and last tick, and with its rows counted where every one is.
+    fn complete(&mut self, mut segment: SegmentFacts) -> Result<SegmentFacts, StoreError> {
+        if let Some(rows) = &mut self.rows {
+            let (from, to) = (segment.first_seq as i64, (segment.first_seq + segment.samples) as i64);
+            let counted =
+                rows.query_row(params![self.capture_id, from, to, segment.number], |row| row.get::<_, i64>(0));
+            segment.samples = counted? as u64;
+        }
         let column = match segment.timebase {
             Timebase::Device => 0,
             Timebase::SyncCounter => 1,
-            Timebase::Arrival | Timebase::Stamps | Timebase::Rate => continue,
-        };
-        let mut tick = |seq: u64| -> Result<Option<u64>, StoreError> {
-            let found = statement.query_row(params![capture_id, seq as i64], |row| row.get::<_, Option<i64>>(column));
-            Ok(found.optional()?.flatten().map(|tick| tick as u64))
+            Timebase::Arrival | Timebase::Stamps | Timebase::Rate => return Ok(segment),
         };
         if let Some(last) = segment.samples.checked_sub(1) {
-            segment.ticks = tick(segment.first_seq)?.zip(tick(segment.first_seq + last)?);
+            segment.ticks = self.tick(segment.first_seq, column)?.zip(self.tick(segment.first_seq + last, column)?);
         }
+        Ok(segment)
     }
-    Ok(())
+
+    fn tick(&mut self, seq: u64, column: usize) -> Result<Option<u64>, StoreError> {
+        let values = params![self.capture_id, seq as i64];
+        let found = self.at.query_row(values, |row| row.get::<_, Option<i64>>(column)).optional()?;
+        Ok(found.flatten().map(|tick| tick as u64))
+    }
 }
 
-fn gaps(connection: &Connection, capture_id: i64) -> Result<Vec<GapFacts>, StoreError> {
-    let mut statement =
-        connection.prepare_cached("SELECT before_seq, missing FROM gap WHERE capture_id = ?1 ORDER BY gap_id")?;
-    let rows = statement.query_map([capture_id], |row| {
-        Ok(GapFacts { before_seq: row.get::<_, i64>(0)? as u64, missing: row.get::<_, i64>(1)? as u64 })
-    })?;
-    Ok(rows.collect::<Result<_, _>>()?)
-}
+#[cfg(test)]
+mod tests {
+    use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
+    use std::time::Instant;
 
-fn count_rows(connection: &Connection, capture_id: i64) -> Result<(u64, BTreeMap<u32, u64>), StoreError> {
-    let sql = "SELECT segment_id, count(*) FROM sample WHERE capture_id = ?1 GROUP BY segment_id";
-    let mut statement = connection.prepare_cached(sql)?;
-    let rows = statement.query_map([capture_id], |row| Ok((row.get(0)?, row.get::<_, i64>(1)? as u64)))?;
-    let by_segment: BTreeMap<u32, u64> = rows.collect::<Result<_, _>>()?;
-    Ok((by_segment.values().sum(), by_segment))
+    /// Bytes of this process's memory that were in use at once since the last call.
+    fn peak_memory() -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        let kib: u64 = line.trim().trim_end_matches(" kB").parse().unwrap();
+        // proc(5): 5 sets the peak back to what is in use now.
+        std::fs::write("/proc/self/clear_refs", "5").unwrap();
+        kib << 10
+    }
+
+    #[test]
+    #[ignore = "the process's memory is measured: to be run alone, cargo test --release --lib a_million_segments -- --ignored"]
+    fn a_million_segments_and_gaps_are_accounted_for_in_little_memory() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.db");
+        let store = Store::open(&path, StoreOptions::default()).unwrap();
+        let id = store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
+        store.close().unwrap();
+        // Two samples a segment, three missing between two of them.
+        rusqlite::Connection::open(&path)
+            .unwrap()
+            .execute_batch(
+                "BEGIN;
+                 CREATE TEMP TABLE n AS WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i < 999999)
+                     SELECT i FROM n;
+                 INSERT INTO segment (capture_id, segment_id, epoch, first_seq, samples, rate_hz, timebase, channels, first_utc_ns)
+                     SELECT 1, i + 1, 1, 2 * i, 2, 40.0, 'device', '[]', 0 FROM n;
+                 INSERT INTO sample (capture_id, segment_id, seq, device_time_ns, host_mono_ns, host_utc_ns)
+                     SELECT 1, i + 1, 2 * i + j, (5 * i + j) * 25000000, 0, 0 FROM n, (SELECT 0 AS j UNION ALL SELECT 1);
+                 INSERT INTO gap (capture_id, before_seq, from_utc_ns, to_utc_ns, missing, missing_exact, cause)
+                     SELECT 1, 2 * i, 0, 0, 3, 1, 'silent' FROM n WHERE i > 0;
+                 UPDATE capture SET samples = 2000000, missing = 2999997, gaps = 999999, segments = 1000000, received = 2000000;
+                 COMMIT;",
+            )
+            .unwrap();
+        let reader = crate::store::Reader::open(&path).unwrap();
+        reader.device_clocks(id).unwrap();
+        peak_memory();
+        let before = peak_memory();
+        let begun = Instant::now();
+        let report = reader.accounting(id).unwrap();
+        let (took, more) = (begun.elapsed(), peak_memory().saturating_sub(before));
+        assert!(report.holds, "{:?}", report.violations);
+        assert_eq!((report.expected, report.missing, report.stretches.len()), (4_999_997, 2_999_997, 1));
+        println!("10^6 segments and gaps: {took:?}, {} KiB more", more >> 10);
+        assert!(more < 8 << 20, "{more} bytes");
+        let begun = Instant::now();
+        assert!(reader.accounting_of_every_row(id).unwrap().holds);
+        let more = peak_memory().saturating_sub(before);
+        println!("every row: {:?}, {} KiB more", begun.elapsed(), more >> 10);
+        assert!(more < 8 << 20, "{more} bytes");
+    }
 }
