@@ -11,6 +11,11 @@ pub const ATTEMPTS_MAX: u32 = 3;
 /// Jobs that may wait at once before further ones that somebody asks for are refused.
 pub const QUEUE_JOBS_MAX: u64 = 100;
 
+/// Results of one kind, capture, parameters and version of the program that are kept: those over the most samples.
+pub const RESULTS_KEPT: u32 = 10;
+/// Superseded jobs that go in one transaction: an older version of the program left them all.
+const DROP_MAX: i64 = 100;
+
 /// What a job is doing or how it ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -219,7 +224,8 @@ impl Store {
     }
 
     /// Keeps a running job's result (a JSON document) and marks the job as done; answers the result's id. None where the
-    /// job was cancelled or deleted meanwhile.
+    /// job was cancelled or deleted meanwhile. Of jobs that differ only in how much of their capture they took in the
+    /// last [`RESULTS_KEPT`] stay, with their results.
     ///
     /// # Errors
     /// What the database says.
@@ -239,6 +245,7 @@ impl Store {
                 params![id, utc_ns, result_id],
             )?;
             transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            drop_superseded(transaction, id)?;
             Ok(Some(result_id))
         })
     }
@@ -338,6 +345,23 @@ fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &serde_json::V
     canonical(&serde_json::json!({
         "kind": kind, "capture": capture_id, "end_seq": end_seq, "params": params, "software": SOFTWARE,
     }))
+}
+
+/// Drops what newer results of the same kind, capture, parameters and version have superseded. The one over all samples of a
+/// capture that has ended is the one over the most: it stays. Results of other versions stay as they are.
+fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
+    let sql = "SELECT old.id, old.result_id FROM job AS new JOIN job AS old ON old.capture_id = new.capture_id \
+               AND old.kind = new.kind AND old.params = new.params AND old.software = new.software \
+               WHERE new.id = ?1 AND old.state = 'done' ORDER BY old.end_seq DESC, old.id DESC LIMIT ?2 OFFSET ?3";
+    let old: Vec<(i64, Option<i64>)> = transaction
+        .prepare_cached(sql)?
+        .query_map(params![id, DROP_MAX, RESULTS_KEPT], |row| Ok((row.get(0)?, row.get(1)?)))?
+        .collect::<Result<_, _>>()?;
+    for (job_id, result_id) in old {
+        transaction.prepare_cached("DELETE FROM job WHERE id = ?1")?.execute([job_id])?;
+        transaction.prepare_cached("DELETE FROM result WHERE id = ?1")?.execute([result_id])?;
+    }
+    Ok(())
 }
 
 /// A job that an older program left in the queue becomes one of this program: its result will be.
@@ -440,5 +464,59 @@ impl Reader {
         let sql = "SELECT count(*) FROM job WHERE state = ?1";
         let count: i64 = self.connection.prepare_cached(sql)?.query_row([state.name()], |row| row.get(0))?;
         Ok(count as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::tests::{World, sample, segment};
+
+    fn job(kind: &str, params: serde_json::Value) -> NewJob {
+        NewJob { kind: kind.to_owned(), capture_id: 1, params }
+    }
+
+    fn finished(world: &World, new: NewJob) -> i64 {
+        let id = world.store.submit_job(new, u64::MAX).unwrap().0.id;
+        assert_eq!(world.store.claim_job().unwrap().unwrap().id, id);
+        world.store.finish_job(id, "{}".to_owned()).unwrap().unwrap();
+        id
+    }
+
+    #[test]
+    fn of_results_over_a_growing_capture_the_last_ones_stay() {
+        let world = World::new();
+        let id = world.capturing();
+        world.send(id, [segment(1, 0)]);
+        let plain = serde_json::json!({"taus": "log"});
+        let once = finished(&world, job("noise", plain.clone()));
+        let other = finished(&world, job("allan", serde_json::json!({"taus": "octave"})));
+        let older = finished(&world, job("allan", plain.clone()));
+        world
+            .store
+            .execute(move |transaction| {
+                transaction
+                    .execute("UPDATE job SET software = 'vn100d 0.0.1', fingerprint = '' WHERE id = ?1", [older])?;
+                Ok(())
+            })
+            .unwrap();
+        let mut all = Vec::new();
+        for seq in 0..14 {
+            world.send(id, [sample(1, seq)]);
+            world.store.flush_blocking().unwrap();
+            all.push(finished(&world, job("allan", plain.clone())));
+        }
+        let reader = world.reader();
+        let there: Vec<i64> = all.iter().copied().filter(|id| reader.job(*id).is_ok()).collect();
+        assert_eq!(there, all[4..], "the last ten");
+        for id in [once, other, older] {
+            let result = reader.job(id).unwrap().result_id.unwrap();
+            assert!(reader.result(result).unwrap().is_some(), "another kind, other parameters, another version");
+        }
+        let count = |sql: &str| reader.connection.query_row(sql, [], |row| row.get::<_, i64>(0)).unwrap();
+        assert_eq!(count("SELECT count(*) FROM result"), 13);
+        assert_eq!(count("SELECT count(*) FROM job WHERE result_id IS NULL"), 0);
+        // Whatever else is computed of it, the one over all samples stays: it is what is shown.
+        assert_eq!(reader.jobs_over(id, "allan", 14).unwrap()[0].id, all[13]);
     }
 }

@@ -50,7 +50,7 @@ pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NewCaptu
 pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};
-pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX};
+pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
 pub use queue::{RecordSender, Refused};
