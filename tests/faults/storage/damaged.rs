@@ -196,3 +196,33 @@ fn a_log_that_was_taken_away_is_noticed() {
     until_committed(&world, acknowledged + 1, START, &daemon);
     stop_and_settle(&world, &mut daemon);
 }
+
+/// C8, while the daemon runs: a purge meets a damaged page of a capture that nobody reads any more.
+#[test]
+fn damage_met_in_use_ends_the_daemon_with_what_to_run_and_no_start_writes_to_it_again() {
+    let world = World::new();
+    build(&world.database(), 150, EACH);
+    let _sensor = world.emulate(FAST);
+    let mut daemon = start(&world, &[], "", &["--capture", "1h"]);
+    until_committed(&world, 80, START, &daemon);
+    // Whichever page holds this row: its time stands there as it is.
+    let image = std::fs::read(world.database()).unwrap();
+    let row = utc_ns(50 * EACH).to_be_bytes();
+    let page = image.windows(8).position(|window| window == row).unwrap() / 4096;
+    let file = std::fs::OpenOptions::new().write(true).open(world.database()).unwrap();
+    std::os::unix::fs::FileExt::write_all_at(&file, &[0xA5; 64], page as u64 * 4096).unwrap();
+    drop(file);
+    let acknowledged = committed(&world);
+    let (code, body) = world.request("DELETE", "/v1/captures/night", "").unwrap();
+    assert_eq!(code, 204, "{body}");
+    assert_eq!(daemon.wait(Duration::from_secs(30)), Some(74), "{}", daemon.log());
+    let said = last_words(&daemon);
+    assert!(said.contains("vn100d check") && said.contains("vn100d recover"), "{said}");
+    // systemd starts it again and again: each time it is refused with the same words, and nothing is changed.
+    for _ in 0..3 {
+        assert_eq!(refused(&world), said);
+    }
+    let report = recovered(&world);
+    let capture = report["captures"].as_array().unwrap().iter().find(|capture| capture["id"] == 2).unwrap();
+    assert!(capture["samples"].as_u64().unwrap() >= acknowledged, "{acknowledged} were safe: {report}");
+}

@@ -154,7 +154,7 @@ fn one_sync_of_many_seconds_costs_no_sample() {
 /// C5.
 #[test]
 fn a_file_system_that_turns_read_only_is_said_and_writing_goes_on_when_it_can() {
-    if !tools::have("strace", "the kernel lets no file system turn read-only under an open file unless it is broken") {
+    if !tools::have("strace", "the kernel lets no file system turn read-only under an open file, and back") {
         return;
     }
     let world = World::new();
@@ -170,5 +170,94 @@ fn a_file_system_that_turns_read_only_is_said_and_writing_goes_on_when_it_can() 
     until_committed(&world, received, START, &daemon);
     watch.settle();
     assert_eq!(gaps(&world), Vec::<serde_json::Value>::new());
+    stop_and_settle(&world, &mut daemon);
+}
+
+/// A small ext4 of its own under the world's data directory, that can be made to fail as a broken disk makes it.
+struct Ext4 {
+    image: PathBuf,
+    data: PathBuf,
+}
+
+impl Ext4 {
+    /// None where this machine lets nobody make one.
+    fn new(world: &World) -> Option<Self> {
+        let disk = Self { image: world.path("disk.img"), data: world.path("data") };
+        std::fs::create_dir_all(&disk.data).unwrap();
+        std::fs::File::create(&disk.image).unwrap().set_len(64 << 20).unwrap();
+        let made = Command::new("mkfs.ext4").arg("-q").arg(&disk.image).status().is_ok_and(|status| status.success());
+        (made && disk.mount() && disk.trigger().exists()).then_some(disk)
+    }
+
+    fn mount(&self) -> bool {
+        let options = ["-o", "loop,errors=remount-ro"];
+        Command::new("mount").args(options).arg(&self.image).arg(&self.data).status().unwrap().success()
+    }
+
+    /// What the kernel offers to test the handling of errors (Documentation/ABI/testing/sysfs-fs-ext4).
+    fn trigger(&self) -> PathBuf {
+        let mounts = std::fs::read_to_string("/proc/self/mounts").unwrap();
+        let mut fields = mounts.lines().map(|line| line.split(' ').collect::<Vec<_>>());
+        let mounted = fields.find(|fields| fields.get(1).is_some_and(|path| Path::new(path) == self.data));
+        let device = mounted.map(|fields| fields[0].trim_start_matches("/dev/").to_owned()).unwrap_or_default();
+        Path::new("/sys/fs/ext4").join(device).join("trigger_fs_error")
+    }
+
+    /// The kernel meets an error in it: read-only from now on, also for files that are open.
+    fn fail(&self) {
+        std::fs::write(self.trigger(), "1").unwrap();
+    }
+
+    /// As an administrator does it: unmounted and mounted anew.
+    fn mend(&self) {
+        assert!(Command::new("umount").arg(&self.data).status().unwrap().success());
+        assert!(self.mount());
+    }
+}
+
+impl Drop for Ext4 {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.data).stderr(std::process::Stdio::null()).status();
+    }
+}
+
+/// C5, by the kernel itself.
+#[test]
+fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_goes_on_once_it_is_mounted_anew() {
+    if !tools::root("a file system of its own is mounted") {
+        return;
+    }
+    let world = World::new();
+    let Some(disk) = Ext4::new(&world) else {
+        eprintln!(
+            "skipped: no ext4 with errors on demand can be mounted here (a loop device, mkfs.ext4, trigger_fs_error)"
+        );
+        return;
+    };
+    let _sensor = world.emulate(FAST);
+    let configuration = "[sensor]\nrate-hz = 400\nbaud = 921600\n";
+    let mut daemon = start(&world, &[], configuration, &["--capture", "1h"]);
+    until_committed(&world, 400, START, &daemon);
+    let watch = Watch::start(&world);
+    disk.fail();
+    let failed = Instant::now();
+    until_state(&world, "storage_readonly", Duration::from_secs(5), &daemon);
+    println!("storage_readonly after {:?}", failed.elapsed());
+    // Many attempts later it still waits: no loop of restarts, and nothing is dropped.
+    std::thread::sleep(Duration::from_secs(tools::scaled(6, 20)));
+    let waiting = status(&world);
+    assert_eq!(waiting["storage"]["state"], "storage_readonly");
+    assert!(waiting["storage"]["queued"].as_u64().unwrap() > 5 * 400, "{waiting}");
+    assert_eq!(waiting["capture"]["gaps"], 0, "{waiting}");
+    let acknowledged = committed(&world);
+    watch.settle();
+    assert_eq!(daemon.terminate(), Some(74), "what is in memory cannot be written: {}", daemon.log());
+    disk.mend();
+    let mut daemon = start(&world, &[], configuration, &[]);
+    until_committed(&world, acknowledged + 400, START, &daemon);
+    let gaps = gaps(&world);
+    assert_eq!(gaps.len(), 1, "{gaps:?}");
+    assert_eq!(gaps[0]["cause"], "daemon_stopped");
+    assert!(gaps[0]["before_seq"].as_u64().unwrap() >= acknowledged, "{gaps:?}");
     stop_and_settle(&world, &mut daemon);
 }
