@@ -19,7 +19,7 @@ use super::port::Latency;
 use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
-use crate::protocol::{ChecksumKind, Command, MeasurementKind};
+use crate::protocol::{ChecksumKind, Command, Measurement, MeasurementKind};
 use crate::sample::{EventKind, GapCause};
 use crate::units::period_ns;
 use rand_chacha::ChaCha8Rng;
@@ -102,6 +102,10 @@ pub struct Session {
     foreign_since_ns: Option<u64>,
     /// A sample has come since streaming began.
     flowing: bool,
+    /// As the registers say, the messages carry a serial count that steps by one.
+    counted: bool,
+    /// A sample with that count has come.
+    numbered: bool,
     heard_any: bool,
     /// Bytes came at the baud rate that worked last, and were no frames.
     good_is_garbled: bool,
@@ -134,6 +138,8 @@ impl Session {
             bytes_since_sample: 0,
             foreign_since_ns: None,
             flowing: false,
+            counted: false,
+            numbered: false,
             heard_any: false,
             good_is_garbled: false,
             stopping: false,
@@ -144,6 +150,12 @@ impl Session {
     #[must_use]
     pub fn status(&self) -> &SensorStatus {
         &self.status
+    }
+
+    /// Whether a measurement that is no sample now is one of another output than was asked for, also after a silence.
+    #[must_use]
+    pub fn sees_another_format(&self) -> bool {
+        self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }
 
     /// When [`Input::Tick`] is due at the latest, ns.
@@ -165,13 +177,8 @@ impl Session {
     }
 
     /// Takes note of a valid measurement frame and says whether it is a sample of the stream.
-    pub fn measured(
-        &mut self,
-        now_ns: u64,
-        kind: MeasurementKind,
-        device_ns: Option<u64>,
-        actions: &mut Vec<Action>,
-    ) -> bool {
+    pub fn measured(&mut self, now_ns: u64, measurement: &Measurement, actions: &mut Vec<Action>) -> bool {
+        let kind = measurement.kind;
         match &mut self.phase {
             Phase::Streaming => {}
             // A valid frame tells the baud rate even where the sensor does not answer.
@@ -182,15 +189,18 @@ impl Session {
                 return false;
             }
             Phase::Measuring { meter, .. } => {
-                meter.note(now_ns, kind, device_ns);
+                meter.note(now_ns, kind, measurement.device_time_ns);
                 return false;
             }
             _ => return false,
         }
-        if self.accepted.is_none_or(|(accepted, _)| accepted != kind) && !self.adopt(kind, actions) {
+        let is_other = self.accepted.is_none_or(|(accepted, _)| accepted != kind) && !self.adopt(kind, actions);
+        // The flash may hold the very message that is recorded: then only the count that is gone tells of a reset.
+        if is_other || (self.numbered && measurement.sync_count.is_none()) {
             self.foreign(now_ns, kind, actions);
             return false;
         }
+        self.numbered |= self.counted && measurement.sync_count.is_some();
         self.last_sample_ns = now_ns;
         self.bytes_since_sample = 0;
         self.foreign_since_ns = None;
@@ -224,12 +234,17 @@ impl Session {
             return;
         }
         self.foreign_since_ns = None;
-        let wanted = self.accepted.map_or_else(String::new, |(accepted, _)| format!(" instead of {accepted}"));
-        let message = format!("the sensor sends {kind}{wanted}");
+        let message = match self.accepted {
+            Some((accepted, _)) if accepted == kind => format!("the sensor sends {kind} without its count"),
+            Some((accepted, _)) => format!("the sensor sends {kind} instead of {accepted}"),
+            None => format!("the sensor sends {kind}"),
+        };
         self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
         actions.push(Action::Interrupt(GapCause::FormatChange));
         if self.options.output == Output::Keep {
             actions.push(Action::Event(EventKind::Reconfigured, message));
+            // What it sends contradicts what its registers said of the count.
+            COUNT_REGISTERS.iter().for_each(|register| drop(self.registers.remove(register)));
             self.measure(now_ns);
         } else {
             actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
@@ -570,7 +585,7 @@ impl Session {
     fn stream(&mut self, now_ns: u64, kind: MeasurementKind, rate_hz: f64, actions: &mut Vec<Action>) {
         self.script.clear();
         self.phase = Phase::Streaming;
-        self.flowing = false;
+        (self.flowing, self.numbered) = (false, false);
         self.last_sample_ns = now_ns;
         self.bytes_since_sample = 0;
         self.foreign_since_ns = None;
@@ -594,7 +609,8 @@ impl Session {
         self.status.output = Some(kind.to_string());
         let description = describe(&self.status, &self.registers, &self.previous, self.latency, kind, rate_hz);
         actions.push(Action::Describe(description));
-        actions.push(Action::Counted(self.is_counted(kind, rate_hz)));
+        self.counted = self.is_counted(kind, rate_hz);
+        actions.push(Action::Counted(self.counted));
         actions.push(Action::Accept(kind, rate_hz));
     }
 
@@ -814,8 +830,14 @@ mod tests {
         }
 
         fn measured(&mut self, kind: MeasurementKind) -> bool {
+            self.numbered(kind, None)
+        }
+
+        fn numbered(&mut self, kind: MeasurementKind, sync_count: Option<u32>) -> bool {
             let mut actions = Vec::new();
-            let taken = self.session.measured(self.now_ns, kind, None, &mut actions);
+            let mut measurement = Measurement::new(kind);
+            measurement.sync_count = sync_count;
+            let taken = self.session.measured(self.now_ns, &measurement, &mut actions);
             self.perform(actions);
             taken
         }
@@ -938,6 +960,59 @@ mod tests {
         }
         assert!(world.measured(default_kind()));
         assert_eq!(world.opens, 1);
+    }
+
+    /// The flash holds the message that is recorded, at its rate, but no count.
+    #[test]
+    fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds() {
+        let output = Output::Ascii { number: 14, rate_hz: 40 };
+        let ymr = ascii_kind(14).unwrap();
+        let mut world = World::new(output);
+        let flash =
+            [(30, "0,0,0,0,1,0,1"), (32, "3,0,0,0,6,1,0,100000000,0")].map(|(number, text)| (number, text.to_owned()));
+        world.sensor.registers.extend(flash.clone());
+        world.pass(1_000_000_000);
+        assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+        for count in 0..80 {
+            world.pass(25_000_000);
+            assert!(world.numbered(ymr, Some(count)));
+        }
+        // A single line without it is damage or a slip, no reset.
+        assert!(!world.measured(ymr));
+        world.pass(25_000_000);
+        assert!(world.numbered(ymr, Some(81)));
+        assert_eq!(world.state(), SensorState::Streaming);
+        world.seen.clear();
+        world.sensor.registers = Sensor::new().registers;
+        world.sensor.registers.extend(flash);
+        let begun = world.now_ns;
+        while !world.seen.contains(&Action::Accept(ymr, 40.0)) {
+            world.pass(25_000_000);
+            assert!(!world.measured(ymr), "no sample of the reset sensor passes for one that is counted");
+            assert!(world.now_ns - begun < 2_000_000_000);
+        }
+        assert!(world.seen.contains(&Action::Interrupt(GapCause::FormatChange)) && world.opens == 1);
+        assert!(world.sensor.registers[&30].starts_with("3,"), "{:?}", world.sensor.registers);
+        assert!(world.numbered(ymr, Some(1)));
+    }
+
+    /// Where the output is kept, messages whose count is gone go on by their arrival.
+    #[test]
+    fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
+        let ymr = ascii_kind(14).unwrap();
+        let mut world = World::new(Output::Keep);
+        world.sensor.registers.insert(30, "3,0,0,0,1,0,1".to_owned());
+        world.sensor.registers.insert(32, "3,0,0,0,1,1,19,100000000,0".to_owned());
+        world.pass(1_000_000_000);
+        assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+        assert!(world.numbered(ymr, Some(7)));
+        world.seen.clear();
+        for _ in 0..120 {
+            world.pass(25_000_000);
+            world.measured(ymr);
+        }
+        assert!(world.seen.contains(&Action::Counted(false)), "{:?}", world.seen);
+        assert!(world.measured(ymr) && world.state() == SensorState::Streaming);
     }
 
     #[test]

@@ -379,7 +379,7 @@ impl Shell {
         decoder.push(bytes, &mut |event| match event {
             Event::Measurement(measurement) => {
                 let before = actions.len();
-                let taken = session.measured(mono_ns, measurement.kind, measurement.device_time_ns, actions);
+                let taken = session.measured(mono_ns, measurement, actions);
                 if actions.len() > before {
                     book.note(actions, utc_ns);
                 }
@@ -388,7 +388,7 @@ impl Shell {
                         device_clock.note(device_time_ns, mono_ns);
                     }
                     book.sample(|| measurement.to_sample(mono_ns, utc_ns));
-                } else if matches!(session.status().state, SensorState::Streaming | SensorState::UnexpectedFormat) {
+                } else if session.sees_another_format() {
                     book.refuse(DiscardCause::UnexpectedFormat);
                 } else {
                     book.refuse(DiscardCause::Probing);

@@ -291,6 +291,36 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     assert!(text.contains("0,0,0,0,1,0,1") && text.contains("3,0,0,0,6,1,0,100000000,0"), "{text}");
 }
 
+/// B9, B12: a sensor whose flash holds the very message that is recorded, at the same rate, tells its reset by the missing
+/// count alone.
+#[test]
+fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switched_on_again() {
+    let world = World::new();
+    let (mut sensor, daemon) = capturing(&world, "[sensor]\noutput = \"VNYMR\"\nrate-hz = 40\n");
+    sensor.say("reset");
+    let again = || {
+        let events = world.try_get("/v1/captures/latest/events")?;
+        events["events"].as_array()?.iter().find(|event| event["kind"] == "reconfigured").cloned()
+    };
+    let event = world.until("it is configured again", START, again, &daemon);
+    assert!(event["message"].as_str().unwrap().contains("without its count"), "{event}");
+    samples(&world, &daemon, 80);
+    let capture = settle(&world);
+    let gaps = gaps(&world);
+    assert_eq!((gaps.len(), &gaps[0]["cause"], &gaps[0]["missing_exact"]), (1, &"sensor_reset".into(), &false.into()));
+    // The sensor boots for 1.25 s; two more may pass until it counts again.
+    let length_s = gap_length_s(&world, "sensor_reset");
+    assert!((1.2..1.25 + 2.0).contains(&length_s), "{length_s} s");
+    let noticed_ns = count(&world, "SELECT utc_ns FROM event WHERE kind = 'reconfigured'");
+    let noticed_s = (noticed_ns - count(&world, "SELECT from_utc_ns FROM gap")) as f64 / 1e9;
+    assert!(noticed_s <= 1.25 + 2.0, "noticed {noticed_s} s after the last sample");
+    let segments = segments(&world);
+    let told: Vec<_> = segments.iter().map(|segment| (&segment["timebase"], &segment["epoch"])).collect();
+    assert_eq!(told, [(&"sync_counter".into(), &1.into()), (&"sync_counter".into(), &2.into())]);
+    assert_eq!(count(&world, "SELECT count(*) FROM sample WHERE sync_count IS NULL"), 0);
+    assert!(capture["rejected"]["unexpected_format"].as_u64().unwrap() > 5, "{capture:#}");
+}
+
 /// Another unit in place of the capture's: refused and said; stopped by hand, the outage is a gap up to the stop.
 #[test]
 fn another_unit_is_refused_and_an_outage_that_is_stopped_by_hand_is_a_gap_to_the_end() {
