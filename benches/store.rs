@@ -21,6 +21,7 @@ fn segment(rate_hz: f64) -> Record {
         channels: Channel::ALL.into_iter().collect(),
         first_device_time_ns: Some(0),
         first_utc_ns: 1_800_000_000_000_000_000,
+        boot_id: None,
     })
 }
 

@@ -14,6 +14,11 @@ pub trait Clock: Send + Sync + std::fmt::Debug {
     fn awake_ns(&self) -> u64;
     /// Nanoseconds since 1970-01-01T00:00:00Z; may step.
     fn utc_ns(&self) -> i64;
+    /// The boot of the machine that [`Self::mono_ns`] counts in: times of the same boot are comparable, also between runs of
+    /// the program. `None` where the clock is the program's own, or the machine does not tell.
+    fn boot_id(&self) -> Option<String> {
+        None
+    }
     /// How much faster than real time this clock runs (1 for a real sensor).
     fn speed(&self) -> f64 {
         1.0
@@ -56,6 +61,10 @@ impl Clock for SystemClock {
     }
     fn utc_ns(&self) -> i64 {
         real_utc_ns()
+    }
+    fn boot_id(&self) -> Option<String> {
+        let text = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
+        Some(text.trim().to_owned()).filter(|id| !id.is_empty())
     }
 }
 
@@ -188,6 +197,14 @@ mod tests {
         assert_eq!(clock.mono_ns(), start + 5);
         clock.release();
         assert!(clock.mono_ns() > start + 1_000_000_000);
+    }
+
+    #[test]
+    fn a_boot_has_one_name_and_a_clock_of_the_programs_own_has_none() {
+        let boot = SystemClock.boot_id();
+        assert!(boot.as_ref().is_some_and(|id| id.len() == 36), "{boot:?}");
+        assert_eq!(boot, SystemClock.boot_id());
+        assert_eq!(ScaledClock::new(1000.0).boot_id(), None);
     }
 
     #[test]

@@ -72,6 +72,20 @@ impl HostWatch {
     }
 }
 
+/// Arrivals are stamped with both clocks one after the other; a program that is put aside in between makes no step of that
+/// size, ns. Neither does NTP's slew, which is at most 500 ppm.
+const AWAY_STEP_NS: u64 = 1_000_000_000;
+const AWAY_SLEW: f64 = 500e-6;
+
+/// By how much civil time was stepped between two instants of one boot of the host, ns, while nobody watched: `(monotonic,
+/// civil)` of each. `None` where it ran on.
+#[must_use]
+pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
+    let away_ns = now.0.checked_sub(before.0)?;
+    let by_ns = now.1.saturating_sub(before.1).saturating_sub_unsigned(away_ns);
+    (by_ns.unsigned_abs() > AWAY_STEP_NS + (AWAY_SLEW * away_ns as f64) as u64).then_some(by_ns)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -104,6 +118,18 @@ mod tests {
         slow.after_ns += 2_000_000;
         assert!(watch.turn(slow, TICK_NS).is_empty());
         assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Stepped(50_000_000)]);
+    }
+
+    #[test]
+    fn a_step_while_nobody_watched_is_told_and_a_slew_is_none() {
+        let (second, night) = (1_000_000_000_u64, 28_800_000_000_000_u64);
+        let before = (50 * second, 1_800_000_000_000_000_000_i64);
+        let later = |by_ns: i64| (before.0 + night, before.1 + night as i64 + by_ns);
+        assert_eq!(stepped_while_away(before, later(0)), None);
+        // 500 ppm of eight hours.
+        assert_eq!(stepped_while_away(before, later(14_400_000_000)), None);
+        assert_eq!(stepped_while_away(before, later(-3_600_000_000_000)), Some(-3_600_000_000_000));
+        assert_eq!(stepped_while_away((20, 0), (10, 5)), None, "another boot's clock");
     }
 
     /// D5.

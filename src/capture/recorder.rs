@@ -5,7 +5,7 @@
 //! capture.
 
 use crate::observe::Tally;
-use crate::sample::accounting::{Position, civil_elapsed_ns};
+use crate::sample::accounting::{Position, host_elapsed_ns};
 use crate::sample::record::CaptureEnd;
 use crate::sample::{
     Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, Record, Sample, Timebase,
@@ -104,6 +104,7 @@ pub struct Recorder {
     ending: Option<(CaptureEnd, i64)>,
     ended: bool,
     host_jitter_ns: f64,
+    boot_id: Option<String>,
     scratch: Vec<Record>,
 }
 
@@ -138,8 +139,16 @@ impl Recorder {
             ending: None,
             ended: false,
             host_jitter_ns,
+            boot_id: None,
             scratch: Vec::new(),
         }
+    }
+
+    /// The same, on a host whose present boot has this name: its monotonic times are comparable with those of segments of
+    /// the same name.
+    #[must_use]
+    pub fn of_boot(self, boot_id: Option<String>) -> Self {
+        Self { boot_id, ..self }
     }
 
     /// The plan.
@@ -346,15 +355,15 @@ impl Recorder {
         }
     }
 
-    /// The last sample, the rate, and how long ago that sample came, ns: since this run of the daemon has heard one its
-    /// own clock tells; before, only civil time does.
+    /// The last sample, the rate, and how long ago that sample came, ns: within one boot of the host its monotonic clock
+    /// tells; where the last sample is of an earlier boot, only civil time does.
     fn silence(&self, now_mono_ns: u64, now_utc_ns: i64) -> Option<(Position, f64, f64)> {
         let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
         let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
         let (last, rate_hz) = known.or(resumed)?;
         let silence_ns = match self.counts.last_mono_ns {
             Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
-            None => civil_elapsed_ns(last.host_utc_ns, now_utc_ns),
+            None => host_elapsed_ns(&last, now_mono_ns, now_utc_ns),
         };
         Some((last, rate_hz, silence_ns))
     }
@@ -427,7 +436,8 @@ impl Recorder {
                 continue;
             }
             match record {
-                Record::Segment(ref segment) => {
+                Record::Segment(mut segment) => {
+                    segment.boot_id.clone_from(&self.boot_id);
                     if let Some(from_hz) = self.rate_hz.replace(segment.rate_hz).filter(|rate| *rate != segment.rate_hz)
                     {
                         let to_hz = segment.rate_hz;
@@ -438,7 +448,7 @@ impl Recorder {
                             detail: Some(serde_json::json!({"from_hz": from_hz, "to_hz": to_hz})),
                         }));
                     }
-                    out.push(record);
+                    out.push(Record::Segment(segment));
                 }
                 Record::Sample { ref sample, .. } => {
                     let utc_ns = sample.host_utc_ns;

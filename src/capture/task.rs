@@ -1,7 +1,7 @@
 //! Task: drives session, decoder and recorder against the real port. A thin shell: every decision is theirs.
 
 use super::action::{Action, Input};
-use super::host_watch::{HostEvent, HostWatch, Reading};
+use super::host_watch::{HostEvent, HostWatch, Reading, stepped_while_away};
 use super::port;
 use super::recorder::{Counts, Plan, Recorder, ResumePoint};
 use super::session::{Session, SessionOptions};
@@ -10,7 +10,7 @@ use crate::observe::{SensorState, SensorStatus, Tally};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
 use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 use crate::sample::device_clock::{ClockEstimate, DeviceClock};
-use crate::sample::{DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
+use crate::sample::{Accountant, DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
 use rand::SeedableRng;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -116,6 +116,8 @@ struct Book {
     accepted: Option<(MeasurementKind, f64)>,
     /// The messages carry a serial count that steps by one.
     counted: bool,
+    /// While no capture runs: what decides where the sensor's clock began again.
+    idle: Option<Accountant>,
     description: Option<serde_json::Value>,
     sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
@@ -149,6 +151,7 @@ pub async fn run(
             recorder: None,
             accepted: None,
             counted: false,
+            idle: None,
             description: None,
             sink,
             overflow: VecDeque::new(),
@@ -384,10 +387,10 @@ impl Shell {
                     book.note(actions, utc_ns);
                 }
                 if taken {
-                    if let Some(device_time_ns) = measurement.device_time_ns {
-                        device_clock.note(device_time_ns, mono_ns);
-                    }
                     book.sample(|| measurement.to_sample(mono_ns, utc_ns));
+                    if let Some(device_time_ns) = measurement.device_time_ns {
+                        device_clock.note(book.clock_run(), device_time_ns, mono_ns);
+                    }
                 } else if session.sees_another_format() {
                     book.refuse(DiscardCause::UnexpectedFormat);
                 } else {
@@ -438,8 +441,15 @@ impl Shell {
                     self.input(Input::GoodBaud(baud));
                 }
             }
-            let recorder = Recorder::new(plan, resume, self.host_jitter_ns);
+            // What happened to civil time while no daemon watched, within this boot of the host.
+            let last = resume.as_ref().and_then(|point| point.last).filter(|last| last.host_mono_ns > 0);
+            let stepped =
+                last.and_then(|last| stepped_while_away((last.host_mono_ns, last.host_utc_ns), (mono_ns, utc_ns)));
+            let recorder = Recorder::new(plan, resume, self.host_jitter_ns).of_boot(self.clock.boot_id());
             self.book.begin(recorder);
+            if let Some(by_ns) = stepped {
+                self.book.clock_stepped(by_ns, utc_ns);
+            }
         }
         self.book.tick(mono_ns, utc_ns);
         self.note_clock(mono_ns);
@@ -528,8 +538,9 @@ impl Book {
                     MeasurementKind::Binary(header) => BinaryAcceptance::Only(header),
                     MeasurementKind::Ascii(_) => BinaryAcceptance::Any,
                 });
-                if let Some(recorder) = &mut self.recorder {
-                    recorder.accept(rate_hz, timebase(kind, self.counted), &mut self.out);
+                match &mut self.recorder {
+                    Some(recorder) => recorder.accept(rate_hz, timebase(kind, self.counted), &mut self.out),
+                    None => self.idle = Some(Accountant::new(rate_hz, timebase(kind, self.counted))),
                 }
             }
             Action::Counted(counted) => self.counted = counted,
@@ -574,7 +585,16 @@ impl Book {
     }
 
     fn sample(&mut self, sample: impl FnOnce() -> Sample) {
-        let Some(recorder) = &mut self.recorder else { return };
+        let Some(recorder) = &mut self.recorder else {
+            if let (Some(idle), Some((kind, _))) = (&mut self.idle, self.accepted)
+                && kind.has_device_time()
+            {
+                idle.observe(sample(), &mut self.out);
+                idle.take_refused();
+                self.out.clear();
+            }
+            return;
+        };
         if self.sink.room() <= RESERVE + self.out.len() {
             // The disk is too slow by more than the queue holds: a gap, whose length the sensor's clock will tell.
             recorder.interrupt(GapCause::StorageBackpressure, &mut self.out);
@@ -591,6 +611,14 @@ impl Book {
                     self.overflow.push_back((id, *record));
                 }
             }
+        }
+    }
+
+    /// The run of the sensor's clock that is under way, as the accounting numbers it: capture (0 for none) and epoch.
+    fn clock_run(&self) -> (i64, u32) {
+        match (&self.recorder, &self.idle) {
+            (Some(recorder), _) => (recorder.plan().id, recorder.epoch().unwrap_or(0)),
+            (None, idle) => (0, idle.as_ref().map_or(0, Accountant::epoch)),
         }
     }
 
@@ -664,7 +692,11 @@ impl Book {
             recorder.write_discards(&mut self.out);
         }
         self.flush();
-        self.recorder.take_if(|recorder| recorder.has_ended()).is_some()
+        let ended = self.recorder.take_if(|recorder| recorder.has_ended()).is_some();
+        if let (true, Some((kind, rate_hz))) = (ended, self.accepted) {
+            self.idle = Some(Accountant::new(rate_hz, timebase(kind, self.counted)));
+        }
+        ended
     }
 
     /// Writes what is to be written, in order; what finds no room waits (samples made sure of theirs before).

@@ -55,7 +55,7 @@ impl Keeper {
     ///
     /// # Errors
     /// What the database says.
-    pub async fn resume(&mut self) -> Result<bool, StoreError> {
+    pub async fn resume(&mut self, clock: &dyn Clock) -> Result<bool, StoreError> {
         let mut unfinished = self.store.offload(Store::unfinished).await?;
         // One with samples before one without, one that ran before one that waited, then the newest.
         let rank = |capture: &Unfinished| {
@@ -75,7 +75,7 @@ impl Keeper {
             duration_ns: capture.planned.map_or(u64::MAX, |planned| planned.as_nanos() as u64),
             start_at_utc_ns: capture.start_at_utc_ns,
         };
-        self.hand_over(plan, Some(resume_point(&capture))).await;
+        self.hand_over(plan, Some(resume_point(&capture, clock.boot_id().as_deref(), clock.mono_ns()))).await;
         Ok(true)
     }
 

@@ -57,6 +57,9 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
+/// The host is never started anew: its monotonic clock tells how long the daemon was away.
+const BOOT: &str = "boot";
+
 /// A sensor that remembers every measurement it made, and the daemon's side of the line.
 struct World {
     folder: tempfile::TempDir,
@@ -89,7 +92,7 @@ impl World {
         let mut world = Self {
             folder,
             store,
-            recorder: Recorder::new(plan(id), None, 0.0),
+            recorder: Recorder::new(plan(id), None, 0.0).of_boot(Some(BOOT.to_owned())),
             id,
             pending: Vec::new(),
             made: Vec::new(),
@@ -233,7 +236,8 @@ impl World {
         let received = report.received.unwrap();
         assert!(received <= self.given);
         self.given = received;
-        self.recorder = Recorder::new(plan(self.id), Some(resume_point(&unfinished)), 0.0);
+        self.recorder = Recorder::new(plan(self.id), Some(resume_point(&unfinished, Some(BOOT), self.host_ns)), 0.0)
+            .of_boot(Some(BOOT.to_owned()));
         self.recorder.accept(self.rate_hz, Timebase::Device, &mut self.pending);
         self.last = None;
     }

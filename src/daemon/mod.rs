@@ -177,7 +177,7 @@ pub async fn run(
     let (control, commands) = CaptureControl::pair();
     let mut keeper = captures::Keeper::new(store.clone(), jobs.clone(), task_sender.clone(), progress.clone(), source);
     // The capture is there before the port is opened: none of the sensor's first words is lost on it.
-    if !keeper.resume().await?
+    if !keeper.resume(&*clock).await?
         && let Some(request) = capture
     {
         keeper.start(request).await?;
@@ -346,8 +346,10 @@ pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
     Ok(SessionOptions { output, bauds, host_jitter_ns: 0 })
 }
 
-/// Where an unfinished capture goes on.
-fn resume_point(unfinished: &crate::store::Unfinished) -> ResumePoint {
+/// Where an unfinished capture goes on. `boot_id` and `mono_ns` are the clock's of now: within one boot of the host its
+/// monotonic clock tells how long the daemon was away, across boots only civil time does.
+fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mono_ns: u64) -> ResumePoint {
+    let same_boot = boot_id.is_some() && unfinished.boot_id.as_deref() == boot_id;
     let discarded: std::collections::BTreeMap<DiscardCause, u64> = (unfinished.rejected.iter())
         .filter_map(|(cause, count)| Some((DiscardCause::from_name(cause).filter(|cause| cause.is_frame())?, *count)))
         .collect();
@@ -361,11 +363,10 @@ fn resume_point(unfinished: &crate::store::Unfinished) -> ResumePoint {
         missing: unfinished.missing,
         gaps: unfinished.gaps,
         elapsed_ns: unfinished.sample_time_ns,
-        // The monotonic clock may be another boot's: civil time tells how long the daemon was away.
-        last: unfinished.last.map(|(device_time_ns, _, host_utc_ns)| crate::sample::accounting::Position {
+        last: unfinished.last.map(|(device_time_ns, host_mono_ns, host_utc_ns)| crate::sample::accounting::Position {
             device_time_ns,
             sync_count: unfinished.last_sync_count,
-            host_mono_ns: 0,
+            host_mono_ns: if same_boot && host_mono_ns <= mono_ns { host_mono_ns } else { 0 },
             host_utc_ns,
         }),
         rate_hz: unfinished.stream.map(|(rate_hz, _)| rate_hz),

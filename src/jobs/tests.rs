@@ -28,6 +28,7 @@ fn segment(number: u32, first_seq: u64, rate_hz: f64) -> Record {
         channels: [Channel::AccelX, Channel::GyroX, Channel::GyroY].into_iter().collect(),
         first_device_time_ns: Some(first_seq * 25_000_000),
         first_utc_ns: 1_800_000_000_000_000_000,
+        boot_id: None,
     })
 }
 

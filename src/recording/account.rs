@@ -140,6 +140,7 @@ impl RecordingAccountant {
                 channels: self.channels,
                 first_device_time_ns: sample.device_time_ns,
                 first_utc_ns: sample.host_utc_ns,
+                boot_id: None,
             }));
         }
         self.last = Some((sample.device_time_ns, sample.host_utc_ns));

@@ -34,6 +34,9 @@ const RATE_SAME: f64 = 0.01;
 /// regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
 const RATE_STEPS_MIN: usize = 12;
 const RATE_TRIAL_NS: f64 = 1e8;
+/// No loss makes a step shorter than a period. So many of one length in succession are another rate although the stream
+/// was interrupted before it was tried for long; one or two may be a tick that is wrong.
+const RATE_STEPS_SHORT: usize = 3;
 /// A longer step is no rate, ns: register 7's lowest is 1 Hz.
 const RATE_STEP_MAX_NS: f64 = 1.5e9;
 /// Civil and monotonic time that disagree by more about a distance: civil time was stepped, ns.
@@ -407,17 +410,12 @@ impl Accountant {
         Observation::Taken
     }
 
-    /// What was held are losses, not another rate: unless the steps are shorter than a period, which no loss makes.
+    /// What was held are losses, not another rate: unless several steps were shorter than a period, which no loss makes.
     fn end_trial(&mut self, out: &mut Vec<Record>) {
-        if let (Some(first), Some(last)) = (self.trial.held.first(), self.last) {
-            let tick = |sample: &Sample| (sample.device_time_ns, sample.sync_count);
-            let first_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick(first)).unwrap_or(0) as f64;
-            let step_ns = if self.trial.held.len() > 1 { self.trial.step_ns } else { first_ns };
-            if step_ns < (1.0 - RATE_ODD) * period_ns(self.rate_hz) {
-                self.trial.step_ns = step_ns;
-                self.adopt_rate(out);
-                return;
-            }
+        let short = self.trial.step_ns < (1.0 - RATE_ODD) * period_ns(self.rate_hz);
+        if short && self.trial.held.len() > RATE_STEPS_SHORT {
+            self.adopt_rate(out);
+            return;
         }
         for sample in std::mem::take(&mut self.trial.held) {
             let frame = sample.frame;
@@ -461,7 +459,7 @@ impl Accountant {
             return Observation::Taken;
         };
         let period = period_ns(self.rate_hz);
-        let host_ns = host_elapsed_ns(&last, &sample);
+        let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
         let tick = (sample.device_time_ns, sample.sync_count);
         let Some(ahead_ns) = self.ahead_ns((last.device_time_ns, last.sync_count), tick) else {
             // The times before came from the host: only it can tell the distance.
@@ -549,7 +547,7 @@ impl Accountant {
             return;
         };
         if self.interrupted.is_some() || last.device_time_ns.is_some() || self.arrival.next_mono_ns == 0.0 {
-            let host_ns = host_elapsed_ns(&last, &sample);
+            let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
             self.gap_by_host(&last, &sample, host_ns, GapCause::FormatChange, out);
             self.arrival.next_mono_ns = arrived + period;
             self.take(sample, out);
@@ -618,6 +616,8 @@ impl Accountant {
                 channels: sample.channels(),
                 first_device_time_ns: sample.device_time_ns,
                 first_utc_ns: sample.host_utc_ns,
+                // The recorder knows it.
+                boot_id: None,
             };
             out.push(Record::Segment(segment.clone()));
             self.open = Some(segment);
@@ -638,12 +638,13 @@ fn is_one_boot(last: &Position, sample: &Sample) -> bool {
     last.host_mono_ns > 0 && sample.host_mono_ns >= last.host_mono_ns
 }
 
-/// Host time between the last sample and this one, ns: monotonic within one boot, civil across boots.
-fn host_elapsed_ns(last: &Position, sample: &Sample) -> f64 {
-    if is_one_boot(last, sample) {
-        (sample.host_mono_ns - last.host_mono_ns) as f64
+/// Host time from the last sample to a later instant, ns: monotonic within one boot, civil across boots.
+#[must_use]
+pub fn host_elapsed_ns(last: &Position, mono_ns: u64, utc_ns: i64) -> f64 {
+    if last.host_mono_ns > 0 && mono_ns >= last.host_mono_ns {
+        (mono_ns - last.host_mono_ns) as f64
     } else {
-        civil_elapsed_ns(last.host_utc_ns, sample.host_utc_ns)
+        civil_elapsed_ns(last.host_utc_ns, utc_ns)
     }
 }
 
@@ -652,8 +653,7 @@ pub const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
 
 /// Civil time from one instant to a later one, ns; 0 where it went back, or where the clock was set in between and nobody
 /// knows how long it was: what the sensor's own clock shows is then all that counts.
-#[must_use]
-pub fn civil_elapsed_ns(from_utc_ns: i64, to_utc_ns: i64) -> f64 {
+fn civil_elapsed_ns(from_utc_ns: i64, to_utc_ns: i64) -> f64 {
     if from_utc_ns < UTC_UNSET_BEFORE_NS && to_utc_ns >= UTC_UNSET_BEFORE_NS {
         return 0.0;
     }
@@ -749,6 +749,44 @@ mod tests {
                 )
                 .collect();
             assert_eq!(rates, [(0, from_hz), (100, to_hz)]);
+        }
+    }
+
+    /// A tick that is wrong, by itself, before an interruption or after a trial that was none, is no rate.
+    #[test]
+    fn a_single_short_step_is_no_change_of_rate() {
+        let (period, tenth) = (PERIOD_NS, PERIOD_NS / 10);
+        let regular = |from: u64, count: u64| (0..count).map(move |index| from + index * period);
+        let late = 1_000_000_000;
+        let streams: [Vec<u64>; 3] = [
+            // One measurement too many, a tenth of a period after another.
+            regular(0, 50).chain([49 * period + tenth]).chain(regular(50 * period, 50)).collect(),
+            // Every other one lost for a while, then one a tenth of a period after another.
+            (0..20)
+                .map(|index| index * period)
+                .chain((0..6).map(|index| (21 + 2 * index) * period))
+                .chain([31 * period + tenth])
+                .chain(regular(32 * period, 68))
+                .collect(),
+            // The same, and then the cable is pulled.
+            regular(0, 50).chain([49 * period + tenth]).chain(regular(50 * period + late, 50)).collect(),
+        ];
+        for (index, stream) in streams.into_iter().enumerate() {
+            let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
+            let count = stream.len() as u64;
+            for at_ns in stream {
+                if index == 2 && at_ns == 50 * period + late {
+                    accountant.interrupt(GapCause::Unplugged, &mut out);
+                }
+                let mut next = sample(0, true, 0);
+                (next.device_time_ns, next.host_mono_ns) = (Some(5_000_000_000 + at_ns), 1_000_000_000 + at_ns);
+                accountant.observe(next, &mut out);
+            }
+            accountant.settle(&mut out);
+            let rates =
+                out.iter().filter(|record| matches!(record, Record::Segment(new) if new.rate_hz != 40.0)).count();
+            assert_eq!((accountant.rate_hz(), rates), (40.0, 0), "stream {index}");
+            assert_eq!((accountant.received(), accountant.take_refused().len()), (count - 1, 1), "stream {index}");
         }
     }
 

@@ -45,6 +45,8 @@ struct Point {
 /// Collects arrivals of one run of the sensor's clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DeviceClock {
+    /// The run of the sensor's clock.
+    run: (i64, u32),
     /// Device and host time of the first measurement.
     first: Option<(u64, u64)>,
     last_device_ns: u64,
@@ -59,14 +61,15 @@ pub struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// Takes note of a measurement; a clock that runs back begins a new estimate.
-    pub fn note(&mut self, device_ns: u64, host_mono_ns: u64) {
-        let restarted = self.first.is_some() && (device_ns.wrapping_sub(self.last_device_ns) as i64) < 0;
-        if restarted {
-            if self.last_device_ns - device_ns.min(self.last_device_ns) <= super::accounting::REORDER_WINDOW_NS {
-                return;
-            }
-            *self = Self::default();
+    /// Takes note of a measurement of this run of the sensor's clock; another run begins a new estimate. Which run it is the
+    /// accounting decides ([`super::Accountant::epoch`]), with a number that tells one capture from the next.
+    pub fn note(&mut self, run: (i64, u32), device_ns: u64, host_mono_ns: u64) {
+        if self.run != run {
+            *self = Self { run, ..Self::default() };
+        }
+        // Repeated or late within its run: it tells nothing of how quick an arrival can be.
+        if self.first.is_some() && (device_ns.wrapping_sub(self.last_device_ns) as i64) <= 0 {
+            return;
         }
         let (device_0, host_0) = *self.first.get_or_insert((device_ns, host_mono_ns));
         self.last_device_ns = device_ns;
@@ -190,7 +193,7 @@ mod tests {
             let device_ns = 7_000_000_000 + index * 25_000_000;
             let host_ns = 3_000_000_000_000
                 + ((true_ns / (1.0 + drift_ppm * 1e-6) + latency_ns(index) as f64) * (1.0 + slew_ppm * 1e-6)) as u64;
-            clock.note(device_ns, host_ns);
+            clock.note((1, 1), device_ns, host_ns);
             let mut sample = Sample::at(host_ns, 1_800_000_000_000_000_000 + host_ns as i64);
             sample.device_time_ns = Some(device_ns);
             sample.set(Channel::GyroX, 0.0);
@@ -218,7 +221,7 @@ mod tests {
         let (mut clock, skew) = (DeviceClock::default(), 30e-6);
         for index in 0..5 * 3600 * 40_u64 {
             let device_ns = index * 25_000_000;
-            clock.note(device_ns, (device_ns as f64 / (1.0 + skew)) as u64 + latency_ns(index));
+            clock.note((1, 1), device_ns, (device_ns as f64 / (1.0 + skew)) as u64 + latency_ns(index));
         }
         assert!(clock.bins.len() <= BINS);
         let estimate = clock.estimate().unwrap();
@@ -227,14 +230,32 @@ mod tests {
         assert!((estimate.latency_max_ms - 300.0).abs() < 10.0, "{estimate:?}");
     }
 
-    #[test]
-    fn a_clock_that_starts_again_begins_a_new_estimate() {
-        let mut clock = DeviceClock::default();
-        for index in 0..1000_u64 {
-            clock.note(50_000_000_000 + index * 25_000_000, index * 25_000_000);
+    /// Ten seconds of one run of the sensor's clock, then ten of another that begins at `again_ns`.
+    fn two_runs(again_ns: u64) -> (Option<ClockEstimate>, u32) {
+        let (mut clock, mut accountant) = (DeviceClock::default(), Accountant::new(40.0, Timebase::Device));
+        let mut out = Vec::new();
+        for index in 0..800_u64 {
+            let host_ns = 1_000_000_000 + index * 25_000_000;
+            let device_ns =
+                if index < 400 { 50_000_000_000 + index * 25_000_000 } else { again_ns + (index - 400) * 25_000_000 };
+            let mut sample = Sample::at(host_ns, 1_800_000_000_000_000_000 + host_ns as i64);
+            sample.device_time_ns = Some(device_ns);
+            sample.set(Channel::GyroX, 0.0);
+            accountant.observe(sample, &mut out);
+            clock.note((1, accountant.epoch()), device_ns, host_ns);
+            out.clear();
         }
-        assert!(clock.estimate().is_some());
-        clock.note(0, 30_000_000_000);
-        assert_eq!(clock.estimate(), None);
+        (clock.estimate(), accountant.epoch())
+    }
+
+    /// The accounting alone decides where a run begins: back to zero, back by less than a second, ahead by an hour.
+    #[test]
+    fn a_clock_that_starts_again_begins_a_new_estimate_where_the_accounting_says_so() {
+        for again_ns in [0, 59_500_000_000, 3_660_000_000_000] {
+            let (estimate, epoch) = two_runs(again_ns);
+            let estimate = estimate.unwrap();
+            assert_eq!(epoch, 2);
+            assert!(estimate.span_s < 10.0 && estimate.skew_ppm.abs() < 1.0, "{again_ns}: {estimate:?}");
+        }
     }
 }

@@ -39,6 +39,8 @@ pub struct Segment {
     pub first_device_time_ns: Option<u64>,
     /// Host UTC of its first sample.
     pub first_utc_ns: i64,
+    /// The boot of the host that the monotonic times of its samples belong to, where that is known.
+    pub boot_id: Option<String>,
 }
 
 /// Why something that arrived did not become a sample.

@@ -241,6 +241,8 @@ pub struct Unfinished {
     pub segment: u32,
     /// Epoch of the last segment; 0 where there is none.
     pub epoch: u32,
+    /// The boot of the host that the last sample's monotonic time belongs to, where that is known.
+    pub boot_id: Option<String>,
     /// Device time of that epoch's first sample.
     pub epoch_first_device_ns: Option<u64>,
     /// Device, host monotonic and UTC time of the last sample.
@@ -555,6 +557,7 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
             stream: None,
             segment: 0,
             epoch: 0,
+            boot_id: None,
             epoch_first_device_ns: None,
             last: None,
             last_sync_count: None,
@@ -590,8 +593,10 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
             Ok((device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?))
         })
         .optional()?;
-    let sql = "SELECT sync_count FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
-    capture.last_sync_count = connection.query_row(sql, [capture.id], |row| row.get(0)).optional()?.flatten();
+    let sql = "SELECT sync_count, (SELECT boot_id FROM segment WHERE segment.capture_id = sample.capture_id AND \
+               segment.segment_id = sample.segment_id) FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
+    let found = connection.query_row(sql, [capture.id], |row| Ok((row.get(0)?, row.get(1)?))).optional()?;
+    (capture.last_sync_count, capture.boot_id) = found.unwrap_or_default();
     Ok(())
 }
 

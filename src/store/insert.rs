@@ -224,7 +224,8 @@ fn insert_segment(
     let rows = connection
         .prepare_cached(
             "INSERT INTO segment (capture_id, segment_id, epoch, first_seq, rate_hz, timebase, channels, \
-             first_device_time_ns, first_utc_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT DO NOTHING",
+             first_device_time_ns, first_utc_ns, boot_id) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) \
+             ON CONFLICT DO NOTHING",
         )?
         .execute(params![
             capture_id,
@@ -236,6 +237,7 @@ fn insert_segment(
             serde_json::to_string(&names)?,
             segment.first_device_time_ns.map(|ns| ns as i64),
             segment.first_utc_ns,
+            segment.boot_id,
         ])?;
     added.rate_hz = Some(segment.rate_hz);
     if rows == 0 {

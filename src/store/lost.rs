@@ -417,14 +417,13 @@ fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
 }
 
 fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, StoreError> {
-    let sql =
-        "SELECT rate_hz, timebase, channels, epoch FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
+    let sql = "SELECT rate_hz, timebase, channels, epoch, boot_id FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
     let row = connection
         .query_row(sql, [id], |row| {
-            Ok((row.get::<_, f64>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get(3)?))
+            Ok((row.get::<_, f64>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get(3)?, row.get(4)?))
         })
         .optional()?;
-    let Some((rate_hz, timebase, channels, epoch)) = row else { return Ok(None) };
+    let Some((rate_hz, timebase, channels, epoch, boot_id)) = row else { return Ok(None) };
     let names: Vec<String> = serde_json::from_str(&channels)?;
     Ok(Some(Segment {
         number: 1,
@@ -436,6 +435,7 @@ fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, Sto
         channels: names.iter().filter_map(|name| Channel::from_name(name)).collect(),
         first_device_time_ns: None,
         first_utc_ns: 0,
+        boot_id,
     }))
 }
 

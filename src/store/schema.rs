@@ -21,6 +21,7 @@ const MIGRATIONS: &[&str] = &[
     include_str!("../../migrations/0005_retention.sql"),
     include_str!("../../migrations/0006_job_software.sql"),
     include_str!("../../migrations/0007_utc_corrections.sql"),
+    include_str!("../../migrations/0008_boot.sql"),
 ];
 /// How long the writer waits for a foreign lock before it reports it.
 const WRITER_BUSY: Duration = Duration::from_millis(5000);

@@ -18,6 +18,7 @@ pub(super) fn segment(number: u32, first_seq: u64) -> Record {
         channels: [Channel::AccelZ, Channel::GyroX].into_iter().collect(),
         first_device_time_ns: Some(first_seq * PERIOD_NS),
         first_utc_ns: START_NS + (first_seq * PERIOD_NS) as i64,
+        boot_id: None,
     })
 }
 

@@ -357,7 +357,7 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
     let mut unaccounted = 0;
     let mut next = 0;
     let mut previous: Option<usize> = None;
-    for row in rows {
+    for (number, row) in rows.iter().enumerate() {
         let device_ns = row.device_ns.unwrap() as u64;
         // Behind the last one, and sent not after it was heard nor long before.
         let fits = |frame: &Made| {
@@ -394,8 +394,18 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
                         "{lost} frames were lost between {from} and {to} ns, {missing} are missing"
                     );
                 }
-                // Across two epochs only the host's clock tells.
-                Some(_) => {}
+                // Across two epochs only the host's clock tells: the monotonic one, whatever became of civil time and however
+                // often the daemon was killed meanwhile.
+                Some(gap) => {
+                    let before = &rows[number - 1];
+                    let away_ns = row.host_mono_ns.saturating_sub(before.host_mono_ns) as f64;
+                    let missing_ns = gap.missing as f64 * row.period_ns;
+                    assert!(
+                        before.period_ns != row.period_ns || (missing_ns - away_ns).abs() < 0.5e9,
+                        "{gap:?}: {:.3} s by the host's clock",
+                        away_ns / 1e9
+                    );
+                }
             }
         }
         previous = Some(index);

@@ -80,6 +80,7 @@ pub fn fill(
                 channels: channels.iter().copied().collect(),
                 first_device_time_ns: Some(device_ns),
                 first_utc_ns: utc_ns,
+                boot_id: None,
             }))
             .unwrap();
         for _ in 0..stretch.samples {

@@ -185,6 +185,7 @@ fn segment(number: u32, first_seq: u64) -> Record {
         channels: Channel::ALL.into_iter().collect(),
         first_device_time_ns: Some(first_seq * PERIOD_NS),
         first_utc_ns: utc_ns(first_seq),
+        boot_id: None,
     })
 }
 

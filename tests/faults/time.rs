@@ -3,7 +3,7 @@
 
 use crate::tools;
 use crate::world::{Process, World};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 const START: Duration = Duration::from_secs(20);
 const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
@@ -12,7 +12,8 @@ const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 struct Faked {
     world: World,
     daemon: Process,
-    _sensor: Process,
+    sensor: Process,
+    zone: String,
 }
 
 impl Faked {
@@ -25,18 +26,16 @@ impl Faked {
         let world = World::new();
         let file = world.path("offset");
         std::fs::write(&file, offset).unwrap();
-        let sensor = world.emulate(&[]);
-        let environment = [
-            ("LD_PRELOAD", FAKETIME),
-            ("FAKETIME_TIMESTAMP_FILE", file.to_str().unwrap()),
-            ("FAKETIME_NO_CACHE", "1"),
-            ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
-            ("TZ", zone),
-        ];
-        let daemon = world.daemon_in(&environment, "", &["--capture", "1h"]);
-        let faked = Self { world, daemon, _sensor: sensor };
+        let sensor = world.emulate(&["--faults", "-"]);
+        let daemon = start(&world, zone, &["--capture", "1h"]);
+        let faked = Self { world, daemon, sensor, zone: zone.to_owned() };
         faked.samples(60);
         Some(faked)
+    }
+
+    /// Starts the daemon again, after it was killed.
+    fn restart(&mut self) {
+        self.daemon = start(&self.world, &self.zone, &[]);
     }
 
     fn samples(&self, more: u64) {
@@ -83,6 +82,19 @@ impl Faked {
         assert_eq!(format!("{:?}", self.world.query("PRAGMA integrity_check")), r#"[[Text("ok")]]"#);
         capture
     }
+}
+
+/// A daemon whose civil time is off by what the world's file `offset` says.
+fn start(world: &World, zone: &str, arguments: &[&str]) -> Process {
+    let file = world.path("offset");
+    let environment = [
+        ("LD_PRELOAD", FAKETIME),
+        ("FAKETIME_TIMESTAMP_FILE", file.to_str().unwrap()),
+        ("FAKETIME_NO_CACHE", "1"),
+        ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
+        ("TZ", zone),
+    ];
+    world.daemon_in(&environment, "", arguments)
 }
 
 fn now_s() -> i64 {
@@ -142,9 +154,88 @@ fn summer_time_and_time_zones_change_nothing() {
         output.stdout
     };
     let utc = shown("UTC");
+    if !std::path::Path::new("/usr/share/zoneinfo/right/UTC").exists() {
+        eprintln!("no zone data with leap seconds here: right/UTC is taken for UTC by the C library");
+    }
     for zone in ["Europe/Berlin", "Australia/Lord_Howe", "right/UTC"] {
         assert_eq!(shown(zone), utc, "{zone}");
     }
+}
+
+/// D3: at a leap second the kernel's civil clock is put back by a second at 23:59:60 (`STA_INS`): a step like any other.
+#[test]
+fn a_leap_second_is_a_step_of_one_second_that_costs_nothing() {
+    // 2016-12-31T23:59:60, the last one so far.
+    let leap_s = 1_483_228_800;
+    let offset = leap_s - 4 - now_s();
+    let Some(faked) = Faked::new(&format!("{offset:+}"), "right/UTC") else { return };
+    let begun = faked.count("SELECT min(host_utc_ns) FROM sample");
+    assert!(begun < leap_s * 1_000_000_000, "the capture begins before it: {begun}");
+    let across = format!("SELECT count(*) FROM sample WHERE host_utc_ns > {leap_s}000000000");
+    faked.world.until("midnight", START, || Some(()).filter(|()| faked.count(&across) > 0), &faked.daemon);
+    faked.step(&format!("{:+}", offset - 1));
+    faked.await_steps(1);
+    faked.samples(60);
+    let capture = faked.settle();
+    let steps = faked.steps_seen();
+    let by_s = steps[0]["detail"]["by_s"].as_f64().unwrap();
+    assert!(steps.len() == 1 && (by_s + 1.0).abs() < 0.010, "{steps:?}");
+    assert_eq!(steps[0]["detail"]["utc_back_filled"], false);
+    // No sixty-first second in any zone, with or without leap seconds in its data.
+    assert!(!capture.to_string().contains(":60."), "{capture:#}");
+    let back = "SELECT count(*) FROM (SELECT host_utc_ns - lag(host_utc_ns) OVER (ORDER BY seq) AS step FROM sample) WHERE step < 0";
+    assert_eq!(faked.count(back), 1, "once civil time goes back");
+}
+
+/// A clock that is stepped by hours while the daemon is away: within one boot its monotonic clock tells how long that was, also
+/// where the sensor's own clock began again.
+#[test]
+fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter() {
+    let Some(mut faked) = Faked::new("+0", "UTC") else { return };
+    for (times, offset) in [(1, 10_800), (2, -7200)] {
+        faked.daemon.kill();
+        let killed = Instant::now();
+        faked.sensor.say("reset");
+        faked.step(&format!("{offset:+}"));
+        std::thread::sleep(Duration::from_secs(3));
+        faked.restart();
+        faked.samples(60);
+        let away_s = killed.elapsed().as_secs_f64();
+        let rows = faked.world.query(
+            "SELECT missing, missing_exact, to_utc_ns - from_utc_ns, cause,              (SELECT host_mono_ns FROM sample WHERE seq = before_seq) - (SELECT host_mono_ns FROM sample WHERE seq = before_seq - 1)              FROM gap ORDER BY before_seq",
+        );
+        assert_eq!(rows.len(), times, "{rows:?}");
+        let number = |column: usize| match rows[times - 1][column] {
+            rusqlite::types::Value::Integer(number) => number,
+            ref other => panic!("{other:?}"),
+        };
+        let (missing_s, gap_s, mono_s) = (number(0) as f64 / 40.0, number(2) as f64 / 1e9, number(4) as f64 / 1e9);
+        println!("{missing_s} s missing, gap of {gap_s:.3} s, {mono_s:.3} s by the host's monotonic clock");
+        assert_eq!(number(1), 0, "the sensor was reset meanwhile: {rows:?}");
+        assert!((missing_s - mono_s).abs() < 0.5 && (gap_s - mono_s).abs() < 0.5, "{rows:?}");
+        // Up to a second before the kill was not committed; 60 samples came after the gap.
+        assert!(mono_s > 3.0 && mono_s < away_s - 1.4 + 1.5, "{mono_s} s, away for {away_s} s");
+    }
+    // Across a boot nothing but civil time tells: the host was started anew, and its clock was set by ten minutes.
+    faked.daemon.kill();
+    {
+        use rusqlite::config::DbConfig;
+        let connection = rusqlite::Connection::open(faked.world.database()).unwrap();
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true).unwrap();
+        assert!(connection.execute("UPDATE segment SET boot_id = 'another'", []).unwrap() >= 3);
+    }
+    faked.sensor.say("reset");
+    faked.step("-6600");
+    faked.restart();
+    faked.samples(60);
+    let missing = faked.count("SELECT missing FROM gap ORDER BY before_seq DESC LIMIT 1");
+    assert!((600 * 40..620 * 40).contains(&missing), "{missing}");
+    let told: Vec<f64> = faked.steps_seen().iter().map(|event| event["detail"]["by_s"].as_f64().unwrap()).collect();
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert!((told[0] - 10_800.0).abs() < 0.1 && (told[1] + 18_000.0).abs() < 0.1, "{told:?}");
+    faked.world.request("POST", "/v1/captures/latest/stop", "").unwrap();
+    let capture = faked.world.get("/v1/captures/latest");
+    assert_eq!(capture["accounting"]["holds"], true, "{capture:#}");
 }
 
 /// D4.

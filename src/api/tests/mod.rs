@@ -189,6 +189,7 @@ fn records(samples: u64) -> Vec<Record> {
                 channels: [Channel::GyroX, Channel::Temperature].into_iter().collect(),
                 first_device_time_ns: Some(device_ns),
                 first_utc_ns: utc_ns,
+                boot_id: None,
             }));
         }
         // Arrival varies by up to 3 ms, the sensor's clock does not.

@@ -127,6 +127,7 @@ fn two_timebases(world: &World) -> i64 {
             channels: [Channel::GyroX].into_iter().collect(),
             first_device_time_ns: (timebase == Timebase::Device).then_some(device_ns),
             first_utc_ns: START_NS + (first_seq * PERIOD_NS) as i64,
+            boot_id: None,
         }));
         for seq in first_seq..first_seq + 40 {
             let stepped_ns = if seq < 60 { 0 } else { -3_600_000_000_000 };

@@ -368,6 +368,7 @@ impl<'a> Rebuilt<'a> {
                 channels: names_of(found[7].text()),
                 first_device_time_ns: None,
                 first_utc_ns: 0,
+                boot_id: None,
             };
         }
         self.report.segments_lost += 1;
@@ -383,6 +384,7 @@ impl<'a> Rebuilt<'a> {
             channels: channels.map(|(channel, _)| channel).collect(),
             first_device_time_ns: None,
             first_utc_ns: 0,
+            boot_id: None,
         }
     }
 

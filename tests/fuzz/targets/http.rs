@@ -101,6 +101,7 @@ fn fill(store: &Store) {
             channels: [Channel::GyroX, Channel::AccelZ].into_iter().collect(),
             first_device_time_ns: Some((first_ns - START_NS) as u64),
             first_utc_ns: first_ns,
+            boot_id: None,
         };
         import.push(Record::Segment(segment)).expect("a segment");
         for step in 0..samples {
