@@ -1,0 +1,227 @@
+//! Streaming: which measurements are samples, what their absence means, and what the sensor is taken to send. Pure.
+
+use super::super::description::describe;
+use super::super::output::is_binary;
+use super::super::rate_meter::RateMeter;
+use super::configure::COUNT_REGISTERS;
+use super::{Action, Command, EventKind, GapCause, Output, Phase, SensorState, Session, Step};
+use crate::protocol::{Measurement, MeasurementKind};
+use crate::units::period_ns;
+
+/// Silence that means `stalled`: this long, but at least [`STALL_PERIODS`] periods.
+const STALL_NS: f64 = 1e9;
+const STALL_PERIODS: f64 = 20.0;
+/// Silence after which the port is closed and opened again, ns (but at least 100 periods).
+const REOPEN_NS: f64 = 5e9;
+/// The same where bytes arrive that form no frame (but at least 40 periods).
+const GARBLED_NS: f64 = 2e9;
+/// How long frames of another kind are tolerated before the output is configured again, ns.
+const FOREIGN_NS: u64 = 300_000_000;
+/// How long a sensor of unknown rate is listened to, ns.
+const MEASURE_NS: u64 = 2_000_000_000;
+
+impl Session {
+    /// Whether a measurement that is no sample now is one of another output than was asked for, also after a silence.
+    #[must_use]
+    pub fn sees_another_format(&self) -> bool {
+        self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
+    }
+
+    /// Takes note of a valid measurement frame and says whether it is a sample of the stream.
+    pub fn measured(&mut self, now_ns: u64, measurement: &Measurement, actions: &mut Vec<Action>) -> bool {
+        let kind = measurement.kind;
+        match &mut self.phase {
+            Phase::Streaming => {}
+            // A valid frame tells the baud rate even where the sensor does not answer.
+            Phase::Scanning { valid, .. } => {
+                if !std::mem::replace(valid, true) {
+                    self.ask(now_ns, actions);
+                }
+                return false;
+            }
+            Phase::Measuring { meter, .. } => {
+                meter.note(now_ns, kind, measurement.device_time_ns);
+                return false;
+            }
+            _ => return false,
+        }
+        let is_other = self.accepted.is_none_or(|(accepted, _)| accepted != kind) && !self.adopt(kind, actions);
+        // The flash may hold the very message that is recorded: then only the count that is gone tells of a reset.
+        if is_other || (self.numbered && measurement.sync_count.is_none()) {
+            self.foreign(now_ns, kind, actions);
+            return false;
+        }
+        self.numbered |= self.counted && measurement.sync_count.is_some();
+        self.last_sample_ns = now_ns;
+        self.bytes_since_sample = 0;
+        self.foreign_since_ns = None;
+        if !self.flowing {
+            self.flowing = true;
+            self.failed_ports = 0;
+            self.backoff.reset();
+        }
+        if self.status.state != SensorState::Streaming {
+            self.set_state(SensorState::Streaming, None);
+        }
+        true
+    }
+
+    /// While the output is kept and nothing has come yet, an ASCII message of another type than register 6 says is
+    /// taken for the stream at once: no sample of a recording that is played is lost.
+    pub(super) fn adopt(&mut self, kind: MeasurementKind, actions: &mut Vec<Action>) -> bool {
+        let binary_on = [75, 76, 77].into_iter().any(|register| self.binary_output(register).is_some());
+        if self.options.output != Output::Keep || self.flowing || is_binary(kind) || binary_on {
+            return false;
+        }
+        let Some((_, rate_hz)) = self.accepted else { return false };
+        self.accept(kind, rate_hz, actions);
+        true
+    }
+
+    /// A sensor that was reset sends what its flash says: after a moment without samples its output is configured again.
+    pub(super) fn foreign(&mut self, now_ns: u64, kind: MeasurementKind, actions: &mut Vec<Action>) {
+        let since_ns = *self.foreign_since_ns.get_or_insert(now_ns);
+        if now_ns - since_ns < FOREIGN_NS || now_ns.saturating_sub(self.last_sample_ns) < FOREIGN_NS {
+            return;
+        }
+        self.foreign_since_ns = None;
+        let message = match self.accepted {
+            Some((accepted, _)) if accepted == kind => format!("the sensor sends {kind} without its count"),
+            Some((accepted, _)) => format!("the sensor sends {kind} instead of {accepted}"),
+            None => format!("the sensor sends {kind}"),
+        };
+        self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
+        actions.push(Action::Interrupt(GapCause::FormatChange));
+        if self.options.output == Output::Keep {
+            actions.push(Action::Event(EventKind::Reconfigured, message));
+            // What it sends contradicts what its registers said of the count.
+            COUNT_REGISTERS.iter().for_each(|register| drop(self.registers.remove(register)));
+            self.measure(now_ns);
+        } else {
+            actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
+            self.identify(now_ns, actions);
+        }
+    }
+
+    /// Silence in ns after which the state is `stalled`.
+    pub(super) fn stall_ns(&self) -> u64 {
+        let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
+        (STALL_NS.max(STALL_PERIODS * period) as u64).max(self.options.host_jitter_ns)
+    }
+
+    /// Silence in ns after which the port is closed and opened again: bytes that form no frame need another baud rate.
+    pub(super) fn reopen_ns(&self) -> u64 {
+        let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
+        let garbled = self.status.state == SensorState::NoValidFrames;
+        let (least, periods) = if garbled { (GARBLED_NS, 2.0) } else { (REOPEN_NS, 5.0) };
+        (least.max(periods * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
+    }
+
+    /// A sensor that fell silent has answered: another one than before is found out from the beginning.
+    pub(super) fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let found = self.script.read().get(&3).cloned();
+        if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
+            actions.push(Action::Interrupt(GapCause::Silent));
+            self.identify(now_ns, actions);
+        }
+    }
+
+    /// Takes what the sensor sends, as its registers describe it; where they do not, listens first.
+    pub(super) fn begin_keeping(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let outputs = [75, 76, 77].into_iter().find_map(|register| self.binary_output(register));
+        match outputs.or_else(|| self.ascii_output()) {
+            Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
+            None => self.measure(now_ns),
+        }
+    }
+
+    pub(super) fn measure(&mut self, now_ns: u64) {
+        self.flowing = false;
+        self.script.clear();
+        self.phase = Phase::Measuring {
+            until_ns: now_ns + MEASURE_NS.max(self.options.host_jitter_ns),
+            meter: RateMeter::default(),
+        };
+    }
+
+    pub(super) fn rate_measured(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let Phase::Measuring { meter, .. } = &self.phase else { return };
+        match meter.result() {
+            Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
+            None => {
+                let hint = "the sensor sends no measurements: its outputs are off, and the configuration says to keep them (`output = \"keep\"`)";
+                self.fail(now_ns, SensorState::Stalled, hint.to_owned(), actions);
+            }
+        }
+    }
+
+    pub(super) fn stream(&mut self, now_ns: u64, kind: MeasurementKind, rate_hz: f64, actions: &mut Vec<Action>) {
+        self.script.clear();
+        self.phase = Phase::Streaming;
+        (self.flowing, self.numbered) = (false, false);
+        self.last_sample_ns = now_ns;
+        self.bytes_since_sample = 0;
+        self.foreign_since_ns = None;
+        self.accept(kind, rate_hz, actions);
+        let unit = self.status.serial_number.as_deref().unwrap_or("unknown");
+        let model = self.status.model.as_deref().unwrap_or("sensor of unknown model");
+        let message = format!(
+            "{model}, serial number {unit}, on {} at {} baud sends {kind} at {rate_hz} Hz",
+            self.status.port.as_deref().unwrap_or("?"),
+            self.status.baud.unwrap_or(0),
+        );
+        actions.push(Action::Event(EventKind::SensorFound, message));
+        if let Some(hint) = self.latency.hint() {
+            actions.push(Action::Event(EventKind::Warning, hint));
+        }
+    }
+
+    pub(super) fn accept(&mut self, kind: MeasurementKind, rate_hz: f64, actions: &mut Vec<Action>) {
+        self.accepted = Some((kind, rate_hz));
+        self.status.rate_hz = Some(rate_hz);
+        self.status.output = Some(kind.to_string());
+        let description = describe(&self.status, &self.registers, &self.previous, self.latency, kind, rate_hz);
+        actions.push(Action::Describe(description));
+        self.counted = self.is_counted(kind, rate_hz);
+        actions.push(Action::Counted(self.counted));
+        actions.push(Action::Accept(kind, rate_hz));
+    }
+
+    /// While streaming: how long has it been silent?
+    pub(super) fn listen(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
+        if silence_ns >= self.reopen_ns() {
+            let (cause, message) = if self.bytes_since_sample > 0 {
+                (
+                    GapCause::Checksum,
+                    "bytes arrive, but no valid frame: the port is opened again and its baud rate looked for",
+                )
+            } else {
+                (GapCause::Silent, "the sensor is silent: the port is opened again")
+            };
+            actions.push(Action::Interrupt(cause));
+            actions.push(Action::Event(EventKind::SensorLost, message.to_owned()));
+            self.flowing = false;
+            self.script.clear();
+            actions.push(Action::Close);
+            self.wait(now_ns, SensorState::Stalled);
+        } else if silence_ns >= self.stall_ns()
+            && !matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames)
+        {
+            if self.bytes_since_sample > 0 {
+                self.set_state(SensorState::NoValidFrames, Some("bytes arrive, but no valid frame".to_owned()));
+                actions.push(Action::AcceptAny);
+            } else {
+                self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
+            }
+            // A sensor that answers is alive; an output that somebody paused resumes.
+            let mut steps = vec![Step::optional(Command::read(1)), Step::optional(Command::read(3))];
+            if self.options.output != Output::Keep {
+                steps.insert(0, Step::optional(Command::AsyncOutput(true)));
+            }
+            self.script.begin(now_ns, steps, actions);
+        } else {
+            self.script.tick(now_ns, actions);
+        }
+    }
+}

@@ -1,0 +1,502 @@
+//! A session against a sensor that answers from a register file.
+
+use super::*;
+use crate::capture::output::ascii_kind;
+use crate::capture::port::OpenError;
+use crate::protocol::{DeviceError, Measurement, Reply};
+use proptest::prelude::*;
+use rand::SeedableRng;
+use std::collections::BTreeMap;
+
+/// A sensor that answers commands from a register file, as far as it is told to.
+struct Sensor {
+    registers: BTreeMap<u16, String>,
+    answers: bool,
+    commands: Vec<String>,
+}
+
+impl Sensor {
+    fn new() -> Self {
+        let registers = [
+            (1, "VN-100T-CR"),
+            (3, "0100012345"),
+            (4, "3.1.0.0"),
+            (5, "115200"),
+            (6, "14"),
+            (7, "40"),
+            (75, "0,0,0"),
+            (76, "0,0,0"),
+            (77, "0,0,0"),
+            (85, "0,4,4,4,0,0,3,3,3,0"),
+        ];
+        Self {
+            registers: registers.into_iter().map(|(number, text)| (number, text.to_owned())).collect(),
+            answers: true,
+            commands: Vec::new(),
+        }
+    }
+}
+
+struct World {
+    session: Session,
+    sensor: Sensor,
+    now_ns: u64,
+    port: bool,
+    /// How often it was plugged in.
+    plugged: u32,
+    open: bool,
+    opens: u32,
+    seen: Vec<Action>,
+    ended: bool,
+}
+
+impl World {
+    fn new(output: Output) -> Self {
+        let options = SessionOptions { output, bauds: vec![115_200, 921_600], host_jitter_ns: 0 };
+        Self {
+            session: Session::new(options, ChaCha8Rng::seed_from_u64(7)),
+            sensor: Sensor::new(),
+            now_ns: 0,
+            port: true,
+            plugged: 1,
+            open: false,
+            opens: 0,
+            seen: Vec::new(),
+            ended: false,
+        }
+    }
+
+    fn give(&mut self, input: Input<'_>) {
+        let mut actions = Vec::new();
+        self.session.handle(self.now_ns, input, &mut actions);
+        self.perform(actions);
+    }
+
+    fn perform(&mut self, actions: Vec<Action>) {
+        for action in actions {
+            self.seen.push(action.clone());
+            match action {
+                Action::Look => {
+                    let port = Port {
+                        path: "/dev/ttyUSB0".into(),
+                        node: format!("ttyUSB0 {}", self.plugged),
+                    };
+                    let ports = if self.port { vec![port] } else { Vec::new() };
+                    self.give(Input::Ports(ports));
+                }
+                Action::Open(..) => {
+                    assert!(!self.open, "opened twice");
+                    self.opens += 1;
+                    if self.port {
+                        self.open = true;
+                        self.give(Input::Opened { latency: Latency::NotApplicable });
+                    } else {
+                        self.give(Input::OpenFailed(OpenError::Gone { path: "/dev/ttyUSB0".into() }));
+                    }
+                }
+                Action::Close => self.open = false,
+                Action::Send(bytes) => self.answer(&String::from_utf8(bytes).unwrap()),
+                Action::Ended => self.ended = true,
+                _ => {}
+            }
+        }
+    }
+
+    fn answer(&mut self, line: &str) {
+        let body = line.trim_start_matches('$').split('*').next().unwrap().to_owned();
+        self.sensor.commands.push(body.clone());
+        assert!(!body.starts_with("VNWNV") && !body.starts_with("VNFWU"), "flash must not be written: {body}");
+        if !self.sensor.answers {
+            return;
+        }
+        let command = Reply::parse(&body).unwrap();
+        let register = command.register.unwrap_or(0);
+        match command.verb {
+            crate::protocol::Verb::ReadRegister => match self.sensor.registers.get(&register) {
+                Some(text) => {
+                    let answer = format!("{body},{text}");
+                    self.give(Input::Reply(&Reply::parse(&answer).unwrap()));
+                }
+                None => self.give(Input::DeviceError(DeviceError::from_code(8))),
+            },
+            crate::protocol::Verb::WriteRegister => {
+                self.sensor.registers.insert(register, command.values.to_owned());
+                self.give(Input::Reply(&command));
+            }
+            _ => self.give(Input::Reply(&command)),
+        }
+    }
+
+    fn pass(&mut self, ns: u64) {
+        let end = self.now_ns + ns;
+        while self.session.deadline_ns() <= end && !self.ended {
+            self.now_ns = self.now_ns.max(self.session.deadline_ns());
+            let before = (self.session.deadline_ns(), self.seen.len());
+            self.give(Input::Tick);
+            if (self.session.deadline_ns(), self.seen.len()) == before {
+                self.now_ns += 1_000_000;
+            }
+        }
+        self.now_ns = end;
+    }
+
+    fn measured(&mut self, kind: MeasurementKind) -> bool {
+        self.numbered(kind, None)
+    }
+
+    fn numbered(&mut self, kind: MeasurementKind, sync_count: Option<u32>) -> bool {
+        let mut actions = Vec::new();
+        let mut measurement = Measurement::new(kind);
+        measurement.sync_count = sync_count;
+        let taken = self.session.measured(self.now_ns, &measurement, &mut actions);
+        self.perform(actions);
+        taken
+    }
+
+    fn state(&self) -> SensorState {
+        self.session.status().state
+    }
+}
+
+fn default_output() -> Output {
+    Output::Binary { fields: "01,0609".to_owned(), divisor: 20 }
+}
+
+fn default_kind() -> MeasurementKind {
+    default_output().kind_and_rate().unwrap().0
+}
+
+#[test]
+fn a_sensor_is_found_configured_and_streams() {
+    let mut world = World::new(default_output());
+    world.pass(1_000_000_000);
+    assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)), "{:?}", world.seen);
+    assert!(world.sensor.commands.contains(&"VNWRG,75,1,20,01,0609".to_owned()));
+    assert!(world.measured(default_kind()));
+    assert_eq!(world.state(), SensorState::Streaming);
+    assert_eq!(world.session.status().serial_number.as_deref(), Some("0100012345"));
+    let described = world
+        .seen
+        .iter()
+        .rev()
+        .find_map(|action| if let Action::Describe(value) = action { Some(value) } else { None });
+    assert_eq!(described.unwrap()["filter_window"]["gyro"], 4);
+    assert!(described.unwrap()["registers"].get("44").is_none(), "a refused register is absent");
+}
+
+#[test]
+fn a_clean_stop_puts_the_previous_output_back() {
+    let mut world = World::new(default_output());
+    world.pass(1_000_000_000);
+    world.measured(default_kind());
+    world.give(Input::Stop);
+    world.pass(1_000_000_000);
+    assert!(world.ended && !world.open);
+    assert_eq!(world.sensor.registers[&6], "14");
+    assert_eq!(world.sensor.registers[&75], "0,0,0");
+}
+
+#[test]
+fn kept_output_is_taken_as_the_registers_describe_it_and_nothing_is_written() {
+    let mut world = World::new(Output::Keep);
+    world.pass(1_000_000_000);
+    let ymr = ascii_kind(14).unwrap();
+    assert!(world.seen.contains(&Action::Accept(ymr, 40.0)));
+    assert!(world.measured(ymr));
+    world.give(Input::Stop);
+    assert!(world.sensor.commands.iter().all(|command| command.starts_with("VNRRG")), "{:?}", world.sensor.commands);
+}
+
+#[test]
+fn kept_output_of_another_type_than_the_registers_say_is_taken_from_its_first_line() {
+    let mut world = World::new(Output::Keep);
+    world.pass(1_000_000_000);
+    let imu = ascii_kind(19).unwrap();
+    assert!(world.measured(imu));
+}
+
+#[test]
+fn a_sensor_that_only_sends_is_kept_with_its_rate_measured() {
+    let mut world = World::new(Output::Keep);
+    world.sensor.answers = false;
+    let ymr = ascii_kind(14).unwrap();
+    for _ in 0..400 {
+        world.pass(25_000_000);
+        world.measured(ymr);
+    }
+    assert!(world.seen.contains(&Action::Accept(ymr, 40.0)), "{:?}", world.seen);
+}
+
+#[test]
+fn silence_is_stalled_then_the_port_is_opened_again() {
+    let mut world = World::new(default_output());
+    world.pass(1_000_000_000);
+    world.measured(default_kind());
+    world.pass(1_500_000_000);
+    assert_eq!(world.state(), SensorState::Stalled);
+    assert_eq!(world.opens, 1);
+    world.pass(5_000_000_000);
+    assert!(world.seen.contains(&Action::Interrupt(GapCause::Silent)));
+    assert!(world.opens >= 2);
+}
+
+#[test]
+fn a_host_that_stood_still_takes_its_own_absence_for_nobodys_silence() {
+    let mut world = World::new(default_output());
+    world.pass(1_000_000_000);
+    world.measured(default_kind());
+    world.now_ns += 60_000_000_000;
+    world.give(Input::HostStalled);
+    world.give(Input::Tick);
+    assert_eq!((world.state(), world.opens), (SensorState::Streaming, 1));
+    assert!(world.measured(default_kind()));
+}
+
+#[test]
+fn a_sensor_that_was_reset_is_configured_again_within_two_seconds() {
+    let mut world = World::new(default_output());
+    world.pass(1_000_000_000);
+    world.measured(default_kind());
+    world.sensor = Sensor::new();
+    let ymr = ascii_kind(14).unwrap();
+    let begun = world.now_ns;
+    while world.sensor.registers[&75] == "0,0,0" {
+        world.pass(25_000_000);
+        world.measured(ymr);
+        assert!(world.now_ns - begun < 2_000_000_000);
+    }
+    assert!(world.measured(default_kind()));
+    assert_eq!(world.opens, 1);
+}
+
+/// The flash holds the message that is recorded, at its rate, but no count.
+#[test]
+fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds() {
+    let output = Output::Ascii { number: 14, rate_hz: 40 };
+    let ymr = ascii_kind(14).unwrap();
+    let mut world = World::new(output);
+    let flash =
+        [(30, "0,0,0,0,1,0,1"), (32, "3,0,0,0,6,1,0,100000000,0")].map(|(number, text)| (number, text.to_owned()));
+    world.sensor.registers.extend(flash.clone());
+    world.pass(1_000_000_000);
+    assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+    for count in 0..80 {
+        world.pass(25_000_000);
+        assert!(world.numbered(ymr, Some(count)));
+    }
+    // A single line without it is damage or a slip, no reset.
+    assert!(!world.measured(ymr));
+    world.pass(25_000_000);
+    assert!(world.numbered(ymr, Some(81)));
+    assert_eq!(world.state(), SensorState::Streaming);
+    world.seen.clear();
+    world.sensor.registers = Sensor::new().registers;
+    world.sensor.registers.extend(flash);
+    let begun = world.now_ns;
+    while !world.seen.contains(&Action::Accept(ymr, 40.0)) {
+        world.pass(25_000_000);
+        assert!(!world.measured(ymr), "no sample of the reset sensor passes for one that is counted");
+        assert!(world.now_ns - begun < 2_000_000_000);
+    }
+    assert!(world.seen.contains(&Action::Interrupt(GapCause::FormatChange)) && world.opens == 1);
+    assert!(world.sensor.registers[&30].starts_with("3,"), "{:?}", world.sensor.registers);
+    assert!(world.numbered(ymr, Some(1)));
+}
+
+/// Where the output is kept, messages whose count is gone go on by their arrival.
+#[test]
+fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
+    let ymr = ascii_kind(14).unwrap();
+    let mut world = World::new(Output::Keep);
+    world.sensor.registers.insert(30, "3,0,0,0,1,0,1".to_owned());
+    world.sensor.registers.insert(32, "3,0,0,0,1,1,19,100000000,0".to_owned());
+    world.pass(1_000_000_000);
+    assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+    assert!(world.numbered(ymr, Some(7)));
+    world.seen.clear();
+    for _ in 0..120 {
+        world.pass(25_000_000);
+        world.measured(ymr);
+    }
+    assert!(world.seen.contains(&Action::Counted(false)), "{:?}", world.seen);
+    assert!(world.measured(ymr) && world.state() == SensorState::Streaming);
+}
+
+#[test]
+fn another_unit_is_refused_and_said() {
+    let mut world = World::new(default_output());
+    world.give(Input::Expect(Some("0100099999".to_owned())));
+    world.pass(2_000_000_000);
+    assert_eq!(world.state(), SensorState::WrongUnit);
+    assert!(world.session.status().hint.as_ref().unwrap().contains("0100012345"));
+    assert!(!world.seen.iter().any(|action| matches!(action, Action::Accept(..))));
+}
+
+#[test]
+fn an_output_that_does_not_fit_the_line_is_refused_with_the_arithmetic() {
+    let mut world = World::new(Output::Binary { fields: "01,0609".to_owned(), divisor: 1 });
+    world.pass(2_000_000_000);
+    let hint = world.session.status().hint.clone().unwrap();
+    assert!(hint.contains("70 bytes × 800 Hz × 10 bits = 560000 bit/s"), "{hint}");
+}
+
+#[test]
+fn an_absent_port_is_looked_for_at_least_once_a_second() {
+    let mut world = World::new(default_output());
+    world.port = false;
+    world.pass(60_000_000_000);
+    let looks = world.seen.iter().filter(|action| **action == Action::Look).count();
+    assert!((60..=130).contains(&looks), "{looks}");
+    assert_eq!(world.state(), SensorState::Absent);
+    world.port = true;
+    world.pass(1_500_000_000);
+    assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)));
+}
+
+#[test]
+fn a_port_that_is_plugged_in_anew_ends_any_wait() {
+    let mut world = World::new(default_output());
+    world.sensor.answers = false;
+    world.pass(120_000_000_000);
+    assert_eq!(world.state(), SensorState::Stalled);
+    // pulled out while nobody has it open, and plugged in again
+    while world.open {
+        world.pass(50_000_000);
+    }
+    world.sensor.answers = true;
+    world.plugged += 1;
+    let begun = world.now_ns;
+    while !world.measured(default_kind()) {
+        world.pass(25_000_000);
+        assert!(world.now_ns - begun < 1_500_000_000);
+    }
+}
+
+#[test]
+fn a_known_sensor_that_was_silent_for_long_streams_within_three_seconds() {
+    for silent_s in [3, 7, 20, 61, 200] {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        assert!(world.measured(default_kind()));
+        world.sensor.answers = false;
+        world.pass(silent_s * 1_000_000_000 + 123_456_789);
+        world.sensor.answers = true;
+        let begun = world.now_ns;
+        while !world.measured(default_kind()) {
+            world.pass(25_000_000);
+            assert!(world.now_ns - begun < 3_000_000_000, "silent for {silent_s} s: {:?}", world.session.status());
+        }
+    }
+}
+
+#[test]
+fn the_baud_rate_that_worked_last_comes_first_and_between_the_others() {
+    let mut world = World::new(default_output());
+    world.session.options.bauds = vec![9600, 115_200, 921_600];
+    world.give(Input::GoodBaud(921_600));
+    world.sensor.answers = false;
+    world.pass(8_000_000_000);
+    let bauds: Vec<u32> = world
+        .seen
+        .iter()
+        .filter_map(|action| match action {
+            Action::Open(_, baud) | Action::SetBaud(baud) => Some(*baud),
+            _ => None,
+        })
+        .take(5)
+        .collect();
+    assert_eq!(bauds, [921_600, 9600, 921_600, 115_200, 921_600]);
+
+    // One that speaks at another rate is not looked for at the good one again and again.
+    let mut world = World::new(default_output());
+    world.session.options.bauds = vec![9600, 115_200, 230_400, 921_600];
+    world.give(Input::GoodBaud(921_600));
+    world.sensor.answers = false;
+    for _ in 0..80 {
+        world.pass(50_000_000);
+        world.give(Input::Bytes(20));
+    }
+    let bauds: Vec<&Action> = world.seen.iter().filter(|action| matches!(action, Action::SetBaud(_))).collect();
+    assert_eq!(bauds[..3], [&Action::SetBaud(9600), &Action::SetBaud(115_200), &Action::SetBaud(230_400)]);
+}
+
+#[test]
+fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
+    let mut world = World::new(default_output());
+    world.give(Input::Expect(Some("0100012345".to_owned())));
+    world.pass(1_000_000_000);
+    assert!(world.measured(default_kind()));
+    world.sensor.registers.insert(3, "0100099999".to_owned());
+    world.pass(1_100_000_000);
+    assert_eq!(world.state(), SensorState::WrongUnit);
+    world.sensor.registers.insert(3, "0100012345".to_owned());
+    world.pass(3_000_000_000);
+    assert!(world.measured(default_kind()));
+}
+
+#[derive(Debug, Clone)]
+enum Happening {
+    Pass(u64),
+    Unplug,
+    Plug,
+    Mute,
+    Speak,
+    Measure,
+    Foreign,
+    Garbage,
+}
+
+fn happening() -> impl Strategy<Value = Happening> {
+    prop_oneof![
+        (1_u64..3_000_000_000).prop_map(Happening::Pass),
+        Just(Happening::Unplug),
+        Just(Happening::Plug),
+        Just(Happening::Mute),
+        Just(Happening::Speak),
+        Just(Happening::Measure),
+        Just(Happening::Foreign),
+        Just(Happening::Garbage),
+    ]
+}
+
+proptest! {
+    /// Whatever happens: never opened twice (checked in the world), and once all is well again, streaming within 12 s.
+    #[test]
+    fn every_state_ends_by_itself(happenings in proptest::collection::vec(happening(), 0..60)) {
+        let mut world = World::new(default_output());
+        for happening in happenings {
+            match happening {
+                Happening::Pass(ns) => world.pass(ns),
+                Happening::Unplug => {
+                    world.port = false;
+                    if world.open {
+                        world.give(Input::Disconnected("gone".to_owned()));
+                    }
+                }
+                Happening::Plug => {
+                    world.port = true;
+                    world.plugged += 1;
+                }
+                Happening::Mute => world.sensor.answers = false,
+                Happening::Speak => world.sensor.answers = true,
+                Happening::Measure => { world.measured(default_kind()); }
+                Happening::Foreign => { world.measured(ascii_kind(14).unwrap()); }
+                Happening::Garbage => world.give(Input::Bytes(100)),
+            }
+        }
+        world.port = true;
+        world.sensor.answers = true;
+        let mut streaming = false;
+        for _ in 0..480 {
+            world.pass(25_000_000);
+            streaming = world.measured(default_kind());
+            if streaming {
+                break;
+            }
+        }
+        prop_assert!(streaming, "state {:?}", world.session.status());
+        world.give(Input::Stop);
+        world.pass(10_000_000_000);
+        prop_assert!(world.ended && !world.open);
+    }
+}

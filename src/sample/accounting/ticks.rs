@@ -1,0 +1,210 @@
+//! Ticks: samples that carry the sensor's own time or count: gaps, other rates and resets from their steps. Pure.
+
+use super::arrival::Arrival;
+use super::{Accountant, DRIFT, Observation, Position, REORDER_WINDOW_NS, host_elapsed_ns, is_one_boot};
+use crate::sample::{DiscardCause, GapCause, Record, Sample, Timebase};
+use crate::units::{IMU_RATE_HZ, period_ns};
+
+/// Steps of the sensor's ticks that differ from the period by more than this share are another rate or losses; they are of
+/// one length within [`RATE_SAME`].
+const RATE_ODD: f64 = 0.2;
+const RATE_SAME: f64 = 0.01;
+/// So many steps of one length in succession, over so many ns, are another rate: nothing loses every other sample so
+/// regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
+const RATE_STEPS_MIN: usize = 12;
+const RATE_TRIAL_NS: f64 = 1e8;
+/// No loss makes a step shorter than a period. So many of one length in succession are another rate although the stream
+/// was interrupted before it was tried for long; one or two may be a tick that is wrong.
+const RATE_STEPS_SHORT: usize = 3;
+/// A longer step is no rate, ns: register 7's lowest is 1 Hz.
+const RATE_STEP_MAX_NS: f64 = 1.5e9;
+/// After an interruption, device and host must agree on its length within this share (and [`EPOCH_SLACK_NS`]);
+/// otherwise the sensor was without power in between and its clock started again.
+const EPOCH_SHARE: f64 = 1e-3;
+const EPOCH_SLACK_NS: f64 = 2e9;
+
+/// Samples in succession that do not come at the rate.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Trial {
+    pub(super) held: Vec<Sample>,
+    /// The step between the first two, ns of the sensor's clock.
+    pub(super) step_ns: f64,
+}
+
+impl Accountant {
+    /// How far the sensor's tick of the later instant is ahead of the earlier one's, ns: its clock in ns, or its count of
+    /// messages. Both wrap, at 2^64 and 2^32: what is less than half of that ahead is ahead.
+    pub(super) fn ahead_ns(
+        &self,
+        earlier: (Option<u64>, Option<u32>),
+        later: (Option<u64>, Option<u32>),
+    ) -> Option<i64> {
+        if self.timebase == Timebase::SyncCounter {
+            let count = later.1?.wrapping_sub(earlier.1?) as i32;
+            return Some((f64::from(count) * period_ns(self.rate_hz)) as i64);
+        }
+        Some(later.0?.wrapping_sub(earlier.0?) as i64)
+    }
+
+    /// With the sensor's ticks: a step that is no period is the first of another rate, or a gap. The samples are held until
+    /// the following steps tell.
+    pub(super) fn observe_ticks(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+        let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
+        let earlier = match (self.trial.held.last(), self.last) {
+            (Some(held), _) => (held.device_time_ns, held.sync_count),
+            (None, Some(last)) => (last.device_time_ns, last.sync_count),
+            (None, None) => return self.observe_step(sample, out),
+        };
+        let Some(step_ns) = self.ahead_ns(earlier, (sample.device_time_ns, sample.sync_count)) else {
+            self.end_trial(out);
+            return self.observe_step(sample, out);
+        };
+        let step_ns = step_ns as f64;
+        let same = |other: f64| (step_ns - other).abs() <= RATE_SAME * other;
+        let odd = step_ns > 0.0
+            && step_ns <= RATE_STEP_MAX_NS
+            && (step_ns / period_ns(self.rate_hz) - 1.0).abs() > RATE_ODD
+            && !explained;
+        let begun = self.trial.held.len();
+        let goes_on = odd && (begun < 2 || same(self.trial.step_ns));
+        if !goes_on {
+            self.end_trial(out);
+            if !odd {
+                return self.observe_step(sample, out);
+            }
+        } else if begun == 1 {
+            self.trial.step_ns = step_ns;
+        }
+        self.trial.held.push(sample);
+        let steps = self.trial.held.len() - 1;
+        if steps >= RATE_STEPS_MIN && steps as f64 * self.trial.step_ns >= RATE_TRIAL_NS {
+            return self.adopt_rate(out);
+        }
+        Observation::Taken
+    }
+
+    /// What was held are losses, not another rate: unless several steps were shorter than a period, which no loss makes.
+    pub(super) fn end_trial(&mut self, out: &mut Vec<Record>) {
+        let short = self.trial.step_ns < (1.0 - RATE_ODD) * period_ns(self.rate_hz);
+        if short && self.trial.held.len() > RATE_STEPS_SHORT {
+            self.adopt_rate(out);
+            return;
+        }
+        for sample in std::mem::take(&mut self.trial.held) {
+            let frame = sample.frame;
+            match self.observe_step(sample, out) {
+                Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
+                Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
+                _ => {}
+            }
+        }
+    }
+
+    /// The steps are of one length: it is the period of another rate, from the first held sample on.
+    pub(super) fn adopt_rate(&mut self, out: &mut Vec<Record>) -> Observation {
+        let held = std::mem::take(&mut self.trial.held);
+        let old_period = period_ns(self.rate_hz);
+        let measured_hz = 1e9 / self.trial.step_ns;
+        let near_hz = IMU_RATE_HZ / (IMU_RATE_HZ / measured_hz).round().max(1.0);
+        let to_hz = if (near_hz / measured_hz - 1.0).abs() < 0.01 { near_hz } else { measured_hz };
+        let from_hz = std::mem::replace(&mut self.rate_hz, to_hz);
+        self.open = None;
+        for (index, sample) in held.into_iter().enumerate() {
+            if let (0, Some(last)) = (index, self.last) {
+                // Between the two rates: more than one period of the slower is a gap.
+                let tick = (sample.device_time_ns, sample.sync_count);
+                let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
+                let missing = (step_ns / old_period.max(period_ns(to_hz))).round() as u64;
+                if missing > 1 {
+                    let device_ns = last.device_time_ns.zip(sample.device_time_ns);
+                    let gap = self.gap(&last, &sample, device_ns, missing - 1, false, GapCause::RateChange);
+                    self.push_gap(gap, out);
+                }
+            }
+            self.take(sample, out);
+        }
+        Observation::RateChanged { from_hz, to_hz }
+    }
+
+    pub(super) fn observe_step(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+        let Some(last) = self.last else {
+            self.take(sample, out);
+            return Observation::Taken;
+        };
+        let period = period_ns(self.rate_hz);
+        let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
+        let tick = (sample.device_time_ns, sample.sync_count);
+        let Some(ahead_ns) = self.ahead_ns((last.device_time_ns, last.sync_count), tick) else {
+            // The times before came from the host: only it can tell the distance.
+            self.gap_by_host(&last, &sample, host_ns, GapCause::FormatChange, out);
+            self.take(sample, out);
+            return Observation::Taken;
+        };
+        let device_ns = last.device_time_ns.zip(sample.device_time_ns);
+        if ahead_ns <= 0 {
+            let back = ahead_ns.unsigned_abs();
+            self.backward += 1;
+            // A counter that stands while messages come was never switched on: their arrival has to do.
+            if self.timebase == Timebase::SyncCounter && back == 0 && host_ns > 2.5 * period {
+                self.timebase = Timebase::Arrival;
+                self.open = None;
+                self.arrival = Arrival::default();
+                self.observe_arrival(sample, out);
+                return Observation::Taken;
+            }
+            // A clock that stands back but runs on steadily was reset shortly after an earlier reset.
+            if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
+                return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
+            }
+            return self.new_epoch(&last, sample, host_ns, out);
+        }
+        let step_ns = ahead_ns as f64;
+        // A clock that started again is behind; one that is ahead of the host's says that the host's stood or was stepped.
+        if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
+            return self.new_epoch(&last, sample, host_ns, out);
+        }
+        // No clock runs ahead of the host's monotonic one by seconds: the sensor's was set.
+        if is_one_boot(&last, &sample) {
+            // What was read late may be followed at once by what came much later.
+            let late_ns = self.late_ns + host_ns - step_ns;
+            if late_ns < -(EPOCH_SLACK_NS + self.host_jitter_ns + EPOCH_SHARE * host_ns) {
+                return self.new_epoch(&last, sample, host_ns, out);
+            }
+            self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
+        }
+        self.backward = 0;
+        let steps = (step_ns / period).round() as u64;
+        if steps == 0 {
+            return Observation::Duplicate;
+        }
+        if steps > 1 {
+            let gap = self.gap(&last, &sample, device_ns, steps - 1, true, self.cause());
+            self.push_gap(gap, out);
+        }
+        self.take(sample, out);
+        Observation::Taken
+    }
+
+    pub(super) fn new_epoch(
+        &mut self,
+        last: &Position,
+        sample: Sample,
+        host_ns: f64,
+        out: &mut Vec<Record>,
+    ) -> Observation {
+        self.backward = 0;
+        self.late_ns = 0.0;
+        self.open = None;
+        self.epoch += 1;
+        // The consequences of a reset are not its cause.
+        if matches!(self.interrupted, Some(GapCause::FormatChange | GapCause::Silent | GapCause::Checksum)) {
+            self.interrupted = Some(GapCause::SensorReset);
+        }
+        // Whatever a host's stepped clock says, the sensor has run at least as long as its own clock shows.
+        let host_ns =
+            if is_one_boot(last, &sample) { host_ns } else { host_ns.max(sample.device_time_ns.unwrap_or(0) as f64) };
+        self.gap_by_host(last, &sample, host_ns, GapCause::SensorReset, out);
+        self.take(sample, out);
+        Observation::AfterReset
+    }
+}
