@@ -11,6 +11,8 @@ use std::path::PathBuf;
 pub struct Port {
     /// The name by which it is opened.
     pub path: PathBuf,
+    /// The kernel's name of what stands behind it: another one where the name is a link.
+    pub target: PathBuf,
     /// What stands behind the name: another text where it is another device, or the same one plugged in anew.
     pub node: String,
 }

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 /// The first wait.
 pub const FIRST: Duration = Duration::from_millis(250);
-/// The longest wait: a sensor that works again is found within this time.
-pub const LONGEST: Duration = Duration::from_secs(10);
+/// The longest wait: with the time to find the sensor out, one that works again streams within 10 s.
+pub const LONGEST: Duration = Duration::from_secs(8);
 
 /// Doubles the wait with each failure, up to [`LONGEST`]; up to a quarter is taken off at random, so that several
 /// daemons do not knock in step.

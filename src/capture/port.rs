@@ -109,14 +109,19 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
 /// The same, with what stands behind each name.
 #[must_use]
 pub fn look(device: Option<&str>) -> Vec<Port> {
-    find(device).into_iter().map(|path| Port { node: node(&path), path }).collect()
+    find(device)
+        .into_iter()
+        .map(|path| {
+            let target = std::fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+            Port { node: node(&target), target, path }
+        })
+        .collect()
 }
 
-/// The device behind a name: where it is and when it was made there.
-fn node(path: &Path) -> String {
+/// The device: where it is and when it was made there.
+fn node(target: &Path) -> String {
     use std::os::unix::fs::MetadataExt as _;
-    let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let made = std::fs::metadata(&target)
+    let made = std::fs::metadata(target)
         .map_or(0, |data| i128::from(data.ctime()) * 1_000_000_000 + i128::from(data.ctime_nsec()));
     format!("{} {made}", target.display())
 }

@@ -26,7 +26,10 @@ fn table(status: &Value) -> Table {
     let (storage, jobs) = (&status["storage"], &status["jobs"]);
     row("daemon", format!("vn100d {}, up {}", shown(&status["version"]), duration(&status["uptime_s"])));
     row("sensor", shown(&sensor["state"]));
-    for (name, value) in [("", &sensor["hint"]), ("port", &sensor["port"]), ("output", &sensor["output"])] {
+    let behind = &sensor["port_target"];
+    let behind = if *behind == sensor["port"] { &Value::Null } else { behind };
+    for (name, value) in [("", &sensor["hint"]), ("port", &sensor["port"]), ("", behind), ("output", &sensor["output"])]
+    {
         if !value.is_null() {
             row(name, shown(value));
         }

@@ -247,9 +247,10 @@ fn capture_now(registry: &mut Registry, status: &Status) {
 }
 
 fn storage(registry: &mut Registry, status: &Status, writer: &WriterFigures) {
-    const STATES: [(StorageState, &str); 7] = [
+    const STATES: [(StorageState, &str); 8] = [
         (StorageState::Ok, "ok"),
         (StorageState::Slow, "slow"),
+        (StorageState::Degraded, "degraded"),
         (StorageState::StorageFull, "storage_full"),
         (StorageState::StorageReadonly, "storage_readonly"),
         (StorageState::StorageLocked, "storage_locked"),

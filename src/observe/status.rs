@@ -45,6 +45,8 @@ pub struct SensorStatus {
     pub hint: Option<String>,
     /// The port in use or last used.
     pub port: Option<String>,
+    /// The device that `port` stands for: another name where `port` is a link, such as those of `/dev/serial/by-id`.
+    pub port_target: Option<String>,
     /// Baud rate in use.
     pub baud: Option<u32>,
     /// Register 1.
@@ -122,6 +124,8 @@ pub enum StorageState {
     Ok,
     /// Commits take longer than the queue likes.
     Slow,
+    /// The writer has stood still for three seconds: in a commit that does not end, or altogether.
+    Degraded,
     /// The disk is full.
     StorageFull,
     /// The file system is read-only.

@@ -223,7 +223,7 @@ impl Store {
             last_commit_age_s: progress.last_commit_mono_ns.map(|at| now.saturating_sub(at) as f64 / 1e9),
             last_commit_s: progress.last_commit.map(|took| took.as_secs_f64()),
             queued: (self.inner.records.queued() + progress.in_flight) as u64,
-            error: progress.error,
+            error: progress.error_now(now),
         }
     }
 

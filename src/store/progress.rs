@@ -7,6 +7,8 @@ use std::time::Duration;
 
 /// A commit that takes longer than this is slow.
 pub(super) const SLOW: Duration = Duration::from_secs(1);
+/// A writer that has not turned for longer than this stands still; it turns at least once a second.
+const STANDS: Duration = Duration::from_secs(3);
 /// So many I/O errors within [`IO_FAILURES_WITHIN`] are too many.
 pub(super) const IO_FAILURES: usize = 3;
 const IO_FAILURES_WITHIN: Duration = Duration::from_secs(60);
@@ -50,6 +52,8 @@ pub struct WriterProgress {
     pub in_flight: usize,
     /// Grows as long as the thread is alive, at least once a second; stands still while a commit hangs.
     pub ticks: u64,
+    /// When `ticks` last grew, real monotonic ns; `None` before the first time.
+    pub turned_mono_ns: Option<u64>,
     /// Size of the database file in bytes.
     pub database_bytes: u64,
     /// Size of the write-ahead log in bytes.
@@ -80,12 +84,27 @@ impl WriterProgress {
         }
     }
 
-    /// How the store is now: a commit that hangs is slow before it ends.
+    /// How the store is now: a commit that hangs is slow before it ends, and a writer that does not turn is degraded.
     pub(super) fn state_now(&self, now_mono_ns: u64) -> StorageState {
-        let hangs = self
-            .committing_since_mono_ns
-            .is_some_and(|since| now_mono_ns.saturating_sub(since) > SLOW.as_nanos() as u64);
-        if hangs && self.state == StorageState::Ok { StorageState::Slow } else { self.state }
+        let longer = |since: Option<u64>, than: Duration| {
+            since.is_some_and(|since| now_mono_ns.saturating_sub(since) > than.as_nanos() as u64)
+        };
+        match self.state {
+            StorageState::Ok | StorageState::Slow if longer(self.turned_mono_ns, STANDS) => StorageState::Degraded,
+            StorageState::Ok if longer(self.committing_since_mono_ns, SLOW) => StorageState::Slow,
+            state => state,
+        }
+    }
+
+    /// What is wrong now, in words: the last error, or for how long the writer has stood still.
+    pub(super) fn error_now(&self, now_mono_ns: u64) -> Option<String> {
+        if self.state_now(now_mono_ns) != StorageState::Degraded {
+            return self.error.clone();
+        }
+        let stood_ns = self.turned_mono_ns.map_or(0, |turned| now_mono_ns.saturating_sub(turned));
+        let doing =
+            if self.committing_since_mono_ns.is_some() { "a commit has not ended" } else { "the writer stands still" };
+        Some(format!("{doing} for {:.0} s: look at the disk (`dmesg`, `iostat`)", stood_ns as f64 / 1e9))
     }
 
     /// How long the free space lasts at the present rate, s; `None` where nothing is written.
@@ -126,4 +145,30 @@ pub(super) type SharedProgress = Arc<Mutex<WriterProgress>>;
 
 pub(super) fn locked(progress: &Mutex<WriterProgress>) -> MutexGuard<'_, WriterProgress> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A7.
+    #[test]
+    fn a_writer_that_hangs_is_slow_and_then_degraded() {
+        let second = 1_000_000_000;
+        let mut progress = WriterProgress { turned_mono_ns: Some(10 * second), ..WriterProgress::default() };
+        assert_eq!(progress.state_now(12 * second), StorageState::Ok);
+        progress.committing_since_mono_ns = Some(10 * second);
+        assert_eq!(progress.state_now(12 * second), StorageState::Slow);
+        assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
+        assert!(progress.error_now(14 * second).unwrap().contains("has not ended for 4 s"));
+        // A thread that hangs outside a commit as well.
+        progress.committing_since_mono_ns = None;
+        assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
+        // What is known of the disk is said instead.
+        progress.state = StorageState::StorageFull;
+        assert_eq!(
+            (progress.state_now(14 * second), progress.error_now(14 * second)),
+            (StorageState::StorageFull, None)
+        );
+    }
 }

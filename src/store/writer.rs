@@ -248,6 +248,7 @@ impl Writer {
             }
             let mut progress = locked(&self.progress);
             progress.ticks += 1;
+            progress.turned_mono_ns = Some(SystemClock.mono_ns());
             progress.in_flight = self.batch.len();
         }
     }

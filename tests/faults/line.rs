@@ -125,6 +125,29 @@ fn a_sensor_that_returns_under_another_name_is_found_and_status_shows_the_name()
     assert_eq!((found.causes(), found.segments), (vec!["unplugged"], 2));
 }
 
+/// B2: the link stays, what it points at is another device.
+#[test]
+fn behind_an_unchanged_link_the_status_shows_the_new_device() {
+    let mut run = Streaming::begin("", &[]);
+    let shown = |run: &Streaming| {
+        let sensor = run.world.get("/v1/status")["sensor"].clone();
+        (sensor["port"].as_str().unwrap().to_owned(), sensor["port_target"].as_str().unwrap().to_owned())
+    };
+    let link = run.world.port().to_str().unwrap().to_owned();
+    assert_eq!(shown(&run), (link.clone(), run.sensor.first_line.clone()));
+    run.sensor.say("unplug 2s");
+    run.until_state("absent", Duration::from_secs(2));
+    run.until_event("back", 1, Duration::from_secs(15));
+    run.world.until_more_samples(40, &run.daemon);
+    let device = std::fs::read_link(&link).unwrap().to_str().unwrap().to_owned();
+    assert_ne!(device, run.sensor.first_line, "another terminal");
+    assert_eq!(shown(&run), (link, device));
+    let found = run.audit();
+    let resumed = found.resumed_after_s("back");
+    assert!(resumed <= 3.0, "{resumed} s");
+    assert_eq!((found.causes(), found.segments), (vec!["unplugged"], 2));
+}
+
 /// B3.
 #[test]
 fn a_flapping_plug_leaks_nothing_and_costs_little() {

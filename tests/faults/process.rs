@@ -439,9 +439,10 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     strace.args(["-e", "inject=fsync,fdatasync:delay_enter=60000000", "-p", &daemon.id().to_string()]);
     let mut attached = Process::start(&mut strace, false);
     let begun = Instant::now();
-    let ill = || Some(world.get("/v1/status")).filter(|status| status["storage"]["state"] != "ok");
+    let ill = || Some(world.get("/v1/status")).filter(|status| status["storage"]["state"] == "degraded");
     let status = world.until("storage is degraded", Duration::from_secs(15), ill, &daemon);
     let said = begun.elapsed().as_secs_f64();
+    assert!(status["storage"]["error"].as_str().unwrap().contains("commit has not ended"), "{}", status["storage"]);
     // One more feeding may have been earned by the last turn.
     manager.fed(Duration::from_secs(4));
     let fed = manager.fed(Duration::from_secs(6));
@@ -453,7 +454,7 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
         asked.elapsed()
     );
     assert_eq!(fed, 0, "the watchdog is withheld");
-    assert!(said <= 5.0 + 1.0, "{said} s, of which a second until the next commit");
+    assert!(said <= 5.0, "{said} s, of which up to a second until the next commit");
     assert!(asked.elapsed() < Duration::from_millis(500));
     let acked = world.committed();
     // As systemd's watchdog would end it; strace lets nobody go before its delay is over.
@@ -524,7 +525,7 @@ fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_
     world.until_more_samples(1, &daemon);
     let took = begun.elapsed().as_secs_f64();
     println!("A9: `{hint}`; streams {took:.2} s after it is free");
-    assert!(took <= 10.0 + 1.0, "{took} s: the longest wait, and a second to configure");
+    assert!(took <= 10.0, "{took} s: the longest wait, and a second to configure");
     let found = world.settle_and_audit(&mut daemon, &log, None);
     assert_eq!(found.missing, 0);
 }

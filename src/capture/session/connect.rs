@@ -31,6 +31,7 @@ impl Session {
         };
         let path = port.path.clone();
         self.status.port = Some(path.display().to_string());
+        self.status.port_target = Some(port.target.display().to_string());
         if self.failed_ports == 0 {
             self.set_state(SensorState::Opening, None);
         }

@@ -79,6 +79,7 @@ impl World {
                 Action::Look => {
                     let port = Port {
                         path: "/dev/ttyUSB0".into(),
+                        target: "/dev/ttyUSB0".into(),
                         node: format!("ttyUSB0 {}", self.plugged),
                     };
                     let ports = if self.port { vec![port] } else { Vec::new() };
