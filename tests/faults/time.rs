@@ -133,7 +133,7 @@ fn summer_time_and_time_zones_change_nothing() {
     let across = "SELECT count(*) FROM sample WHERE host_utc_ns > 1792890000000000000";
     faked.world.until("the hour is over", START, || Some(()).filter(|()| faked.count(across) > 20), &faked.daemon);
     let capture = faked.settle();
-    assert!(faked.steps_seen().is_empty());
+    assert_eq!(faked.steps_seen(), Vec::<serde_json::Value>::new());
     assert_eq!(
         faked.count(
             "SELECT count(*) FROM (SELECT host_utc_ns - lag(host_utc_ns) OVER (ORDER BY seq) AS step FROM sample) \
@@ -199,7 +199,10 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         faked.step(&format!("{offset:+}"));
         std::thread::sleep(Duration::from_secs(3));
         faked.restart();
-        faked.samples(60);
+        let gap = format!(
+            "SELECT count(*) FROM gap JOIN sample ON seq = before_seq + 60 WHERE {times} = (SELECT count(*) FROM gap)"
+        );
+        faked.world.until("the gap", START, || (faked.count(&gap) > 0).then_some(()), &faked.daemon);
         let away_s = killed.elapsed().as_secs_f64();
         let rows = faked.world.query(
             "SELECT missing, missing_exact, to_utc_ns - from_utc_ns, cause,              (SELECT host_mono_ns FROM sample WHERE seq = before_seq) - (SELECT host_mono_ns FROM sample WHERE seq = before_seq - 1)              FROM gap ORDER BY before_seq",
@@ -213,7 +216,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         println!("{missing_s} s missing, gap of {gap_s:.3} s, {mono_s:.3} s by the host's monotonic clock");
         assert_eq!(number(1), 0, "the sensor was reset meanwhile: {rows:?}");
         assert!((missing_s - mono_s).abs() < 0.5 && (gap_s - mono_s).abs() < 0.5, "{rows:?}");
-        // Up to a second before the kill was not committed; 60 samples came after the gap.
+        // Up to a second before the kill was not committed; sixty samples came after the gap.
         assert!(mono_s > 3.0 && mono_s < away_s - 1.4 + 1.5, "{mono_s} s, away for {away_s} s");
     }
     // Across a boot nothing but civil time tells: the host was started anew, and its clock was set by ten minutes.
@@ -227,7 +230,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
     faked.sensor.say("reset");
     faked.step("-6600");
     faked.restart();
-    faked.samples(60);
+    faked.world.until("the gap", START, || (faked.count("SELECT count(*) FROM gap") == 3).then_some(()), &faked.daemon);
     let missing = faked.count("SELECT missing FROM gap ORDER BY before_seq DESC LIMIT 1");
     assert!((600 * 40..620 * 40).contains(&missing), "{missing}");
     let told: Vec<f64> = faked.steps_seen().iter().map(|event| event["detail"]["by_s"].as_f64().unwrap()).collect();
