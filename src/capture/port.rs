@@ -207,11 +207,12 @@ fn lock_holder(target: &Path) -> Option<String> {
     let inode = std::fs::metadata(target).ok()?.ino().to_string();
     let device = rustix::fs::stat(target).ok()?.st_dev;
     let file = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
-    let locks = std::fs::read_to_string("/proc/locks").ok()?;
-    locks.lines().find_map(|line| {
+    let of_line = |line: &str| {
         let fields: Vec<&str> = line.split_whitespace().collect();
         (fields.get(1) == Some(&"FLOCK") && fields.get(5) == Some(&file.as_str())).then(|| fields[4].to_owned())
-    })
+    };
+    // The list is no snapshot: an entry may be passed over while others come and go.
+    (0..3).find_map(|_| std::fs::read_to_string("/proc/locks").ok()?.lines().find_map(of_line))
 }
 
 #[cfg(test)]

@@ -158,10 +158,24 @@ pub fn main() -> ExitCode {
         Ok(Outcome::WithLoss) => ExitCode::from(3),
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", sentence(&error));
             ExitCode::from(failure(&error).code())
         }
     }
+}
+
+/// The error and its causes in one line: a cause that the error names itself is not said twice, and what SQLite quotes of a
+/// damaged database may have lines of its own.
+fn sentence(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string).filter(|cause| !cause.is_empty()) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text.split(char::is_control).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
 /// `vn100d … | head` ends quietly.
@@ -247,5 +261,29 @@ fn store_failure(error: &StoreError) -> Option<Failure> {
         // A disk that is full or busy is input and output that failed.
         StoreErrorKind::Io | StoreErrorKind::Unavailable => Some(Failure::InputOutput),
         _ => Some(Failure::Other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_one_line_and_says_no_cause_twice() {
+        let io = || std::io::Error::from_raw_os_error(5);
+        let error = StoreError::Create { path: "/data/vn100d.db.lock".into(), source: io() };
+        let said = sentence(&anyhow::Error::from(error));
+        assert_eq!(said, "cannot create /data/vn100d.db.lock: Input/output error (os error 5)");
+        let error = anyhow::Error::from(io()).context("the token\n  file cannot be read");
+        assert_eq!(sentence(&error), "the token file cannot be read: Input/output error (os error 5)");
+    }
+
+    #[test]
+    fn a_disk_that_fails_is_no_file_that_cannot_be_created() {
+        let code = |errno| {
+            let source = std::io::Error::from_raw_os_error(errno);
+            failure(&StoreError::Create { path: "x".into(), source }.into()).code()
+        };
+        assert_eq!([5, 28, 13, 2].map(code), [74, 74, 73, 73]);
     }
 }

@@ -270,11 +270,19 @@ pub enum StoreErrorKind {
     Internal,
 }
 
+/// EIO or ENOSPC, which go by themselves where anything does.
+fn failed_disk(error: &std::io::Error) -> bool {
+    use rustix::io::Errno;
+    Errno::from_io_error(error).is_some_and(|errno| errno == Errno::IO || errno == Errno::NOSPC)
+}
+
 impl StoreError {
     /// What to do about it.
     #[must_use]
     pub fn kind(&self) -> StoreErrorKind {
         match self {
+            // A disk that fails is no matter of names and permissions.
+            Self::Create { source, .. } if failed_disk(source) => StoreErrorKind::Io,
             Self::Locked { .. }
             | Self::Create { .. }
             | Self::Exists { .. }
