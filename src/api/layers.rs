@@ -60,7 +60,7 @@ fn is_local(host: &str) -> bool {
     name == "localhost" || name.ends_with(".localhost") || name.parse::<std::net::IpAddr>().is_ok()
 }
 
-/// Requests that change something need the token beyond loopback, and may not come from another site's page.
+/// Requests that change something need the token where one is configured, and may not come from another site's page.
 pub(super) async fn authorize(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     if request.method().is_safe() || request.method() == Method::OPTIONS {
         return next.run(request).await;
@@ -71,7 +71,8 @@ pub(super) async fn authorize(State(state): State<ApiState>, request: Request, n
     match &state.parts.token {
         Some(token) if !bears(request.headers(), token) => ApiError::new(
             ProblemType::NotAuthorized,
-            "requests that change something need `Authorization: Bearer TOKEN` with the token of the configuration",
+            "requests that change something need `Authorization: Bearer TOKEN` with the token of the daemon's \
+             configuration (`http.token` or `http.token-file`; `vn100d import` takes it from its own, see --config)",
         )
         .into_response(),
         _ => next.run(request).await,

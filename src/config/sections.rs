@@ -147,7 +147,7 @@ impl Default for StorageConfig {
 pub struct HttpConfig {
     /// Where it listens.
     pub listen: SocketAddr,
-    /// The bearer token that requests need which change something, once `listen` is beyond loopback.
+    /// The bearer token that requests need which change something; beyond loopback there must be one.
     pub token: Token,
     /// A file that holds the token (its first line); empty where there is none.
     pub token_file: PathBuf,

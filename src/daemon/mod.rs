@@ -235,7 +235,8 @@ pub async fn run(
         jobs: jobs.clone(),
         live: Arc::clone(&live),
         metrics: Arc::clone(&metrics),
-        token: (!config.http.listen.ip().is_loopback()).then(|| config.http.token.secret().to_owned()),
+        // Whoever configured a token wants it asked for, loopback or not: others may use this machine too.
+        token: (!config.http.token.is_empty()).then(|| config.http.token.secret().to_owned()),
         default_duration: config.capture.duration,
         reserve_bytes: config.storage.reserve_bytes(),
         limits,

@@ -7,6 +7,7 @@ mod bad_input;
 mod bag;
 mod demo;
 mod docs;
+mod imports;
 mod night;
 mod recordings;
 mod replay;

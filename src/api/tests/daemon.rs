@@ -159,7 +159,7 @@ fn large_json_is_compressed_for_whoever_takes_it_and_samples_are_not() {
 }
 
 #[test]
-fn beyond_loopback_changes_need_the_token_and_reading_does_not() {
+fn with_a_token_changes_need_it_and_reading_does_not() {
     let token = Some("0123456789abcdef".to_owned());
     let world = World::with(Setting { token, ..Setting::default() });
     let id = world.capture("a", CaptureState::Complete, 120);
