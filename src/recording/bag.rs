@@ -8,11 +8,15 @@
 //! never by a length that a record claims; what cannot be read is an entry of its own ([`Record::Damaged`]), behind which
 //! reading goes on at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
 
+use super::detect::{read_error, refused};
 use super::error::RecordingError;
 use super::input::Input;
+use super::meter::{Expanded, Meter};
 use bzip2::read::BzDecoder;
 use lz4_flex::frame::FrameDecoder;
 use std::io::{BufRead, Read, Take};
+use std::path::PathBuf;
+use std::rc::Rc;
 
 /// The first line.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
@@ -100,6 +104,8 @@ impl Chunk {
 
 /// Reads a bag's records.
 pub(super) struct BagReader {
+    path: PathBuf,
+    meter: Rc<Meter>,
     place: Place,
     header: Vec<u8>,
     data: Vec<u8>,
@@ -131,11 +137,20 @@ struct Head {
 
 impl BagReader {
     pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
-        let mut file = Counting { bytes: input.open()?, at: 0 };
+        let (bytes, meter) = input.open_metered()?;
+        let mut file = Counting { bytes, at: 0 };
         let mut magic = [0; MAGIC.len()];
-        let read = file.read_exact(&mut magic);
-        read.map_err(|source| RecordingError::Open { file: input.path().to_owned(), source })?;
-        Ok(Self { place: Place::File(file), header: Vec::new(), data: Vec::new() })
+        file.read_exact(&mut magic).map_err(|source| read_error(input.path(), 0, source))?;
+        let path = input.path().to_owned();
+        Ok(Self { path, meter, place: Place::File(file), header: Vec::new(), data: Vec::new() })
+    }
+
+    /// Whether the bag was read as far as it goes: a reading that was called off looks like a damaged one.
+    ///
+    /// # Errors
+    /// [`RecordingError::Unwanted`] and [`RecordingError::Expands`].
+    pub(super) fn check(&self) -> Result<(), RecordingError> {
+        self.meter.refused().map_or(Ok(()), |refusal| Err(refused(&self.path, refusal)))
     }
 
     /// The next entry; `None` at the end. Messages of connections that are not wanted are passed over.
@@ -145,7 +160,13 @@ impl BagReader {
             let step = match &mut self.place {
                 Place::End => return None,
                 Place::File(file) => read_record(file, &mut self.header, &mut self.data, &wanted, true),
-                Place::Chunk(chunk) => read_record(chunk.reader(), &mut self.header, &mut self.data, &wanted, false),
+                Place::Chunk(Chunk::Plain(bytes)) => {
+                    read_record(bytes, &mut self.header, &mut self.data, &wanted, false)
+                }
+                Place::Chunk(chunk) => {
+                    let mut bytes = Expanded { bytes: chunk.reader(), meter: Rc::clone(&self.meter) };
+                    read_record(&mut bytes, &mut self.header, &mut self.data, &wanted, false)
+                }
             };
             match step {
                 Ok(Step::Passed) => {}

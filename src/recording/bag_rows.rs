@@ -117,9 +117,10 @@ impl Topic {
                         candidates[*index].raw += 1;
                     }
                 }
-                Record::Damaged { .. } => {}
+                Record::Damaged { .. } => reader.check()?,
             }
         }
+        reader.check()?;
         let rank = |candidate: &Candidate| (candidate.raw > 0, candidate.channels.iter().count(), candidate.messages);
         // Of equals the first.
         let best = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
@@ -217,6 +218,7 @@ impl Rows for BagRows {
                     }
                 }
                 Record::Damaged { at, what } => {
+                    self.reader.check()?;
                     let text = format!("at byte {at}: {what}");
                     return Ok(Some(Row::Rejected(Rejected::new(
                         self.messages,
@@ -251,6 +253,7 @@ impl Rows for BagRows {
                 }
             }
         }
+        self.reader.check()?;
         Ok(None)
     }
 

@@ -3,6 +3,7 @@
 use super::csv::Header;
 use super::error::RecordingError;
 use super::input::Input;
+use super::meter::Refusal;
 use std::io::Read;
 use std::path::Path;
 
@@ -45,10 +46,23 @@ const NOT_READ_YET: [(&[u8], &str); 5] = [
 
 /// Turns an error of reading into one that says where.
 pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> RecordingError {
+    if let Some(refusal) = source.get_ref().and_then(|inner| inner.downcast_ref::<Refusal>()) {
+        return refused(file, *refusal);
+    }
     if source.kind() == std::io::ErrorKind::UnexpectedEof {
         return RecordingError::CutCompression { file: file.to_owned(), line };
     }
     RecordingError::Read { file: file.to_owned(), line, source }
+}
+
+/// The error of a reading that was ended before the file was.
+pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
+    match refusal {
+        Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
+        Refusal::Expands { file_bytes, expanded_bytes } => {
+            RecordingError::Expands { file: file.to_owned(), file_bytes, expanded_bytes }
+        }
+    }
 }
 
 /// Finds out what `input` is.

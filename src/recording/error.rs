@@ -25,6 +25,34 @@ pub enum RecordingError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// It is something else than a file.
+    #[error("{} is {found}, but a recording is read several times: save it to a file and name that", file.display())]
+    NoFile {
+        /// The path.
+        file: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// Nobody wants it any more.
+    #[error("reading {} was called off", file.display())]
+    Unwanted {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Few compressed bytes become too many.
+    #[error(
+        "{}: its first {file_bytes} compressed bytes become more than {expanded_bytes}, which no sensor's recording does: \
+         decompress it yourself and look at it",
+        file.display()
+    )]
+    Expands {
+        /// The file.
+        file: PathBuf,
+        /// Bytes of the file that were read.
+        file_bytes: u64,
+        /// What they may become.
+        expanded_bytes: u64,
+    },
     /// The compressed data end too early: the recording was cut.
     #[error(
         "{} ends in the middle of its compressed data after line {line}: \

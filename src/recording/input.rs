@@ -1,10 +1,13 @@
 //! A recording's bytes, which can be read from the start as often as wanted: a file, or memory.
 
 use super::error::RecordingError;
+use super::meter::{EXPANSION, Expanded, Expansion, FileBytes, KeepOn, Meter};
 use flate2::bufread::MultiGzDecoder;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor};
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 
 /// Read at a time.
@@ -15,19 +18,33 @@ const BUFFER_BYTES: usize = 128 * 1024;
 pub struct Input {
     path: PathBuf,
     bytes: Option<Arc<[u8]>>,
+    keep_on: KeepOn,
+    expansion: Expansion,
 }
 
 impl Input {
     /// A file.
     #[must_use]
     pub fn file(path: &Path) -> Self {
-        Self { path: path.to_owned(), bytes: None }
+        Self { path: path.to_owned(), bytes: None, keep_on: KeepOn::default(), expansion: EXPANSION }
     }
 
     /// Bytes that are there already; messages call them `name`.
     #[must_use]
     pub fn memory(name: &str, bytes: impl Into<Arc<[u8]>>) -> Self {
-        Self { path: PathBuf::from(name), bytes: Some(bytes.into()) }
+        Self { bytes: Some(bytes.into()), ..Self::file(Path::new(name)) }
+    }
+
+    /// The same, read only for as long as it is wanted: [`RecordingError::Unwanted`] then ends whatever reads it.
+    #[must_use]
+    pub fn while_wanted(self, keep_on: KeepOn) -> Self {
+        Self { keep_on, ..self }
+    }
+
+    /// The same with other bounds for what is compressed.
+    #[cfg(test)]
+    pub(super) fn expanding(self, expansion: Expansion) -> Self {
+        Self { expansion, ..self }
     }
 
     /// The file's path, or the name.
@@ -38,26 +55,46 @@ impl Input {
 
     /// Its content from the start, decompressed where it is gzip.
     pub(super) fn open(&self) -> Result<Box<dyn BufRead>, RecordingError> {
+        Ok(self.open_metered()?.0)
+    }
+
+    /// The same, with the meter that counts this reading.
+    pub(super) fn open_metered(&self) -> Result<(Box<dyn BufRead>, Rc<Meter>), RecordingError> {
         let bytes: Box<dyn BufRead> = match &self.bytes {
             Some(bytes) => Box::new(Cursor::new(Arc::clone(bytes))),
-            None => Box::new(BufReader::with_capacity(
-                BUFFER_BYTES,
-                File::open(&self.path).map_err(|source| self.cannot_open(source))?,
-            )),
+            None => Box::new(BufReader::with_capacity(BUFFER_BYTES, open_regular(&self.path)?)),
         };
-        self.decompressed(bytes)
-    }
-
-    fn decompressed(&self, mut bytes: Box<dyn BufRead>) -> Result<Box<dyn BufRead>, RecordingError> {
+        let meter = Meter::new(self.keep_on.clone(), self.expansion);
+        let mut bytes = FileBytes { bytes, meter: Rc::clone(&meter) };
         // Opening a directory succeeds; reading it does not.
-        let is_gzip = bytes.fill_buf().map_err(|source| self.cannot_open(source))?.starts_with(&[0x1F, 0x8B]);
-        if is_gzip {
-            return Ok(Box::new(BufReader::with_capacity(BUFFER_BYTES, MultiGzDecoder::new(bytes))));
+        let head = bytes.fill_buf().map_err(|source| super::detect::read_error(&self.path, 0, source))?;
+        if head.starts_with(&[0x1F, 0x8B]) {
+            let expanded = Expanded { bytes: MultiGzDecoder::new(bytes), meter: Rc::clone(&meter) };
+            return Ok((Box::new(BufReader::with_capacity(BUFFER_BYTES, expanded)), meter));
         }
-        Ok(bytes)
+        Ok((Box::new(bytes), meter))
     }
+}
 
-    fn cannot_open(&self, source: std::io::Error) -> RecordingError {
-        RecordingError::Open { file: self.path.clone(), source }
+/// Opens a recording's file, which is read several times: a pipe gives its bytes only once, and opening one would wait for
+/// whoever writes it.
+///
+/// # Errors
+/// [`RecordingError::NoFile`], or [`RecordingError::Open`] with the system's words.
+pub fn open_regular(path: &Path) -> Result<File, RecordingError> {
+    let cannot_open = |source| RecordingError::Open { file: path.to_owned(), source };
+    let kind = std::fs::metadata(path).map_err(cannot_open)?.file_type();
+    if kind.is_file() {
+        return File::open(path).map_err(cannot_open);
     }
+    let found = if kind.is_dir() {
+        "a folder"
+    } else if kind.is_fifo() {
+        "a pipe"
+    } else if kind.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    };
+    Err(RecordingError::NoFile { file: path.to_owned(), found })
 }

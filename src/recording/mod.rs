@@ -4,9 +4,10 @@
 //! first pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](crate::sample::Record)s
 //! ([`account`]), or whole columns ([`load_columns`]).
 //!
-//! Promises: memory does not grow with the file (but for [`load_columns`]); no line is dropped without being counted, with
+//! Promises: memory does not grow with the file (but for [`load_columns`]); what is compressed becomes no more than
+//! [`RecordingError::Expands`] tells; a reading that is no longer wanted ends within 64 KiB ([`KeepOn`]); no line is dropped without being counted, with
 //! its number, cause and text; samples are never reordered: one whose stamp is not later than the one before is rejected as
-//! a duplicate. Values are those of the text, converted only where the column's unit is not the channel's.
+//! a duplicate, one whose stamp lies ahead of those that follow as malformed. Values are those of the text, converted only where the column's unit is not the channel's.
 //!
 //! Times: of several stamps the smoothest counts ([`choice`]). A sample's `device_time_ns` is its stamp counted from the first one; its UTC is the stamp where stamps are
 //! seconds since 1970, else counted from [`Options::started_utc_ns`].
@@ -28,6 +29,7 @@ mod bag;
 mod bag_rows;
 mod between;
 mod csv;
+mod meter;
 mod order;
 mod ros_message;
 mod stamps;
@@ -40,8 +42,9 @@ pub use detect::{Kind, detect};
 pub use error::RecordingError;
 pub use findings::Findings;
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
-pub use input::Input;
+pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
+pub use meter::KeepOn;
 pub use rows::Rejected;
 
 use crate::sample::Sample;
@@ -197,8 +200,8 @@ impl std::fmt::Debug for Items {
 impl Items {
     fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
         loop {
-            let Some(row) = self.source.rows().next_row()? else { return Ok(None) };
-            match self.order.check(row) {
+            let Some(entry) = self.order.next_entry(self.source.rows())? else { return Ok(None) };
+            match entry {
                 Entry::Aside => {}
                 Entry::Rejected(mut rejected, stamp_ns) => {
                     // A line before the first sample belongs to no gap.

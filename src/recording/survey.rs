@@ -44,9 +44,9 @@ impl Survey {
     pub(super) fn of(rows: &mut dyn Rows, chosen: &Chosen) -> Result<Self, RecordingError> {
         let mut survey = Self::default();
         let mut order = Order::new(chosen);
-        while let Some(row) = rows.next_row()? {
+        while let Some(entry) = order.next_entry(rows)? {
             survey.lines += 1;
-            match order.check(row) {
+            match entry {
                 Entry::Aside => {}
                 Entry::Sample { stamp_ns, sample } => {
                     survey.samples += 1;

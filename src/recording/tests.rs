@@ -4,6 +4,11 @@ use super::*;
 use crate::sample::{Channel, DiscardCause, Gap, GapCause, Record, Timebase};
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+#[path = "../../tests/world/bag.rs"]
+mod bag;
 
 const MARCH_2024_NS: i64 = 1_710_358_267_000_000_000;
 
@@ -333,10 +338,8 @@ fn what_is_no_recording_is_refused_with_how_it_begins() {
         let error = load_columns(&folder.file("other", content), at_rate(1.0)).unwrap_err().to_string();
         assert!(error.contains(part) && error.contains("other"), "{error}");
     }
-    for path in [folder.0.path().to_owned(), folder.0.path().join("absent.csv")] {
-        let error = load_columns(&path, at_rate(1.0)).unwrap_err();
-        assert!(matches!(error, RecordingError::Open { .. }), "{error}");
-    }
+    let error = load_columns(&folder.0.path().join("absent.csv"), at_rate(1.0)).unwrap_err();
+    assert!(matches!(error, RecordingError::Open { .. }), "{error}");
 }
 
 #[test]
@@ -431,4 +434,95 @@ fn a_csv_row_without_end_is_refused_before_it_fills_the_memory() {
         let error = Recording::open(&file, Options::default()).unwrap_err().to_string();
         assert!(error.contains(name), "{error}");
     }
+}
+
+/// What `expansion` allows is counted over the whole reading, so that it can be small here.
+fn small_bounds(bytes: Vec<u8>) -> Input {
+    let expansion = meter::Expansion { free_bytes: 100_000, ratio: 20, most_bytes: 1 << 30 };
+    Input::memory("bomb", bytes).expanding(expansion)
+}
+
+#[test]
+fn few_compressed_bytes_that_become_very_many_are_refused() {
+    let rows = |count: usize| format!("time_s,gyro_x_rad_s\n{}", "\n".repeat(count));
+    let error = Recording::read(small_bounds(gzip(rows(10_000_000).as_bytes())), Options::default()).unwrap_err();
+    assert!(matches!(error, RecordingError::Expands { .. }), "{error}");
+    assert!(error.to_string().starts_with("bomb: its first "), "{error}");
+    // The same amount of what a sensor sends is none.
+    let mut text = String::from("time_s,gyro_x_rad_s\n");
+    for row in 0..20_000_u64 {
+        text += &format!("{}.{:03},{}\n", row / 40, row % 40 * 25, row * 7919 % 100_003);
+    }
+    assert_eq!(
+        columns(&Recording::read(small_bounds(gzip(text.as_bytes())), Options::default()).unwrap()).unwrap().samples,
+        20_000
+    );
+}
+
+#[test]
+fn chunks_of_a_bag_that_become_very_much_are_refused() {
+    for compression in ["bz2", "lz4"] {
+        let mut chunks = Vec::new();
+        for _ in 0..40 {
+            let mut records = bag::connection(0, "/imu", bag::IMU);
+            records.extend(bag::message(0, MARCH_2024_NS as u64, &vec![0; 500_000]));
+            chunks.push(bag::chunk(compression, &records));
+        }
+        let error = Recording::read(small_bounds(bag::bag(&chunks)), Options::default()).unwrap_err();
+        assert!(matches!(error, RecordingError::Expands { .. }), "{compression}: {error}");
+    }
+}
+
+#[test]
+fn a_recording_that_nobody_wants_any_more_is_not_read_on() {
+    let raw: String = (0..20_000).map(|index| line(1e-3 * f64::from(index % 100)) + "\n").collect();
+    let mut records = bag::connection(0, "/raw", bag::TEXT);
+    for index in 0..20_000 {
+        let data = bag::string(&line(1e-3 * f64::from(index % 100)));
+        records.extend(bag::message(0, MARCH_2024_NS as u64 + u64::from(index as u32) * 25_000_000, &data));
+    }
+    let bag = bag::bag(&[bag::chunk("lz4", &records)]);
+    for (kind, bytes) in [("plain", raw.clone().into_bytes()), ("gzip", gzip(raw.as_bytes())), ("bag", bag)] {
+        for asked in [1_usize, 4, 12] {
+            let left = Arc::new(std::sync::atomic::AtomicUsize::new(asked));
+            let counted = Arc::clone(&left);
+            let keep_on = KeepOn::asking(move || {
+                counted
+                    .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| Some(left.saturating_sub(1)))
+                    .is_ok_and(|before| before > 0)
+            });
+            let input = Input::memory("long", bytes.clone()).while_wanted(keep_on);
+            let outcome = Recording::read(input, Options::default()).and_then(|recording| columns(&recording));
+            assert!(matches!(outcome, Err(RecordingError::Unwanted { .. })), "{kind} {asked}: {outcome:?}");
+            assert_eq!(left.load(Ordering::Relaxed), 0);
+        }
+    }
+}
+
+#[test]
+fn a_pipe_a_device_and_a_folder_are_no_files_and_nothing_waits_for_them() {
+    let folder = Folder::new();
+    let pipe = folder.0.path().join("pipe");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+    for (path, found) in
+        [(pipe.as_path(), "a pipe"), (Path::new("/dev/zero"), "a device"), (folder.0.path(), "a folder")]
+    {
+        let error = Recording::open(path, Options::default()).unwrap_err();
+        assert!(matches!(error, RecordingError::NoFile { found: said, .. } if said == found), "{error}");
+    }
+}
+
+#[test]
+fn one_corrupt_stamp_costs_its_own_sample_and_no_other() {
+    let mut text = String::from("time_s,gyro_x_rad_s\n");
+    for row in 0..1000 {
+        let time_s = if row == 300 { 987_654.0 } else { f64::from(row) * 0.025 };
+        text += &format!("{time_s:.3},{row}\n");
+    }
+    let loaded = Folder::new().load(&text, Options::default()).unwrap();
+    assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_hz), (999, 1, 40.0));
+    assert_eq!(loaded.info.rejected, std::collections::BTreeMap::from([(DiscardCause::Malformed, 1)]));
+    let rejected = &loaded.info.first_rejected[0];
+    assert_eq!((rejected.line, rejected.text.as_str()), (302, "stamp 987654 s lies ahead of those that follow"));
+    assert_eq!(shape(&loaded.gaps), [(300, 1, true, GapCause::Source)]);
 }

@@ -1,0 +1,167 @@
+//! The meter of one reading: ends it when nobody wants it any more, and when compressed bytes become out of all proportion.
+//!
+//! Memory is bounded elsewhere (a line, a row, a message); what a few compressed bytes may become is time and rows. So of
+//! every reading are counted the bytes that the file gave and those that were made of them by decompression.
+
+use std::cell::Cell;
+use std::io::{BufRead, Read};
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// Asked now and then while a recording is read: whether it is still wanted.
+#[derive(Clone)]
+pub struct KeepOn(Arc<dyn Fn() -> bool + Send + Sync>);
+
+impl KeepOn {
+    /// Whatever this answers.
+    pub fn asking(wanted: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+        Self(Arc::new(wanted))
+    }
+
+    /// Whether it is still wanted.
+    #[must_use]
+    pub fn is_wanted(&self) -> bool {
+        (self.0)()
+    }
+}
+
+impl Default for KeepOn {
+    fn default() -> Self {
+        Self::asking(|| true)
+    }
+}
+
+impl std::fmt::Debug for KeepOn {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_tuple("KeepOn").finish()
+    }
+}
+
+/// What decompression may make of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Expansion {
+    /// So many bytes whatever the file's size.
+    pub(super) free_bytes: u64,
+    /// So many more for each byte of the file. A sensor's text becomes ten times smaller at best.
+    pub(super) ratio: u64,
+    /// Never more than this.
+    pub(super) most_bytes: u64,
+}
+
+/// What recordings may become (docs/cli.md).
+pub(super) const EXPANSION: Expansion = Expansion { free_bytes: 256 << 20, ratio: 100, most_bytes: 1 << 40 };
+
+/// Why a reading was ended before the file was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(super) enum Refusal {
+    #[error("nobody wants it any more")]
+    Unwanted,
+    #[error("{file_bytes} compressed bytes became more than {expanded_bytes}")]
+    Expands { file_bytes: u64, expanded_bytes: u64 },
+}
+
+impl From<Refusal> for std::io::Error {
+    fn from(refusal: Refusal) -> Self {
+        Self::other(refusal)
+    }
+}
+
+/// How often, in bytes, it is asked whether the reading is still wanted.
+const ASK_BYTES: u64 = 64 * 1024;
+
+/// Counts one reading. Once it has refused it refuses for ever: a reader that goes on after damage must not go on here.
+#[derive(Debug)]
+pub(super) struct Meter {
+    keep_on: KeepOn,
+    expansion: Expansion,
+    file_bytes: Cell<u64>,
+    expanded_bytes: Cell<u64>,
+    ask_at: Cell<u64>,
+    refused: Cell<Option<Refusal>>,
+}
+
+impl Meter {
+    pub(super) fn new(keep_on: KeepOn, expansion: Expansion) -> Rc<Self> {
+        Rc::new(Self {
+            keep_on,
+            expansion,
+            file_bytes: Cell::new(0),
+            expanded_bytes: Cell::new(0),
+            ask_at: Cell::new(0),
+            refused: Cell::new(None),
+        })
+    }
+
+    /// Why it refuses to go on, if it does.
+    pub(super) fn refused(&self) -> Option<Refusal> {
+        self.refused.get()
+    }
+
+    fn read(&self, bytes: usize) {
+        self.file_bytes.set(self.file_bytes.get().saturating_add(bytes as u64));
+    }
+
+    fn check(&self) -> Result<(), Refusal> {
+        if let Some(refusal) = self.refused.get() {
+            return Err(refusal);
+        }
+        let (file_bytes, expanded_bytes) = (self.file_bytes.get(), self.expanded_bytes.get());
+        let Expansion { free_bytes, ratio, most_bytes } = self.expansion;
+        let allowed = file_bytes.saturating_mul(ratio).saturating_add(free_bytes).min(most_bytes);
+        let moved = file_bytes.saturating_add(expanded_bytes);
+        let refusal = if expanded_bytes > allowed {
+            Refusal::Expands { file_bytes, expanded_bytes: allowed }
+        } else if moved >= self.ask_at.get() {
+            self.ask_at.set(moved.saturating_add(ASK_BYTES));
+            if self.keep_on.is_wanted() {
+                return Ok(());
+            }
+            Refusal::Unwanted
+        } else {
+            return Ok(());
+        };
+        self.refused.set(Some(refusal));
+        Err(refusal)
+    }
+}
+
+/// The file's own bytes, counted.
+pub(super) struct FileBytes {
+    pub(super) bytes: Box<dyn BufRead>,
+    pub(super) meter: Rc<Meter>,
+}
+
+impl BufRead for FileBytes {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        self.meter.check()?;
+        self.bytes.fill_buf()
+    }
+    fn consume(&mut self, amount: usize) {
+        self.meter.read(amount);
+        self.bytes.consume(amount);
+    }
+}
+
+impl Read for FileBytes {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.meter.check()?;
+        let read = self.bytes.read(buffer)?;
+        self.meter.read(read);
+        Ok(read)
+    }
+}
+
+/// Bytes that a decompressor gives, counted.
+pub(super) struct Expanded<R> {
+    pub(super) bytes: R,
+    pub(super) meter: Rc<Meter>,
+}
+
+impl<R: Read> Read for Expanded<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.bytes.read(buffer)?;
+        self.meter.expanded_bytes.set(self.meter.expanded_bytes.get().saturating_add(read as u64));
+        self.meter.check()?;
+        Ok(read)
+    }
+}
