@@ -1,9 +1,9 @@
 //! Delivery: one attempt to hand a message over, to a program or by HTTP, which ends in its time whatever happens.
 
 use super::notice::Message;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use ureq::tls::{RootCerts, TlsConfig};
 
@@ -123,11 +123,9 @@ fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn(
     starting.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::inherit()).process_group(0);
     let mut child =
         starting.spawn().map_err(|error| DeliverError::Start { program: named(), reason: error.to_string() })?;
-    if let Some(mut stdin) = child.stdin.take() {
-        // A message is far smaller than a pipe: this does not wait. Whoever does not read it has the environment.
-        let _ = stdin.write_all(message.body.as_bytes());
-    }
+    let mut body = Handing::begin(child.stdin.take(), message.body.as_bytes());
     loop {
+        body.go_on();
         match child.try_wait() {
             Ok(Some(status)) if status.success() => return Ok(()),
             Ok(Some(status)) => return Err(DeliverError::Ended { program: named(), status: told(status) }),
@@ -146,6 +144,36 @@ fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn(
             return Err(DeliverError::Stopped);
         }
         std::thread::sleep(LOOK);
+    }
+}
+
+/// The body on its way to a program's standard input, which may never be read: a pipe holds 64 KiB, a body may be longer.
+struct Handing<'a> {
+    /// Closed once all is handed over or nobody reads.
+    stdin: Option<ChildStdin>,
+    left: &'a [u8],
+}
+
+impl<'a> Handing<'a> {
+    fn begin(stdin: Option<ChildStdin>, body: &'a [u8]) -> Self {
+        // Whoever cannot be handed it without waiting has the environment.
+        let stdin = stdin.filter(|stdin| rustix::io::ioctl_fionbio(stdin, true).is_ok());
+        Self { stdin, left: body }
+    }
+
+    /// Hands over what the pipe takes now.
+    fn go_on(&mut self) {
+        let Some(stdin) = &mut self.stdin else { return };
+        while !self.left.is_empty() {
+            match stdin.write(self.left) {
+                Ok(written) if written > 0 => self.left = &self.left[written..],
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return,
+                // It does not read: it has the environment.
+                _ => break,
+            }
+        }
+        self.stdin = None;
     }
 }
 

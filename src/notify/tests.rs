@@ -356,6 +356,23 @@ fn a_program_that_hangs_is_killed_with_what_it_started() {
     });
 }
 
+/// A body beyond the pipe's 64 KiB, as many planned deletions make it.
+#[test]
+fn a_long_body_is_handed_over_whole_and_waits_for_no_program_that_does_not_read() {
+    let long = Message { event: "test", body: "x".repeat(1 << 20), environment: Vec::new() };
+    let command = |words: &[&str]| Receiver::Command(words.iter().map(|word| (*word).to_owned()).collect());
+    let begun = Instant::now();
+    let error = command(&["sleep", "600"]).attempt(&long, Duration::from_millis(500), || true).unwrap_err();
+    assert!(matches!(error, DeliverError::Killed { .. }), "{error}");
+    assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
+    let error = command(&["sleep", "600"]).attempt(&long, Duration::from_secs(600), || false).unwrap_err();
+    assert_eq!(error, DeliverError::Stopped);
+    // Slowly read, it arrives all the same; closed at once, the program's word counts.
+    let slow = "head -c 300000 | wc -c; sleep 0.3; test \"$(wc -c)\" -eq 748576";
+    command(&["sh", "-c", slow]).attempt(&long, Duration::from_secs(60), || true).unwrap();
+    command(&["sh", "-c", "exec <&-; exit 0"]).attempt(&long, Duration::from_secs(60), || true).unwrap();
+}
+
 #[test]
 fn a_hanging_program_ends_with_the_daemon() {
     let receiver = Receiver::Command(["sleep", "600"].map(str::to_owned).to_vec());
