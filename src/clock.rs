@@ -19,6 +19,10 @@ pub trait Clock: Send + Sync + std::fmt::Debug {
     fn boot_id(&self) -> Option<String> {
         None
     }
+    /// Whether civil time is known to have been set by a time server since the machine started.
+    fn is_synchronised(&self) -> bool {
+        false
+    }
     /// How much faster than real time this clock runs (1 for a real sensor).
     fn speed(&self) -> f64 {
         1.0
@@ -66,7 +70,14 @@ impl Clock for SystemClock {
         let text = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         Some(text.trim().to_owned()).filter(|id| !id.is_empty())
     }
+    fn is_synchronised(&self) -> bool {
+        std::path::Path::new(SYNCHRONISED).exists()
+    }
 }
+
+/// What systemd-timesyncd makes once it has set the clock, and what goes with the machine's end. Other time servers leave
+/// no such mark: with them it is not known.
+const SYNCHRONISED: &str = "/run/systemd/timesync/synchronized";
 
 /// A clock that runs `speed` times faster than the machine's, from the moment it is made.
 ///

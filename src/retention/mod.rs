@@ -3,7 +3,8 @@
 //! Promised, for any captures, limits and clock (tests/properties below): one that runs, waits or is pinned is never in
 //! the plan; the oldest go first; no more go than the limits ask for; nothing is due that has not been announced for the
 //! whole notice. A clock that is not to be trusted (it steps, it went back, the daemon was away past the date) begins the
-//! notice anew: too late a deletion costs space, too early a one costs a night.
+//! notice anew, and one that shows an implausible date ([`distrust`]) tells no ages at all: too late a deletion costs space,
+//! too early a one costs a night.
 
 use std::time::Duration;
 
@@ -90,6 +91,43 @@ pub struct Planned {
     pub is_new: bool,
     /// Whether its time has come.
     pub is_due: bool,
+}
+
+/// Why ages cannot be told by the clock, so that nothing is announced or deleted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Distrust {
+    /// It was never set: it shows a time before this program was written.
+    Unset,
+    /// A capture ended at this time, UTC ns, which by the clock is yet to come.
+    Behind(i64),
+    /// The newest capture ended so long ago, UTC ns, that the clock must be confirmed.
+    FarAhead(i64),
+}
+
+/// The longest time without a capture that is believed of a clock nobody has confirmed.
+pub const ABSENCE: Duration = Duration::from_secs(30 * 86_400);
+
+/// By so much a time server may set a clock back without anything being wrong with it, ns.
+const SLACK_NS: i64 = 60_000_000_000;
+
+/// Whether the clock may be trusted with the age of captures. `newest_utc_ns` is the latest time at which a capture was
+/// there whole by a clock that was trusted; `synchronised`: the clock has been set by a time server since the machine
+/// started. A machine whose battery is empty wakes in 1970, one whose real-time clock is wrong in any year; both are online
+/// for a while before a time server corrects them.
+#[must_use]
+pub fn distrust(now_utc_ns: i64, newest_utc_ns: Option<i64>, synchronised: bool) -> Option<Distrust> {
+    if now_utc_ns < EARLIEST_UTC_NS {
+        return Some(Distrust::Unset);
+    }
+    if synchronised {
+        return None;
+    }
+    let absence_ns = i64::try_from(ABSENCE.as_nanos()).unwrap_or(i64::MAX);
+    match newest_utc_ns {
+        Some(newest) if now_utc_ns.saturating_add(SLACK_NS) < newest => Some(Distrust::Behind(newest)),
+        Some(newest) if now_utc_ns.saturating_sub(newest) > absence_ns => Some(Distrust::FarAhead(newest)),
+        _ => None,
+    }
 }
 
 /// The captures to delete at `now_utc_ns`, oldest first. `clock_stepped`: civil time has jumped since the last plan, so

@@ -64,6 +64,26 @@ fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
 }
 
 #[test]
+fn a_clock_that_shows_an_implausible_date_tells_no_ages() {
+    let at = |now, newest, synchronised| distrust(now, newest, synchronised);
+    for synchronised in [false, true] {
+        assert_eq!(at(3 * DAY, Some(NOW), synchronised), Some(Distrust::Unset));
+        assert_eq!(at(3 * DAY, None, synchronised), Some(Distrust::Unset));
+        for usual in [NOW, NOW + 1, NOW + 29 * DAY] {
+            assert_eq!(at(usual, Some(NOW), synchronised), None, "{usual}");
+        }
+        assert_eq!(at(NOW, None, synchronised), None);
+    }
+    assert_eq!(at(NOW - DAY / 24, Some(NOW), false), Some(Distrust::Behind(NOW)));
+    assert_eq!(at(NOW - 1, Some(NOW), false), None, "a time server sets a clock back by a moment");
+    assert_eq!(at(NOW + 31 * DAY, Some(NOW), false), Some(Distrust::FarAhead(NOW)));
+    assert_eq!(at(i64::MAX, Some(-DAY), false), Some(Distrust::FarAhead(-DAY)));
+    // A time server's word counts: then a capture's own date was wrong, or nothing was recorded for long.
+    assert_eq!(at(NOW - DAY, Some(NOW), true), None);
+    assert_eq!(at(NOW + 4000 * DAY, Some(NOW), true), None);
+}
+
+#[test]
 fn a_notice_that_is_made_longer_holds_for_what_was_announced() {
     let said = Announcement { said_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
     let announced = [Candidate { announced: Some(said), ..capture(1, 31, 10) }];
