@@ -20,8 +20,17 @@ pub const CATCH_UP: usize = 500_000;
 const CHUNK: usize = 32_768;
 
 /// What is known about the capture that runs.
-#[derive(Debug, Default)]
-pub struct Live(Mutex<Option<Pyramids>>);
+#[derive(Debug)]
+pub struct Live {
+    pyramids: Mutex<Option<Pyramids>>,
+    catch_up: usize,
+}
+
+impl Default for Live {
+    fn default() -> Self {
+        Self::taking_in(CATCH_UP)
+    }
+}
 
 /// The octaves of one capture, by rate: nothing mixes two.
 #[derive(Debug)]
@@ -84,8 +93,14 @@ impl Live {
         Self::default()
     }
 
+    /// The same, taking in at most `catch_up` samples per call instead of [`CATCH_UP`].
+    #[must_use]
+    pub fn taking_in(catch_up: usize) -> Self {
+        Self { pyramids: Mutex::default(), catch_up }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Option<Pyramids>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.pyramids.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes in up to [`CATCH_UP`] samples committed since; answers whether that is all there is. Another capture than
@@ -99,7 +114,7 @@ impl Live {
             Some(pyramids) if pyramids.capture_id == capture_id => pyramids,
             other => other.insert(Pyramids::new(capture_id)),
         };
-        let outcome = pyramids.catch_up(reader);
+        let outcome = pyramids.catch_up(reader, self.catch_up);
         if outcome.is_err() {
             // What was half taken in is not to be built upon.
             *slot = None;
@@ -194,8 +209,8 @@ impl Pyramids {
         Some((f64::from_bits(*rate), pyramid))
     }
 
-    fn catch_up(&mut self, reader: &Reader) -> Result<bool, JobError> {
-        let mut left = CATCH_UP;
+    fn catch_up(&mut self, reader: &Reader, samples: usize) -> Result<bool, JobError> {
+        let mut left = samples;
         while left > 0 {
             let limit = CHUNK.min(left);
             let chunk = reader.read_chunk(self.capture_id, self.next_seq, limit, &Channel::ALL)?;

@@ -62,6 +62,24 @@ fn while_a_capture_runs_there_is_an_answer_for_what_it_has() {
     world.get("/v1/captures/b/allan").problem(422, "analysis-failed");
 }
 
+/// After a start the analysis of a long capture catches up answer by answer, and says so: nobody takes a part for all.
+#[test]
+fn an_answer_of_a_part_of_a_running_capture_says_that_it_is_one() {
+    for kind in ["allan", "noise", "statistics"] {
+        let world = World::with(Setting { live: Live::taking_in(1000), ..Setting::default() });
+        world.capture("a", CaptureState::Capturing, 2500);
+        for (samples, caught_up) in [(1000, false), (2000, false), (2500, true), (2500, true)] {
+            let answer = world.get(&format!("/v1/captures/a/{kind}")).json();
+            let found = (answer["samples"].as_u64(), answer["caught_up"].as_bool(), answer["complete"].as_bool());
+            assert_eq!(found, (Some(samples), Some(caught_up), Some(false)), "{kind}: {answer}");
+        }
+        world.store.set_state(1, CaptureState::Stopped, START_NS).unwrap();
+        let path = format!("/v1/captures/a/{kind}");
+        let done = eventually("the job", || world.get(&path), |answer| answer.status == 200).json();
+        assert!(done.get("caught_up").is_none() && done["complete"] == true, "{kind}: {done}");
+    }
+}
+
 #[test]
 fn an_analysis_that_cannot_be_made_says_why() {
     let world = World::new();

@@ -106,6 +106,10 @@ fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
     world.capture("a", CaptureState::Complete, 150_000);
     let mut stream = TcpStream::connect(world.address).unwrap();
     stream.write_all(b"GET /v1/captures/a/samples?format=ndjson HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+    // It has the permit, and not one of the questions below.
+    let mut head = [0; 12];
+    stream.read_exact(&mut head).unwrap();
+    assert_eq!(&head, b"HTTP/1.1 200");
     let busy = eventually("it runs", || world.get("/v1/captures/a/samples?to=1"), |answer| answer.status == 503);
     busy.problem(503, "unavailable");
     assert_eq!(busy.header("retry-after"), "1");

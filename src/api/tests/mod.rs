@@ -53,6 +53,7 @@ pub(super) struct World {
 pub(super) struct Setting {
     pub(super) token: Option<String>,
     pub(super) limits: Limits,
+    pub(super) live: Live,
 }
 
 impl World {
@@ -75,7 +76,7 @@ impl World {
             control,
             store: store.clone(),
             jobs: jobs.clone(),
-            live: Arc::new(Live::new()),
+            live: Arc::new(setting.live),
             metrics: Arc::clone(&metrics),
             token: setting.token,
             loopback: true,
