@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
+use tokio_util::sync::CancellationToken;
 
 /// A capture that somebody wants.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +97,7 @@ impl CaptureControl {
 pub const IMPORT_PREFIX: &str = ".import-";
 
 /// A recording that shall become a capture.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct ImportRequest {
     /// Where its bytes are.
     pub file: PathBuf,
@@ -106,6 +107,8 @@ pub struct ImportRequest {
     pub rate_hz: Option<f64>,
     /// Name of the capture.
     pub name: Option<String>,
+    /// Cancelled once nobody waits for it any more.
+    pub abandoned: CancellationToken,
 }
 
 /// What an import came to, as `vn100d import --json` and `POST /v1/imports` answer it.
@@ -195,6 +198,9 @@ pub enum ImportError {
         /// Why.
         reason: String,
     },
+    /// The daemon is ending.
+    #[error("the daemon is stopping, nothing of the recording was kept: import it again once the daemon runs")]
+    Stopping,
     /// The database did not take it.
     #[error("the database did not take the recording: {reason}")]
     Store {
@@ -205,6 +211,11 @@ pub enum ImportError {
 
 /// Makes recordings captures; blocks until it is done.
 pub trait Importer: std::fmt::Debug + Send + Sync {
+    /// Whether nothing is imported any more.
+    fn is_stopping(&self) -> bool {
+        false
+    }
+
     /// Imports one recording, whole or not at all; the same one twice is one capture.
     ///
     /// # Errors

@@ -4,7 +4,7 @@
 use super::extract::Q;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
-use crate::control::{ImportReport, ImportRequest};
+use crate::control::{ImportError, ImportReport, ImportRequest};
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -14,8 +14,10 @@ use hyper::body::Body as _;
 use serde::Deserialize;
 use std::path::Path;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt;
+use tokio_util::sync::CancellationToken;
 
 /// Where a recording is sent; the limits of time and size are its own.
 pub(super) const PATH: &str = "/v1/imports";
@@ -65,6 +67,9 @@ pub(super) async fn import(
     request: Request,
 ) -> Result<Response, ApiError> {
     check(&query, request.headers())?;
+    if state.parts.importer.is_stopping() {
+        return Err(ImportError::Stopping.into());
+    }
     let permit = state.import_permit()?;
     let announced = request.body().size_hint().lower();
     room_for(&state, announced)?;
@@ -75,20 +80,29 @@ pub(super) async fn import(
     let aside = aside.await.map_err(|error| ApiError::internal(error.to_string()))?.map_err(|error| no_room(&error))?;
     let reopened = aside.reopen().map_err(|error| no_room(&error))?;
     receive(&state, request.into_body(), tokio::fs::File::from_std(reopened)).await?;
-    let importer = std::sync::Arc::clone(&state.parts.importer);
+    let importer = Arc::clone(&state.parts.importer);
+    let abandoned = CancellationToken::new();
     let wanted = ImportRequest {
         file: aside.path().to_owned(),
         called: query.file.unwrap_or_else(|| "recording".to_owned()),
         rate_hz: query.rate_hz,
         name: query.name,
+        abandoned: abandoned.clone(),
     };
-    let outcome = tokio::task::spawn_blocking(move || {
-        // Whoever sent it may be gone; it is whole, so it is imported all the same.
-        let (_permit, _aside) = (permit, aside);
-        importer.import(wanted)
+    // Whoever goes away before the answer has called it off.
+    let _waiting = abandoned.drop_guard();
+    let (answer, outcome) = tokio::sync::oneshot::channel();
+    // A thread of its own: its priority is lower than that of the runtime's threads, which never wait for it.
+    let thread = std::thread::Builder::new().name("import".to_owned()).spawn(move || {
+        crate::jobs::step_back();
+        let outcome = importer.import(wanted);
+        // The next one may be sent as soon as this one is answered.
+        drop((aside, permit));
+        // Nobody hears it where whoever sent the recording has gone.
+        let _ = answer.send(outcome);
     });
-    let report =
-        outcome.await.map_err(|error| ApiError::internal(format!("an import ended abnormally: {error}")))??;
+    thread.map_err(|error| ApiError::unavailable(format!("an import cannot be started now: {error}"), 5))?;
+    let report = outcome.await.map_err(|_| ApiError::internal("an import ended abnormally"))??;
     let status = if report.new { StatusCode::CREATED } else { StatusCode::OK };
     let location = HeaderValue::from_str(&format!("/v1/captures/{}", report.capture));
     let mut response = (status, Json(report)).into_response();
@@ -122,6 +136,10 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<(), ApiError> {
             "`file`: allowed are 1 to {CALLED_MAX} bytes without control characters"
         )));
     }
+    // Before the body comes: it would be sent for nothing.
+    if let Some(name) = &query.name {
+        crate::store::check_name(name)?;
+    }
     Ok(())
 }
 
@@ -138,6 +156,9 @@ async fn receive(state: &ApiState, mut body: Body, mut file: tokio::fs::File) ->
             Ok(Some(Err(error))) => return Err(ApiError::bad_request(format!("the body ended early: {error}"))),
             Ok(Some(Ok(frame))) => frame,
         };
+        if state.parts.importer.is_stopping() {
+            return Err(ImportError::Stopping.into());
+        }
         let Ok(bytes) = frame.into_data() else { continue };
         received += bytes.len() as u64;
         in_window += bytes.len() as u64;

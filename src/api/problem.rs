@@ -30,12 +30,13 @@ pub enum ProblemType {
     AnalysisFailed,
     Internal,
     Unavailable,
+    Busy,
     Timeout,
 }
 
 impl ProblemType {
     /// All of them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::BadRequest,
         Self::NotAuthorized,
         Self::NotFound,
@@ -47,6 +48,7 @@ impl ProblemType {
         Self::AnalysisFailed,
         Self::Internal,
         Self::Unavailable,
+        Self::Busy,
         Self::Timeout,
     ];
 
@@ -65,6 +67,7 @@ impl ProblemType {
             Self::AnalysisFailed => "urn:vn100d:problem:analysis-failed",
             Self::Internal => "urn:vn100d:problem:internal",
             Self::Unavailable => "urn:vn100d:problem:unavailable",
+            Self::Busy => "urn:vn100d:problem:busy",
             Self::Timeout => "urn:vn100d:problem:timeout",
         }
     }
@@ -84,6 +87,7 @@ impl ProblemType {
             Self::AnalysisFailed => "The analysis failed",
             Self::Internal => "The program failed",
             Self::Unavailable => "This cannot be answered now",
+            Self::Busy => "This has to wait for something else",
             Self::Timeout => "The answer took too long",
         }
     }
@@ -102,7 +106,7 @@ impl ProblemType {
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::AnalysisFailed => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
-            Self::Unavailable | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Unavailable | Self::Busy | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
         }
     }
 
@@ -203,6 +207,11 @@ impl ApiError {
     pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Unavailable, detail) }
     }
+    /// All is well, but something else has to end first.
+    #[must_use]
+    pub fn busy(detail: impl Into<String>, retry_after_s: u32) -> Self {
+        Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Busy, detail) }
+    }
     /// The daemon is not ready, for these reasons.
     #[must_use]
     pub fn not_ready(reasons: Vec<String>) -> Self {
@@ -265,6 +274,7 @@ impl From<ImportError> for ApiError {
             ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
             ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
             ImportError::NameRefused { .. } => Self::bad_request(detail),
+            ImportError::Stopping => Self::busy(detail, 5),
             ImportError::Store { .. } => Self::unavailable(detail, 5),
         }
     }

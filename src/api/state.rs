@@ -29,7 +29,7 @@ pub struct ApiParts {
     pub live: Arc<Live>,
     /// Counters.
     pub metrics: Arc<Metrics>,
-    /// The secret that requests need which change something; `None` on loopback.
+    /// The secret that requests need which change something; `None` where none is configured (loopback alone).
     pub token: Option<String>,
     /// Whether only this machine can ask: the header `Host` must then name it.
     pub loopback: bool,
@@ -111,7 +111,7 @@ impl ApiState {
     pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.imports).try_acquire_owned().map_err(|_| {
             self.parts.metrics.query_refused();
-            ApiError::unavailable("another recording is being imported: ask again", 5)
+            ApiError::busy("another recording is being imported: ask again when it is done", 5)
         })
     }
 

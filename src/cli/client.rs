@@ -6,6 +6,10 @@ use std::time::Duration;
 
 /// How long an answer may take: the daemon answers from memory or says within 10 s that it cannot.
 const PATIENCE: Duration = Duration::from_secs(12);
+/// How long the daemon may take to say that it wants a body.
+const PERMISSION: Duration = Duration::from_secs(5);
+/// The type of the problem that something else has to end first.
+const BUSY: &str = "urn:vn100d:problem:busy";
 /// Bytes of an answer at most.
 const ANSWER_BYTES: u64 = 16 << 20;
 
@@ -28,9 +32,29 @@ pub enum ClientError {
         base_url: String,
         /// The status code.
         status: u16,
+        /// The problem's type.
+        kind: String,
         /// What it said.
         detail: String,
     },
+    /// It was there, and ended the connection before it had answered.
+    #[error(
+        "the daemon at {base_url} ended the connection after {sent_bytes} of {length_bytes} bytes ({reason}): see its log, \
+         then try again (what it has already is not doubled)"
+    )]
+    BrokenOff {
+        /// Where.
+        base_url: String,
+        /// Bytes that it was sent.
+        sent_bytes: u64,
+        /// Bytes that there were.
+        length_bytes: u64,
+        /// What the connection said.
+        reason: String,
+    },
+    /// What was to be sent could not be read.
+    #[error("it cannot be read to its end: {0}")]
+    Body(#[source] io::Error),
     /// Something else than the daemon answered.
     #[error("what answers at {base_url} is not a vn100d: {reason}")]
     Foreign {
@@ -49,8 +73,11 @@ impl ClientError {
     pub(super) fn failure(&self) -> super::Failure {
         match self {
             Self::Unreachable { .. } => super::Failure::Unreachable,
+            // It only has to wait.
+            Self::Refused { kind, .. } if kind == BUSY => super::Failure::Other,
             // The disk behind it is full or fails.
             Self::Refused { status: 503, .. } => super::Failure::InputOutput,
+            Self::BrokenOff { .. } | Self::Body(_) => super::Failure::InputOutput,
             _ => super::Failure::Other,
         }
     }
@@ -82,7 +109,7 @@ pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
     read(base_url, response)
 }
 
-/// The JSON that the daemon answers to `POST path` with a body of `length` bytes, however long it takes.
+/// The JSON that the daemon answers to `POST path` with a body of `length_bytes` bytes, however long it takes.
 ///
 /// # Errors
 /// [`ClientError`].
@@ -91,34 +118,95 @@ pub(super) fn send(
     path: &str,
     query: &[(&str, String)],
     token: &str,
-    length: u64,
-    body: &mut dyn io::Read,
+    length_bytes: u64,
+    body: impl io::Read,
 ) -> Result<Value, ClientError> {
     let base_url = base_url.trim_end_matches('/');
     let agent = ureq::Agent::config_builder()
         .http_status_as_error(false)
         .timeout_connect(Some(PATIENCE))
+        .timeout_await_100(Some(PERMISSION))
         .max_redirects(0)
         .proxy(None)
         .build()
         .new_agent();
-    // The daemon is asked before the first byte is sent: a refusal would be lost behind bytes that nobody reads.
-    let mut request = agent
-        .post(format!("{base_url}{path}"))
-        .header("accept", "application/json")
-        .header("content-type", "application/octet-stream")
-        .header("content-length", length.to_string())
-        .header("expect", "100-continue");
-    for (name, value) in query {
-        request = request.query(name, value);
+    let post = |body: &mut dyn io::Read| {
+        // The daemon is asked before the first byte is sent: a refusal would be lost behind bytes that nobody reads.
+        let mut request = agent
+            .post(format!("{base_url}{path}"))
+            .header("accept", "application/json")
+            .header("content-type", "application/octet-stream")
+            .header("content-length", length_bytes.to_string())
+            .header("expect", "100-continue");
+        for (name, value) in query {
+            request = request.query(name, value);
+        }
+        if !token.is_empty() {
+            request = request.header("authorization", format!("Bearer {token}"));
+        }
+        request.send(ureq::SendBody::from_reader(body))
+    };
+    let mut body = Sent { body: body.take(length_bytes), sent_bytes: 0, length_bytes, failed: None };
+    let error = match post(&mut body) {
+        Ok(response) => return read(base_url, response),
+        Err(error) => error,
+    };
+    if let Some(failed) = body.failed {
+        return Err(ClientError::Body(failed));
     }
-    if !token.is_empty() {
-        request = request.header("authorization", format!("Bearer {token}"));
+    if body.sent_bytes == 0 {
+        return Err(ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() });
     }
-    let response = request
-        .send(ureq::SendBody::from_reader(body))
-        .map_err(|error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() })?;
-    read(base_url, response)
+    // It did not want the rest, and what it said went by unread: asked again it says so before a byte is sent.
+    match post(&mut Nothing) {
+        Ok(response) if !response.status().is_success() => read(base_url, response),
+        _ => Err(ClientError::BrokenOff {
+            base_url: base_url.to_owned(),
+            sent_bytes: body.sent_bytes,
+            length_bytes,
+            reason: error.to_string(),
+        }),
+    }
+}
+
+/// A body on its way: how much of it went, and what kept the rest.
+struct Sent<R> {
+    body: io::Take<R>,
+    sent_bytes: u64,
+    length_bytes: u64,
+    failed: Option<io::Error>,
+}
+
+impl<R: io::Read> io::Read for Sent<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = match self.body.read(buffer) {
+            // It was announced with its length: less would keep the daemon waiting.
+            Ok(0) if self.sent_bytes < self.length_bytes && !buffer.is_empty() => {
+                Err(io::Error::new(io::ErrorKind::UnexpectedEof, "it became shorter while it was sent"))
+            }
+            read => read,
+        };
+        match read {
+            Ok(read) => {
+                self.sent_bytes += read as u64;
+                Ok(read)
+            }
+            Err(error) => {
+                let told = io::Error::new(error.kind(), "the body ended early");
+                self.failed = Some(error);
+                Err(told)
+            }
+        }
+    }
+}
+
+/// A body that is never sent.
+struct Nothing;
+
+impl io::Read for Nothing {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        Err(io::Error::other("nothing is sent"))
+    }
 }
 
 fn read(base_url: &str, mut response: ureq::http::Response<ureq::Body>) -> Result<Value, ClientError> {
@@ -132,7 +220,12 @@ fn read(base_url: &str, mut response: ureq::http::Response<ureq::Body>) -> Resul
         return Ok(body);
     }
     match body.get("detail").and_then(Value::as_str) {
-        Some(detail) => Err(ClientError::Refused { base_url: base_url.to_owned(), status, detail: detail.to_owned() }),
+        Some(detail) => Err(ClientError::Refused {
+            base_url: base_url.to_owned(),
+            status,
+            kind: body["type"].as_str().unwrap_or_default().to_owned(),
+            detail: detail.to_owned(),
+        }),
         None => Err(foreign(format!("status {status} without a problem document"))),
     }
 }
@@ -185,6 +278,65 @@ mod tests {
         assert!(error.is_unreachable(), "{error}");
         let other = answering("HTTP/1.1 200 OK\r\nContent-Length: 5\r\nConnection: close\r\n\r\nhello");
         assert!(matches!(get(&other, "/"), Err(ClientError::Foreign { .. })));
+    }
+
+    /// A server that takes a request's head and `taken` bytes of its body, and is gone; asked again it answers with
+    /// `answer`, or is gone at once where that is empty.
+    fn breaking_off(taken: usize, answer: &'static str) -> String {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let base_url = format!("http://{}", listener.local_addr().unwrap());
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut bytes = vec![0; 4096];
+            let _ = stream.read(&mut bytes).unwrap();
+            stream.write_all(b"HTTP/1.1 100 Continue\r\n\r\n").unwrap();
+            let mut left = taken;
+            while left > 0 {
+                left = left.saturating_sub(stream.read(&mut bytes).unwrap());
+            }
+            drop(stream);
+            if let Ok((mut again, _)) = listener.accept() {
+                let _ = again.read(&mut bytes).unwrap();
+                again.write_all(answer.as_bytes()).unwrap();
+            }
+        });
+        base_url
+    }
+
+    fn refusal(status: &str, kind: &str) -> String {
+        let body = format!("{{\"type\":\"urn:vn100d:problem:{kind}\",\"detail\":\"why\"}}");
+        format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{body}", body.len())
+    }
+
+    /// Exit code 69 means that no daemon is there, and nothing else.
+    #[test]
+    fn a_daemon_that_does_not_take_a_body_is_there_all_the_same() {
+        use crate::cli::Failure;
+        let body = vec![7_u8; 8 << 20];
+        let send = |base_url: &str| send(base_url, "/v1/imports", &[], "", body.len() as u64, &body[..]).unwrap_err();
+        let error = send(&breaking_off(100_000, ""));
+        assert!(matches!(&error, ClientError::BrokenOff { sent_bytes, .. } if *sent_bytes >= 100_000), "{error}");
+        assert_eq!(error.failure(), Failure::InputOutput);
+        // Why it did not is what it says when it is asked again.
+        for (status, kind, failure) in [
+            ("503 Service Unavailable", "unavailable", Failure::InputOutput),
+            ("503 Service Unavailable", "busy", Failure::Other),
+            ("413 Payload Too Large", "too-large", Failure::Other),
+        ] {
+            let error = send(&breaking_off(100_000, refusal(status, kind).leak()));
+            assert!(matches!(&error, ClientError::Refused { detail, .. } if detail == "why"), "{error}");
+            assert_eq!(error.failure(), failure, "{kind}");
+        }
+        let error = send(&answering(refusal("422 Unprocessable Content", "analysis-failed").leak()));
+        assert_eq!((error.failure(), error.is_unreachable()), (Failure::Other, false), "{error}");
+    }
+
+    #[test]
+    fn a_file_that_becomes_shorter_while_it_is_sent_is_said_to_be() {
+        let base_url = breaking_off(0, "");
+        let error = send(&base_url, "/v1/imports", &[], "", 1000, &[7_u8; 10][..]).unwrap_err();
+        assert!(matches!(error, ClientError::Body(_)), "{error}");
+        assert!(error.to_string().contains("shorter"), "{error}");
     }
 
     #[test]

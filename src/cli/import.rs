@@ -6,6 +6,7 @@ use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
 use crate::control::ImportReport;
 use crate::daemon::import::{Source, import};
+use crate::recording::{KeepOn, open_regular};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -98,7 +99,9 @@ fn is_somebody_elses(error: &StoreError) -> bool {
 
 fn import_here(store: &Store, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples");
-    let source = Source { file, called: file, rate_hz: args.rate };
+    // Another instance's daemon may capture beside it.
+    crate::jobs::step_back();
+    let source = Source { file, called: file, rate_hz: args.rate, keep_on: KeepOn::default() };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -114,17 +117,18 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs) -> anyhow::Result<
 /// Sends the recording's bytes to the daemon, which may not be able to read the user's files.
 fn send(base_url: &str, token: &str, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
-    let opened = std::fs::File::open(file).with_context(unreadable)?;
+    let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();
     let bar = bar("{bar:40} {percent} %  {bytes} sent");
     bar.set_length(length);
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
-    let mut body = bar.wrap_read(opened);
-    let answer = client::send(base_url, "/v1/imports", &query, token, length, &mut body);
+    let body = bar.wrap_read(opened);
+    let answer = client::send(base_url, "/v1/imports", &query, token, length, body);
     bar.finish_and_clear();
-    serde_json::from_value(answer?).context("what the daemon answered is no import's report")
+    let answer = answer.with_context(|| format!("{} was not imported", file.display()))?;
+    serde_json::from_value(answer).context("what the daemon answered is no import's report")
 }
 
 fn tell(report: &ImportReport) -> std::io::Result<()> {

@@ -24,6 +24,7 @@ use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
+use crate::recording::RecordingError;
 use crate::store::{Reader, StoreError, StoreErrorKind};
 use args::{Cli, Command};
 use clap::Parser as _;
@@ -233,8 +234,15 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
     if let Some(error) = cause.downcast_ref::<StoreError>() {
         return store_failure(error);
     }
-    if let Some(ImportError::Store(error)) = cause.downcast_ref::<ImportError>() {
-        return store_failure(error);
+    if let Some(error) = cause.downcast_ref::<ImportError>() {
+        return match error {
+            ImportError::Store(error) => store_failure(error),
+            ImportError::Recording(error) => recording_failure(error),
+            _ => None,
+        };
+    }
+    if let Some(error) = cause.downcast_ref::<RecordingError>() {
+        return recording_failure(error);
     }
     if let Some(JobError::Store(error)) = cause.downcast_ref::<JobError>() {
         return store_failure(error);
@@ -252,6 +260,19 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
         };
     }
     cause.is::<std::io::Error>().then_some(Failure::InputOutput)
+}
+
+/// What is wrong with the content is no failure of the disk, although a decompressor says so by an error of reading.
+fn recording_failure(error: &RecordingError) -> Option<Failure> {
+    use std::io::ErrorKind::{InvalidData, InvalidInput, Other};
+    match error {
+        RecordingError::NoFile { .. } => Some(Failure::InputOutput),
+        RecordingError::Read { source, .. } if matches!(source.kind(), InvalidData | InvalidInput | Other) => {
+            Some(Failure::Other)
+        }
+        // Where the system refused, its own error follows in the chain.
+        _ => None,
+    }
 }
 
 fn store_failure(error: &StoreError) -> Option<Failure> {

@@ -3,11 +3,17 @@
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
 use crate::jobs::Jobs;
-use crate::recording::{Options, Recording, RecordingAccountant, RecordingError, RecordingInfo, Rejected};
-use crate::store::{CaptureState, ChannelRow, ImportEnd, NewCapture, Store, StoreError};
+use crate::recording::{
+    Input, KeepOn, Options, Recording, RecordingAccountant, RecordingError, RecordingInfo, Rejected, open_regular,
+};
+use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
+use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
 
 /// Why a file was not imported.
 #[derive(Debug, thiserror::Error)]
@@ -91,8 +97,11 @@ fn json(value: &impl serde::Serialize) -> serde_json::Value {
     serde_json::to_value(value).unwrap_or_default()
 }
 
+/// Bytes that are hashed at a time.
+const HASH_BYTES: usize = 256 * 1024;
+
 /// A recording's file, and how it is to be read.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Source<'a> {
     /// Where its bytes are.
     pub file: &'a Path,
@@ -100,6 +109,8 @@ pub struct Source<'a> {
     pub called: &'a Path,
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
+    /// Whether it is still wanted.
+    pub keep_on: KeepOn,
 }
 
 /// Imports one file; `progress` hears how many samples are written and how many there are, and may end it.
@@ -113,9 +124,20 @@ pub fn import(
     name: Option<String>,
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
-    let Source { file, called, rate_hz } = source;
-    let fingerprint = fingerprint(file, rate_hz)?;
-    let recording = Recording::open(file, Options { rate_hz, started_utc_ns: clock.utc_ns() })?;
+    let Source { file, called, rate_hz, keep_on } = source;
+    // What is refused for its name is refused before anything is read.
+    if let Some(name) = &name {
+        check_name(name)?;
+    }
+    let fingerprint = fingerprint(file, rate_hz, &keep_on)?;
+    if let Some(name) = &name
+        && store.imported(&fingerprint)?.is_none()
+        && is_taken(store, name)?
+    {
+        return Err(StoreError::NameTaken { name: name.clone() }.into());
+    }
+    let input = Input::file(file).while_wanted(keep_on);
+    let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns() })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     let mut accountant = RecordingAccountant::new(&info);
@@ -153,6 +175,9 @@ pub struct DaemonImporter {
     jobs: Jobs,
     clock: Arc<dyn Clock>,
     reserve_bytes: u64,
+    /// Cancelled when the daemon ends.
+    stop: CancellationToken,
+    running: TaskTracker,
 }
 
 impl DaemonImporter {
@@ -168,13 +193,34 @@ impl DaemonImporter {
                 tracing::warn!(file = %entry.path().display(), %error, "what is left of an import could not be removed");
             }
         }
-        Self { store, jobs, clock, reserve_bytes }
+        Self { store, jobs, clock, reserve_bytes, stop: CancellationToken::new(), running: TaskTracker::new() }
+    }
+
+    /// From now on nothing is imported, and what is being imported ends.
+    pub fn call_off(&self) {
+        self.stop.cancel();
+        self.running.close();
+    }
+
+    /// Waits until nothing is being imported; at most for `patience`, for a disk that hangs may hold an import.
+    pub async fn ended(&self, patience: Duration) {
+        if tokio::time::timeout(patience, self.running.wait()).await.is_err() {
+            tracing::warn!("an import did not end in time: what it wrote is cleared away at the next start");
+        }
     }
 }
 
 impl Importer for DaemonImporter {
+    fn is_stopping(&self) -> bool {
+        self.stop.is_cancelled()
+    }
+
     fn import(&self, request: ImportRequest) -> Result<ImportReport, control::ImportError> {
-        let source = Source { file: &request.file, called: Path::new(&request.called), rate_hz: request.rate_hz };
+        let _running = self.running.token();
+        let (stop, abandoned) = (self.stop.clone(), request.abandoned.clone());
+        let keep_on = KeepOn::asking(move || !stop.is_cancelled() && !abandoned.is_cancelled());
+        let called = Path::new(&request.called);
+        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, keep_on };
         let mut room = |_, _| {
             let free_bytes = self.store.progress().free_bytes;
             if free_bytes < self.reserve_bytes {
@@ -199,6 +245,7 @@ impl Importer for DaemonImporter {
 fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError {
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
+        ImportError::Recording(RecordingError::Unwanted { .. }) => control::ImportError::Stopping,
         ImportError::Recording(_) => control::ImportError::Recording { reason },
         ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
         ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused { reason },
@@ -209,10 +256,20 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
 }
 
 /// Names the recording's content and how it is read.
-fn fingerprint(file: &Path, rate_hz: Option<f64>) -> Result<String, ImportError> {
-    let failed = |source| ImportError::Read { path: file.display().to_string(), source };
-    let mut hash = Sha256::new();
-    std::io::copy(&mut std::fs::File::open(file).map_err(failed)?, &mut hash).map_err(failed)?;
+fn fingerprint(file: &Path, rate_hz: Option<f64>, keep_on: &KeepOn) -> Result<String, ImportError> {
+    let mut bytes = open_regular(file)?;
+    let (mut hash, mut buffer) = (Sha256::new(), vec![0; HASH_BYTES]);
+    loop {
+        if !keep_on.is_wanted() {
+            return Err(RecordingError::Unwanted { file: file.to_owned() }.into());
+        }
+        match bytes.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(read) => hash.update(&buffer[..read]),
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(source) => return Err(ImportError::Read { path: file.display().to_string(), source }),
+        }
+    }
     let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     Ok(match rate_hz {
         Some(rate_hz) => format!("sha256:{digest} rate {rate_hz}"),
@@ -220,18 +277,27 @@ fn fingerprint(file: &Path, rate_hz: Option<f64>) -> Result<String, ImportError>
     })
 }
 
-/// The file's name without its endings, where no capture has it yet.
+/// A name for the capture, after the file, where that can be one and no capture has it yet.
 fn free_name(store: &Store, file: &Path) -> Result<Option<String>, StoreError> {
+    let name = name_of(file);
+    Ok(if check_name(&name).is_err() || is_taken(store, &name)? { None } else { Some(name) })
+}
+
+/// The file's name without its endings, and without what no capture's name may hold.
+fn name_of(file: &Path) -> String {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let stem = name
-        .trim_end_matches(".gz")
-        .trim_end_matches(".csv")
-        .trim_end_matches(".txt")
-        .trim_end_matches(".bag")
-        .to_owned();
-    let reader = store.reader()?;
-    let taken = stem.is_empty() || stem.bytes().all(|byte| byte.is_ascii_digit()) || reader.resolve(&stem).is_ok();
-    Ok((!taken).then_some(stem))
+    let stem = name.trim_end_matches(".gz").trim_end_matches(".csv").trim_end_matches(".txt").trim_end_matches(".bag");
+    let kept: String = stem.chars().filter(|character| !character.is_control()).take(NAME_MAX).collect();
+    kept.trim().to_owned()
+}
+
+/// Whether a capture has this name.
+fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
+    match store.reader()?.resolve(name) {
+        Ok(_) => Ok(true),
+        Err(StoreError::NoSuchCapture { .. }) => Ok(false),
+        Err(error) => Err(error),
+    }
 }
 
 fn description(info: &RecordingInfo) -> serde_json::Value {
@@ -262,4 +328,29 @@ fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
             row
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
+        for (file, name) in [
+            ("/data/desk.csv", "desk"),
+            ("run.imu.raw.txt.gz", "run.imu.raw"),
+            (" night 1 .csv", "night 1"),
+            ("a\nb\u{7}.bag", "ab"),
+        ] {
+            assert_eq!(name_of(Path::new(file)), name);
+            check_name(name).unwrap();
+        }
+        let long = name_of(Path::new(&format!("{} {}.csv", "ä".repeat(99), "b".repeat(40))));
+        assert_eq!(long, "ä".repeat(99), "no space at the end is left by the cut");
+        check_name(&long).unwrap();
+        // These are no names: such a capture is called after the time.
+        for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
+            check_name(&name_of(Path::new(file))).unwrap_err();
+        }
+    }
 }

@@ -1,8 +1,8 @@
 //! The daemon: where the shells meet. Wires capture, store, jobs and HTTP together, starts and stops them in order.
 //!
 //! Start: the store first (a database that is held or newer ends the program before anything is touched), then jobs,
-//! capture and HTTP. Stop: the capture first (the sensor's output is put back), then jobs, then the store with everything
-//! that is queued, HTTP last so that the status answers to the end.
+//! capture and HTTP. Stop: imports are called off, the capture ends (the sensor's output is put back), then jobs, then the
+//! store with everything that is queued, HTTP last so that the status answers to the end.
 
 pub mod captures;
 #[cfg(test)]
@@ -36,6 +36,8 @@ use tokio_util::sync::CancellationToken;
 
 /// How long the capture has to put back the sensor's output.
 const RESTORE: Duration = Duration::from_secs(4);
+/// How long an import has to end: it looks every 64 KiB, and ends its last write.
+const IMPORT_END: Duration = Duration::from_secs(1);
 /// How often the store's failures are looked at.
 const DISK_LOOK: Duration = Duration::from_millis(200);
 
@@ -224,11 +226,12 @@ pub async fn run(
 
     let serving = CancellationToken::new();
     let limits = api::Limits::fitting(open_files());
+    let reserve_bytes = config.storage.reserve_bytes();
     let importer =
-        import::DaemonImporter::new(store.clone(), jobs.clone(), Arc::clone(&clock), config.storage.reserve_bytes());
+        Arc::new(import::DaemonImporter::new(store.clone(), jobs.clone(), Arc::clone(&clock), reserve_bytes));
     let router = api::router(api::ApiParts {
         loopback: config.http.listen.ip().is_loopback(),
-        importer: Arc::new(importer),
+        importer: Arc::clone(&importer) as Arc<dyn crate::control::Importer>,
         status: status.clone(),
         control: control.clone(),
         store: store.clone(),
@@ -238,7 +241,7 @@ pub async fn run(
         // Whoever configured a token wants it asked for, loopback or not: others may use this machine too.
         token: (!config.http.token.is_empty()).then(|| config.http.token.secret().to_owned()),
         default_duration: config.capture.duration,
-        reserve_bytes: config.storage.reserve_bytes(),
+        reserve_bytes,
         limits,
     });
     let server = tokio::spawn(api::serve(listener, router, limits, metrics, serving.clone()));
@@ -257,6 +260,7 @@ pub async fn run(
     };
     tracing::info!("vn100d stops");
     watchdog::notify(&[sd_notify::NotifyState::Stopping]);
+    importer.call_off();
     // The task may be gone already; then there is nothing to stop.
     let _ = task_sender.send(TaskCommand::Shutdown).await;
     if tokio::time::timeout(RESTORE, reader).await.is_err() {
@@ -268,6 +272,7 @@ pub async fn run(
         keeping.abort();
     }
     keeping_within.abort();
+    importer.ended(IMPORT_END).await;
     let closed = {
         let store = store.clone();
         let ending = move || {

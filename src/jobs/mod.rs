@@ -28,4 +28,4 @@ pub use plan::Plan;
 pub use report::StatisticsReport;
 pub use runner::CHUNK;
 pub use sums::MEMORY;
-pub use worker::{Jobs, JobsOptions, leave_for_daemon};
+pub use worker::{Jobs, JobsOptions, leave_for_daemon, step_back};

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 /// How often an idle worker looks whether there is something to do that nobody told it of.
 const LOOK: Duration = Duration::from_secs(2);
-/// Priority of the workers' threads (nice).
+/// Priority of threads that do background work (nice).
 const NICE: i32 = 10;
 /// How long a worker waits after the database refused.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -183,8 +183,8 @@ pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> 
     Ok(())
 }
 
-/// This thread runs when nobody else wants the processor: the reader never waits for a job.
-fn step_back() {
+/// This thread, from now on, runs when nobody else wants the processor: the reader never waits for background work.
+pub fn step_back() {
     // On Linux a priority is a thread's, not the process's.
     if let Err(error) = rustix::process::setpriority_process(None, NICE) {
         tracing::warn!(message = "Background work runs at the program's own priority.", %error);

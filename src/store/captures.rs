@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// The longest name in characters.
-const NAME_MAX: usize = 100;
+pub const NAME_MAX: usize = 100;
 /// Rows deleted in one transaction: a few tens of ms, so that the writer is free in between.
 const DELETE_ROWS: i64 = 4000;
 
@@ -412,7 +412,11 @@ fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
     if rows == 0 { Err(no_such(id)) } else { Ok(()) }
 }
 
-pub(super) fn check_name(name: &str) -> Result<(), StoreError> {
+/// Whether a capture can have this name.
+///
+/// # Errors
+/// [`StoreError::NameRefused`] with the reason.
+pub fn check_name(name: &str) -> Result<(), StoreError> {
     let why = if name.trim() != name || name.is_empty() {
         "it is empty or begins or ends with a space"
     } else if name == "latest" {

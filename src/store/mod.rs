@@ -46,7 +46,7 @@ mod tests;
 
 pub use accounting::DeviceClockRow;
 pub use backup::BackupReport;
-pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NewCapture, Unfinished};
+pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NAME_MAX, NewCapture, Unfinished, check_name};
 pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};

@@ -1,8 +1,10 @@
 //! Imports through the daemon: who may, how they end, and what a user is told.
 
-use crate::world::{World, program};
+use crate::world::{Process, World, program};
+use rusqlite::types::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::time::{Duration, Instant};
 
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 
@@ -34,8 +36,32 @@ fn import(world: &World, configuration: &Path, arguments: &[&str]) -> Output {
     importing(world, configuration, arguments).output().unwrap()
 }
 
+fn count(world: &World, sql: &str) -> i64 {
+    match world.query(sql)[0][0] {
+        Value::Integer(count) => count,
+        ref other => panic!("{other:?}"),
+    }
+}
+
+/// The priority of the daemon's thread that imports, while there is one.
+fn priority(daemon: &Process) -> Option<i64> {
+    let threads = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).ok()?;
+    threads.flatten().find_map(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).ok()?;
+        let (head, rest) = stat.rsplit_once(") ")?;
+        // The 19th field is the nice value; the third follows the name.
+        head.ends_with("(import").then(|| rest.split(' ').nth(16)?.parse().ok())?
+    })
+}
+
 fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Nothing of a recording lies beside the database any more.
+fn nothing_aside(world: &World) -> Option<()> {
+    let left = std::fs::read_dir(world.path("data")).unwrap().flatten();
+    (left.filter(|entry| entry.file_name().to_string_lossy().starts_with(".import-")).count() == 0).then_some(())
 }
 
 /// Who configures a token wants it asked for, wherever the daemon listens; `vn100d import` has it from the configuration.
@@ -58,5 +84,127 @@ fn a_configured_token_is_needed_on_loopback_too_and_import_brings_it() {
     let taken = import(&world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]);
     assert_eq!(taken.status.code(), Some(0), "{}", said(&taken));
     assert_eq!(world.get("/v1/captures/desk")["samples"], 400);
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+/// How far an import has come when something happens to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Stage {
+    Read,
+    Written,
+}
+
+/// The daemon and an import through it that has come so far.
+fn halfway(world: &World, stage: Stage) -> (Process, Process) {
+    let daemon = world.daemon(&listening(world), &[]);
+    let file = recording(world, "long.csv", 3_000_000);
+    let client = Process::start(&mut importing(world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]), false);
+    let patience = Duration::from_secs(120);
+    // No job of a capture is in its way, and it in no capture's.
+    let nice = world.until("it is read", patience, || priority(&daemon).filter(|nice| *nice > 0), &daemon);
+    assert_eq!(nice, 10, "as background jobs");
+    if stage == Stage::Written {
+        let rows = || (count(world, "SELECT count(*) FROM sample") > 0).then_some(());
+        world.until("it is written", patience, rows, &daemon);
+    }
+    assert_eq!(count(world, "SELECT count(*) FROM capture WHERE lifecycle = 'live'"), 0);
+    (daemon, client)
+}
+
+/// Nothing is seen of it, and what was written goes.
+fn nothing_of_it(world: &World, daemon: &Process) {
+    assert_eq!(world.get("/v1/captures")["captures"], serde_json::json!([]));
+    let gone =
+        || (count(world, "SELECT (SELECT count(*) FROM sample) + (SELECT count(*) FROM capture)") == 0).then_some(());
+    world.until("its rows are cleared away", Duration::from_secs(120), gone, daemon);
+    world.until("its file is removed", Duration::from_secs(20), || nothing_aside(world), daemon);
+}
+
+/// Row A3 for imports: the daemon ends in time, whatever the import does, and nothing half made is ever seen.
+#[test]
+fn a_termination_ends_an_import_in_time_and_leaves_nothing_of_it() {
+    for stage in [Stage::Read, Stage::Written] {
+        let world = World::new();
+        let (mut daemon, mut client) = halfway(&world, stage);
+        let begun = Instant::now();
+        assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
+        assert!(begun.elapsed() < Duration::from_secs(10), "{stage:?}: {:?}", begun.elapsed());
+        assert_eq!(client.wait(Duration::from_secs(10)), Some(1), "{}", client.log());
+        assert!(client.log().contains("the daemon is stopping"), "{}", client.log());
+        let mut daemon = world.daemon(&listening(&world), &[]);
+        nothing_of_it(&world, &daemon);
+        assert_eq!(daemon.terminate(), Some(0));
+        assert_eq!(format!("{:?}", world.query("PRAGMA integrity_check")), "[[Text(\"ok\")]]");
+    }
+}
+
+/// Ctrl-C at `vn100d import` means that nobody wants it any more; meanwhile a second one is told to wait, not that there is
+/// no daemon or no disk.
+#[test]
+fn whoever_goes_away_calls_the_import_off_and_a_second_one_is_told_to_wait() {
+    let world = World::new();
+    let (mut daemon, mut client) = halfway(&world, Stage::Written);
+    let configuration = world.path("vn100d.toml");
+    let small = recording(&world, "small.csv", 400);
+    let busy = import(&world, &configuration, &[small.to_str().unwrap()]);
+    assert_eq!(busy.status.code(), Some(1), "{}", said(&busy));
+    assert!(said(&busy).contains("another recording is being imported"), "{}", said(&busy));
+    client.kill();
+    nothing_of_it(&world, &daemon);
+    let taken = import(&world, &configuration, &[small.to_str().unwrap()]);
+    assert_eq!(taken.status.code(), Some(0), "{}", said(&taken));
+    assert_eq!(world.get("/v1/captures/small")["samples"], 400);
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+/// What cannot become a capture is refused with the same exit code and a sentence, with and without a daemon, and before
+/// anything is waited for.
+#[test]
+fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() {
+    let world = World::new();
+    let configuration = world.path("vn100d.toml");
+    std::fs::write(&configuration, listening(&world)).unwrap();
+    let pipe = world.path("pipe.csv");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+    let long = recording(&world, &format!("{}.csv", "n".repeat(140)), 400);
+    let number = recording(&world, "2024.csv", 401);
+    let bomb = world.path("bomb.csv.gz");
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    std::io::Write::write_all(&mut encoder, b"time_s,gyro_x_rad_s\n").unwrap();
+    let blank = vec![b'\n'; 1 << 20];
+    for _ in 0..400 {
+        std::io::Write::write_all(&mut encoder, &blank).unwrap();
+    }
+    std::fs::write(&bomb, encoder.finish().unwrap()).unwrap();
+    let check = |with_daemon: bool| {
+        let run = |arguments: &[&str]| {
+            let begun = Instant::now();
+            let output = import(&world, &configuration, arguments);
+            assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?}: {:?}", begun.elapsed());
+            (output.status.code(), said(&output), String::from_utf8_lossy(&output.stdout).into_owned())
+        };
+        let refused = |arguments: &[&str], code: i32, sentence: &str| {
+            let (found, said, _) = run(arguments);
+            assert_eq!(found, Some(code), "{with_daemon} {arguments:?}: {said}");
+            assert!(said.contains(sentence), "{with_daemon} {arguments:?}: {said}");
+        };
+        refused(&[pipe.to_str().unwrap()], 74, "is a pipe, but a recording is read several times");
+        refused(&["/dev/zero"], 74, "is a device");
+        refused(&[bomb.to_str().unwrap()], 1, "which no sensor's recording does");
+        refused(&[number.to_str().unwrap(), "--name", "2024"], 1, "a number means the capture with that id");
+        for file in [&long, &number] {
+            let (code, said, _) = run(&[file.to_str().unwrap()]);
+            assert_eq!(code, Some(0), "{with_daemon}: {said}");
+        }
+    };
+    check(false);
+    let mut daemon = world.daemon(&listening(&world), &[]);
+    check(true);
+    assert_eq!(
+        world.get(&format!("/v1/captures/{}", "n".repeat(100)))["samples"],
+        400,
+        "named as far as a name may go"
+    );
+    assert_eq!(world.get("/v1/captures/2")["samples"], 401);
     assert_eq!(daemon.terminate(), Some(0));
 }
