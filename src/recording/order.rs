@@ -185,12 +185,12 @@ mod tests {
     use proptest::prelude::*;
 
     /// Samples with these stamps, ns.
-    struct Given(std::vec::IntoIter<i64>, Decimals);
+    struct Given<'a>(std::slice::Iter<'a, i64>, Decimals);
 
-    impl Rows for Given {
+    impl Rows for Given<'_> {
         fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
             let next = self.0.next();
-            Ok(next.map(|ns| Row::Sample { line: 1, stamps: RowStamps::one(ns), sample: Sample::at(0, 0) }))
+            Ok(next.map(|ns| Row::Sample { line: 1, stamps: RowStamps::one(*ns), sample: Sample::at(0, 0) }))
         }
         fn decimals(&self) -> &Decimals {
             &self.1
@@ -200,7 +200,7 @@ mod tests {
     /// The stamps that count, and the causes of what does not.
     fn judged(stamps: &[i64]) -> (Vec<i64>, Vec<DiscardCause>) {
         let chosen = Chosen { count: 1, column: Some(0), unix: false, regular: Vec::new() };
-        let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.to_vec().into_iter(), Decimals::default()));
+        let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.iter(), Decimals::default()));
         let (mut kept, mut causes) = (Vec::new(), Vec::new());
         while let Some(entry) = order.next_entry(&mut rows).unwrap() {
             match entry {
