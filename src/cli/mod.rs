@@ -112,13 +112,13 @@ impl Context {
 
     /// The token that the daemon asks for; empty where there is none.
     fn token(&self) -> anyhow::Result<String> {
-        let config = self.load(&Overrides { device: None, listen: None })?;
+        let config = self.load(&Overrides::default())?;
         Ok(config.http.token.secret().to_owned())
     }
 
     /// Where the daemon is asked.
     fn daemon_url(&self, listen: Option<&str>) -> anyhow::Result<String> {
-        let config = self.load(&Overrides { device: None, listen: address(listen)? })?;
+        let config = self.load(&Overrides { listen: address(listen)?, without_token: true, ..Overrides::default() })?;
         Ok(format!("http://{}", config.http.listen))
     }
 }

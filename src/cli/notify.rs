@@ -10,7 +10,7 @@ use std::io::Write as _;
 
 /// Tries every receiver once, without the daemon.
 pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
-    let config = context.load(&Overrides::default())?;
+    let config = context.load(&Overrides { without_token: true, ..Overrides::default() })?;
     let options = notices::options(&config, &context.database()?);
     if options.receivers.is_empty() {
         return Err(CliError {

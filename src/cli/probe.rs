@@ -34,7 +34,8 @@ impl Sink for Nowhere {
 
 /// Finds the sensor and prints what it says of itself.
 pub(super) fn run(context: &Context, args: &ProbeArgs) -> anyhow::Result<Outcome> {
-    let config = context.load(&Overrides { device: args.device.clone(), listen: None })?;
+    let config =
+        context.load(&Overrides { device: args.device.clone(), without_token: true, ..Overrides::default() })?;
     let session = SessionOptions { output: Output::Keep, ..crate::daemon::session_options(&config)? };
     let options = TaskOptions { device: crate::daemon::device(&config), session, seed: SystemClock.mono_ns() };
     let progress = super::run::runtime()?.block_on(find(options));

@@ -13,7 +13,8 @@ use tokio_util::sync::CancellationToken;
 
 /// Runs until SIGINT or SIGTERM; a second one ends at once.
 pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> {
-    let overrides = Overrides { device: args.device.clone(), listen: super::address(args.listen.as_deref())? };
+    let listen = super::address(args.listen.as_deref())?;
+    let overrides = Overrides { device: args.device.clone(), listen, ..Overrides::default() };
     let config = context.load(&overrides)?;
     logging::init(&config.log.level, LogStyle::of_process(config.log.format == LogFormat::Json))?;
     let clock: Arc<dyn Clock> =

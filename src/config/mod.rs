@@ -31,6 +31,8 @@ pub struct Overrides {
     pub device: Option<String>,
     /// `--listen`
     pub listen: Option<SocketAddr>,
+    /// Whoever only asks needs no token: its file is not read, which the daemon's user alone may be allowed to.
+    pub without_token: bool,
 }
 
 /// A configuration and the file it came from.
@@ -84,14 +86,16 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
     if let Some(listen) = overrides.listen {
         config.http.listen = listen;
     }
-    read_token(source, &mut config)?;
+    if !overrides.without_token {
+        read_token(source, &mut config)?;
+    }
     check(&config).map_err(|refusal| ConfigError::Value {
         place: source.place(refusal.key),
         key: refusal.key.to_owned(),
         found: refusal.found,
         allowed: refusal.allowed,
     })?;
-    if !config.http.listen.ip().is_loopback() && config.http.token.is_empty() {
+    if !overrides.without_token && !config.http.listen.ip().is_loopback() && config.http.token.is_empty() {
         let place = if overrides.listen.is_some() { Place::Given } else { source.place("http.listen") };
         return Err(ConfigError::TokenNeeded { place, listen: config.http.listen });
     }

@@ -196,6 +196,10 @@ fn a_token_may_lie_in_a_file_of_its_own() {
     let file = directory.path().join("token");
     let text = format!("[http]\nlisten = \"0.0.0.0:1\"\ntoken-file = {file:?}");
     assert!(refused(&text).starts_with("x.toml:3: `http.token-file`: cannot read "));
+    // Who only asks may not be allowed to read it.
+    let asking = Overrides { without_token: true, ..Overrides::default() };
+    let config = finish(&Source::new(Path::new("x.toml"), &text), &asking).unwrap();
+    assert_eq!(config.http.listen.port(), 1);
     std::fs::write(&file, "\n").unwrap();
     assert!(refused(&text).contains("whose first line is empty"));
     std::fs::write(&file, "0123456789abcdef\n").unwrap();
@@ -209,7 +213,8 @@ fn flags_count_more_than_the_file() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("a.toml");
     std::fs::write(&file, "[sensor]\ndevice = \"/dev/a\"\nrate-hz = 100").unwrap();
-    let overrides = Overrides { device: Some("/dev/b".to_owned()), listen: Some("127.0.0.1:1".parse().unwrap()) };
+    let listen = Some("127.0.0.1:1".parse().unwrap());
+    let overrides = Overrides { device: Some("/dev/b".to_owned()), listen, ..Overrides::default() };
     let loaded = load(Some(&file), &Environment::default(), &overrides).unwrap();
     assert_eq!(loaded.file, Some(file));
     assert_eq!(loaded.config.sensor.device, Device::Path("/dev/b".into()));

@@ -5,11 +5,10 @@
 
 use crate::audit::Held;
 use crate::storage::{Mount, full};
-use crate::tools;
+use crate::tools::{self, Faketime};
 use crate::world::{Process, World, program, vn100d};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use std::path::PathBuf;
 use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -40,32 +39,11 @@ fn asked() -> (Duration, u64) {
     (duration, seed.unwrap_or(u64::from(now.subsec_nanos())))
 }
 
-/// The daemon's civil time, where it can be set: the library that does it, and the file that says by how much.
-struct Civil(Option<(PathBuf, PathBuf)>);
-
-impl Civil {
-    fn new(world: &World) -> Self {
-        Self(tools::libfaketime().map(|library| {
-            let file = world.path("faketime");
-            std::fs::write(&file, "+0").unwrap();
-            (library, file)
-        }))
-    }
-
-    fn start(&self, world: &World, arguments: &[&str]) -> Process {
-        let mut command = program();
-        if let Some((library, file)) = &self.0 {
-            command.env("LD_PRELOAD", library).env("FAKETIME_TIMESTAMP_FILE", file);
-            command.env("FAKETIME_NO_CACHE", "1").env("FAKETIME_DONT_FAKE_MONOTONIC", "1");
-        }
-        world.daemon_of(command, world.port().to_str().unwrap(), CONFIGURATION, arguments)
-    }
-
-    fn step(&self, seconds: i32) {
-        if let Some((_, file)) = &self.0 {
-            std::fs::write(file, format!("{seconds:+}")).unwrap();
-        }
-    }
+/// Starts the daemon with civil time of its own, where that can be set.
+fn start(world: &World, civil: Option<&Faketime>, arguments: &[&str]) -> Process {
+    let mut command = program();
+    command.envs(civil.iter().flat_map(|civil| civil.environment()));
+    world.daemon_of(command, world.port().to_str().unwrap(), CONFIGURATION, arguments)
 }
 
 /// What happens next.
@@ -199,9 +177,9 @@ fn everything_at_once_loses_nothing_silently() {
     let disk = tools::root("a file system of its own is mounted").then(|| Mount::tmpfs(&world, &size.to_string()));
     let can_trace = tools::have("strace", "it makes fsync slow");
     let log = world.path("sensor.log");
-    let civil = Civil::new(&world);
+    let civil = Faketime::new(world.folder.path(), "+0");
     let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600", "--log", log.to_str().unwrap()]);
-    let mut daemon = civil.start(&world, &["--capture", "30h"]);
+    let mut daemon = start(&world, civil.as_ref(), &["--capture", "30h"]);
     world.until_more_samples(400, &daemon);
     let (asked, stop) = (Asked::default(), AtomicBool::new(false));
     let (mut kills, mut starts, mut faults, mut full_disks, mut slow, mut steps, mut backups) = (0, 1, 0, 0, 0, 0, 0);
@@ -248,13 +226,16 @@ fn everything_at_once_loses_nothing_silently() {
                     daemon.kill();
                     kills += 1;
                     slopes.extend(slope(&std::mem::take(&mut memory)));
-                    daemon = civil.start(&world, &[]);
+                    daemon = start(&world, civil.as_ref(), &[]);
                     (starts, started, baseline) = (starts + 1, Instant::now(), Held::of(daemon.id()));
                 }
             }
             if random.random_bool(0.1) {
-                civil.step(random.random_range(-7200..7200));
-                steps += 1;
+                let offset = random.random_range(-7200..7200);
+                if let Some(civil) = &civil {
+                    civil.step(&format!("{offset:+}"));
+                    steps += 1;
+                }
             }
             if random.random_bool(0.1) {
                 backups += 1;

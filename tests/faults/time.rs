@@ -1,54 +1,42 @@
 //! Time: a host whose civil clock is stepped, unset, or in another zone. The sensor's time and the host's monotonic one
 //! count; civil time is a label.
 
-use crate::tools;
-use crate::world::{Process, World};
+use crate::tools::Faketime;
+use crate::world::{Process, World, program};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 const START: Duration = Duration::from_secs(20);
-const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 
-/// A daemon whose civil time is off by what the file `offset` says.
+/// A daemon whose civil time can be set.
 struct Faked {
     world: World,
     daemon: Process,
     sensor: Process,
+    time: Faketime,
     zone: String,
 }
 
 impl Faked {
     /// `None` (said) where the tool is not at hand.
     fn new(offset: &str, zone: &str) -> Option<Self> {
-        if !std::path::Path::new(FAKETIME).exists() {
-            tools::have("libfaketime.so.1", "civil time is faked by it");
-            return None;
-        }
         let world = World::new();
-        let file = world.path("offset");
-        std::fs::write(&file, offset).unwrap();
+        let time = Faketime::new(world.folder.path(), offset)?;
         let sensor = world.emulate(&["--faults", "-"]);
-        let daemon = start(&world, zone, &["--capture", "1h"]);
-        let faked = Self { world, daemon, sensor, zone: zone.to_owned() };
+        let daemon = start(&world, &time, zone, &["--capture", "1h"]);
+        let faked = Self { world, daemon, sensor, time, zone: zone.to_owned() };
         faked.samples(60);
         Some(faked)
     }
 
     /// Starts the daemon again, after it was killed.
     fn restart(&mut self) {
-        self.daemon = start(&self.world, &self.zone, &[]);
+        self.daemon = start(&self.world, &self.time, &self.zone, &[]);
     }
 
     fn samples(&self, more: u64) {
         let now = || self.world.try_get("/v1/status")?["capture"]["samples"].as_u64();
         let before = now().unwrap_or(0);
         self.world.until("samples", START, || now().filter(|count| *count >= before + more), &self.daemon);
-    }
-
-    /// Steps civil time to this offset, as a whole: readers never see half a file.
-    fn step(&self, offset: &str) {
-        let next = self.world.path("offset.next");
-        std::fs::write(&next, offset).unwrap();
-        std::fs::rename(next, self.world.path("offset")).unwrap();
     }
 
     fn steps_seen(&self) -> Vec<serde_json::Value> {
@@ -84,17 +72,11 @@ impl Faked {
     }
 }
 
-/// A daemon whose civil time is off by what the world's file `offset` says.
-fn start(world: &World, zone: &str, arguments: &[&str]) -> Process {
-    let file = world.path("offset");
-    let environment = [
-        ("LD_PRELOAD", FAKETIME),
-        ("FAKETIME_TIMESTAMP_FILE", file.to_str().unwrap()),
-        ("FAKETIME_NO_CACHE", "1"),
-        ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
-        ("TZ", zone),
-    ];
-    world.daemon_in(&environment, "", arguments)
+/// A daemon of its own civil time and zone.
+fn start(world: &World, time: &Faketime, zone: &str, arguments: &[&str]) -> Process {
+    let mut command = program();
+    command.envs(time.environment()).env("TZ", zone);
+    world.daemon_of(command, world.port().to_str().unwrap(), "", arguments)
 }
 
 fn now_s() -> i64 {
@@ -108,7 +90,7 @@ fn a_stepped_clock_makes_no_gap_and_is_told_with_its_size() {
     let to_1970 = -(now_s() - 86_400);
     let offsets = [0, -3600, 3600, to_1970, 0];
     for (index, offset) in offsets.iter().enumerate().skip(1) {
-        faked.step(&format!("{offset:+}"));
+        faked.time.step(&format!("{offset:+}"));
         faked.await_steps(index);
         faked.samples(20);
     }
@@ -173,7 +155,7 @@ fn a_leap_second_is_a_step_of_one_second_that_costs_nothing() {
     assert!(begun < leap_s * 1_000_000_000, "the capture begins before it: {begun}");
     let across = format!("SELECT count(*) FROM sample WHERE host_utc_ns > {leap_s}000000000");
     faked.world.until("midnight", START, || Some(()).filter(|()| faked.count(&across) > 0), &faked.daemon);
-    faked.step(&format!("{:+}", offset - 1));
+    faked.time.step(&format!("{:+}", offset - 1));
     faked.await_steps(1);
     faked.samples(60);
     let capture = faked.settle();
@@ -196,7 +178,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         faked.daemon.kill();
         let killed = Instant::now();
         faked.sensor.say("reset");
-        faked.step(&format!("{offset:+}"));
+        faked.time.step(&format!("{offset:+}"));
         std::thread::sleep(Duration::from_secs(3));
         faked.restart();
         let gap = format!(
@@ -228,7 +210,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         assert!(connection.execute("UPDATE segment SET boot_id = 'another'", []).unwrap() >= 3);
     }
     faked.sensor.say("reset");
-    faked.step("-6600");
+    faked.time.step("-6600");
     faked.restart();
     faked.world.until("the gap", START, || (faked.count("SELECT count(*) FROM gap") == 3).then_some(()), &faked.daemon);
     let missing = faked.count("SELECT missing FROM gap ORDER BY before_seq DESC LIMIT 1");
@@ -247,7 +229,7 @@ fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so(
     let Some(faked) = Faked::new(&format!("{:+}", -(now_s() - 100)), "UTC") else { return };
     let early = faked.count("SELECT min(host_utc_ns) FROM sample");
     assert!(early < 1_000_000_000_000, "1970: {early}");
-    faked.step("+0");
+    faked.time.step("+0");
     faked.await_steps(1);
     faked.samples(40);
     let capture = faked.settle();

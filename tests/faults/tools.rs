@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "not every machine runs every row")]
 
 use crate::world::skip::tool;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// True where this program can be run. Where it cannot, says that the test is skipped; with `VN100D_REQUIRE_TOOLS` set, as
@@ -22,12 +22,39 @@ pub fn root(reason: &str) -> bool {
     tool(rustix::process::geteuid().is_root(), "root", reason)
 }
 
-/// The library that sets a program's clock, where it is installed.
-pub fn libfaketime() -> Option<PathBuf> {
-    let folders = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
-    let library = folders.map(|folder| folder.join("faketime/libfaketime.so.1")).find(|library| library.exists());
-    tool(library.is_some(), "libfaketime", "it steps the daemon's clock");
-    library
+/// Civil time that a program is told: libfaketime, and the file that says by how much it is off.
+pub struct Faketime {
+    library: PathBuf,
+    file: PathBuf,
+}
+
+impl Faketime {
+    /// `None` (said) where the library is not installed. `offset`: `+0`, `-3600`, in s.
+    pub fn new(folder: &Path, offset: &str) -> Option<Self> {
+        let folders = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+        let library = folders.map(|folder| folder.join("faketime/libfaketime.so.1")).find(|library| library.exists());
+        tool(library.is_some(), "libfaketime", "it sets the daemon's clock");
+        let faketime = Self { library: library?, file: folder.join("offset") };
+        faketime.step(offset);
+        Some(faketime)
+    }
+
+    /// What a program has to be started with.
+    pub fn environment(&self) -> [(&str, &std::ffi::OsStr); 4] {
+        [
+            ("LD_PRELOAD", self.library.as_os_str()),
+            ("FAKETIME_TIMESTAMP_FILE", self.file.as_os_str()),
+            ("FAKETIME_NO_CACHE", "1".as_ref()),
+            ("FAKETIME_DONT_FAKE_MONOTONIC", "1".as_ref()),
+        ]
+    }
+
+    /// Steps civil time to this offset, as a whole: readers never see half a file.
+    pub fn step(&self, offset: &str) {
+        let next = self.file.with_extension("next");
+        std::fs::write(&next, offset).unwrap();
+        std::fs::rename(next, &self.file).unwrap();
+    }
 }
 
 /// The full figure where `VN100D_FAULTS=full` asks for it, else the scaled one.

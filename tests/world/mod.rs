@@ -154,13 +154,6 @@ impl World {
         self.daemon_on(self.port().to_str().unwrap(), configuration, arguments)
     }
 
-    /// The same with these environment variables.
-    pub fn daemon_in(&self, environment: &[(&str, &str)], configuration: &str, arguments: &[&str]) -> Process {
-        let mut command = program();
-        command.envs(environment.iter().copied());
-        self.daemon_of(command, self.port().to_str().unwrap(), configuration, arguments)
-    }
-
     /// The same, on another port or pattern.
     pub fn daemon_on(&self, device: &str, configuration: &str, arguments: &[&str]) -> Process {
         self.daemon_of(program(), device, configuration, arguments)
