@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 
 const CONFIGURATION: &str = "[sensor]\nrate-hz = 400.0\nbaud = 921600\n";
 const RATE_HZ: u64 = 400;
+/// What a sample takes in the database (docs/performance.md).
+const BYTES_PER_SAMPLE: u64 = 190;
 /// Requests per second.
 const REQUESTS: u32 = 20;
 const ROUTES: [&str; 8] = [
@@ -86,6 +88,7 @@ fn slow_syncs(daemon: &Process, how_long: Duration) {
     strace.args(["-e", "inject=fsync,fdatasync:delay_enter=500000", "-p", &daemon.id().to_string()]);
     let mut attached = Process::start(&mut strace, false);
     std::thread::sleep(how_long);
+    assert!(attached.is_running(), "strace could not attach: {}", attached.log());
     attached.terminate();
 }
 
@@ -173,7 +176,7 @@ fn everything_at_once_loses_nothing_silently() {
     let mean_s = (duration.as_secs_f64() / 200.0).clamp(2.0, 150.0);
     let world = World::new();
     // Twice the room that the samples need: a disk that is full was filled on purpose.
-    let size = (64 << 20) + 100 * RATE_HZ * duration.as_secs();
+    let size = (64 << 20) + 2 * BYTES_PER_SAMPLE * RATE_HZ * duration.as_secs();
     let disk = tools::root("a file system of its own is mounted").then(|| Mount::tmpfs(&world, &size.to_string()));
     let can_trace = tools::have("strace", "it makes fsync slow");
     let log = world.path("sensor.log");
@@ -182,7 +185,7 @@ fn everything_at_once_loses_nothing_silently() {
     let mut daemon = start(&world, civil.as_ref(), &["--capture", "30h"]);
     world.until_more_samples(400, &daemon);
     let (asked, stop) = (Asked::default(), AtomicBool::new(false));
-    let (mut kills, mut starts, mut faults, mut full_disks, mut slow, mut steps, mut backups) = (0, 1, 0, 0, 0, 0, 0);
+    let (mut kills, mut faults, mut full_disks, mut slow, mut steps, mut backups) = (0, 0, 0, 0, 0, 0);
     // At the end of a long run the daemon lives on for up to half an hour: how its memory grows can be judged.
     let long = duration >= Duration::from_secs(1800);
     let last_kill = duration - if long { (duration / 2).min(Duration::from_secs(1800)) } else { Duration::ZERO };
@@ -227,7 +230,7 @@ fn everything_at_once_loses_nothing_silently() {
                     kills += 1;
                     slopes.extend(slope(&std::mem::take(&mut memory)));
                     daemon = start(&world, civil.as_ref(), &[]);
-                    (starts, started, baseline) = (starts + 1, Instant::now(), Held::of(daemon.id()));
+                    (started, baseline) = (Instant::now(), Held::of(daemon.id()));
                 }
             }
             if random.random_bool(0.1) {
@@ -276,7 +279,6 @@ fn everything_at_once_loses_nothing_silently() {
         1e3 * p99,
         found.held.rss_bytes >> 20,
     );
-    assert_eq!(starts - 1, kills, "every restart was a kill");
     assert_eq!(asked.server_errors.load(Ordering::Relaxed), 0);
     assert!(found.samples > 0 && asked.answered.load(Ordering::Relaxed) > 0);
     for slope in slopes.iter().filter(|slope| slope.span_s >= 1500.0) {

@@ -59,6 +59,10 @@ impl Process {
         self.log.lock().unwrap().clone()
     }
 
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
     pub fn id(&self) -> u32 {
         self.child.id()
     }
