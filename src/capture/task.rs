@@ -118,6 +118,8 @@ struct Book {
     counted: bool,
     /// While no capture runs: what decides where the sensor's clock began again.
     idle: Option<Accountant>,
+    /// How many streams were accepted without a capture.
+    idle_runs: i64,
     description: Option<serde_json::Value>,
     sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
@@ -152,6 +154,7 @@ pub async fn run(
             accepted: None,
             counted: false,
             idle: None,
+            idle_runs: 0,
             description: None,
             sink,
             overflow: VecDeque::new(),
@@ -540,7 +543,10 @@ impl Book {
                 });
                 match &mut self.recorder {
                     Some(recorder) => recorder.accept(rate_hz, timebase(kind, self.counted), &mut self.out),
-                    None => self.idle = Some(Accountant::new(rate_hz, timebase(kind, self.counted))),
+                    None => {
+                        self.idle_runs += 1;
+                        self.idle = Some(Accountant::new(rate_hz, timebase(kind, self.counted)));
+                    }
                 }
             }
             Action::Counted(counted) => self.counted = counted,
@@ -614,11 +620,12 @@ impl Book {
         }
     }
 
-    /// The run of the sensor's clock that is under way, as the accounting numbers it: capture (0 for none) and epoch.
+    /// The run of the sensor's clock that is under way, as the accounting numbers it: capture and epoch. Without a capture each
+    /// accepted stream is a run: there it may be another unit's, or one that lost power.
     fn clock_run(&self) -> (i64, u32) {
         match (&self.recorder, &self.idle) {
             (Some(recorder), _) => (recorder.plan().id, recorder.epoch().unwrap_or(0)),
-            (None, idle) => (0, idle.as_ref().map_or(0, Accountant::epoch)),
+            (None, idle) => (-self.idle_runs, idle.as_ref().map_or(0, Accountant::epoch)),
         }
     }
 

@@ -73,7 +73,8 @@ impl Keeper {
             id: capture.id,
             name: capture.name.clone(),
             duration_ns: capture.planned.map_or(u64::MAX, |planned| planned.as_nanos() as u64),
-            start_at_utc_ns: capture.start_at_utc_ns,
+            // One that has begun waits for no hour: after a reboot civil time may be years behind until it is set.
+            start_at_utc_ns: capture.start_at_utc_ns.filter(|_| capture.samples == 0),
         };
         self.hand_over(plan, Some(resume_point(&capture, clock.boot_id().as_deref(), clock.mono_ns()))).await;
         Ok(true)

@@ -255,3 +255,23 @@ fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so(
     );
     assert!(capture["started_at"].as_str().unwrap().starts_with("20"), "{capture:#}");
 }
+
+/// D4: a host without a battery-backed clock starts in 1970.
+#[test]
+fn a_capture_that_began_at_its_hour_does_not_wait_for_that_hour_again() {
+    let world = World::new();
+    let Some(time) = Faketime::new(world.folder.path(), "+0") else { return };
+    let _sensor = world.emulate(&[]);
+    let mut daemon = start(&world, &time, "UTC", &[]);
+    let hour = chrono::DateTime::from_timestamp(now_s() + 2, 0).unwrap().to_rfc3339();
+    let body = format!("{{\"start_at\": \"{hour}\", \"duration\": \"1h\"}}");
+    let (code, answer) = world.request("POST", "/v1/captures", &body).unwrap();
+    assert_eq!(code, 201, "{answer}");
+    let samples = || world.try_get("/v1/status")?["capture"]["samples"].as_u64();
+    world.until("its hour", START, || samples().filter(|count| *count > 60), &daemon);
+    let committed = world.committed();
+    daemon.kill();
+    time.step(&format!("-{}", now_s() - 86_400));
+    let daemon = start(&world, &time, "UTC", &[]);
+    world.until("it goes on", START, || samples().filter(|count| *count > committed + 60), &daemon);
+}

@@ -21,7 +21,8 @@ fn a_full_disk_is_said_at_once_costs_nothing_for_half_a_minute_and_one_gap_beyon
         return;
     }
     let world = World::new();
-    let mount = Mount::tmpfs(&world, "8m");
+    // Room for what is recorded, and for what waits in memory.
+    let mount = Mount::tmpfs(&world, tools::scaled("8m", "64m"));
     let _sensor = world.emulate(FAST);
     let rate = if tools::scaled(true, false) { 400 } else { 800 };
     let configuration = format!("[sensor]\nrate-hz = {rate}\nbaud = 921600\n");
