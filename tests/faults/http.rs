@@ -6,8 +6,6 @@ mod multitude;
 use crate::jobs::{fill, noise, plain, settle};
 use crate::tools::{have, scaled};
 use crate::world::{Process, World, program};
-use rand::{RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;

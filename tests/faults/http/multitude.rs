@@ -1,6 +1,8 @@
 //! A seeded multitude of requests, and bytes that are none (E4).
 
 use super::*;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
 /// A seeded generator of requests: routes, ids, queries, headers and bodies, many of which are none.
 struct Fuzz {
