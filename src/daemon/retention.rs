@@ -4,8 +4,8 @@ use crate::clock::{Clock, rfc3339};
 use crate::config::Config;
 use crate::jobs::Jobs;
 use crate::notify::Tap;
-use crate::observe::{PlannedDeletion, RetentionStatus};
-use crate::retention::{Announcement, Candidate, Distrust, Limits, Planned, distrust, plan};
+use crate::observe::{ClockDistrust, PlannedDeletion, RetentionStatus};
+use crate::retention::{Announcement, Candidate, Distrust, Judge, Limits, Moment, Planned, Verdict, plan};
 use crate::store::{RetentionRow, Store, StoreError};
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,8 +14,6 @@ use tokio_util::sync::CancellationToken;
 
 /// How often it looks: at most and at least so rarely.
 const EVERY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(60));
-/// Civil time that moved against the monotonic clock by more between two looks has stepped, ns.
-const STEP_NS: i64 = 60_000_000_000;
 /// Deletions that the status lists.
 const LISTED: usize = 100;
 
@@ -50,42 +48,44 @@ impl Retention {
     /// was announced under others.
     pub async fn run(self, status: watch::Sender<RetentionStatus>, stop: CancellationToken) {
         let every = (self.limits.notice / 4).clamp(EVERY.0, EVERY.1);
-        let mut offset_ns = None;
         let mut judge = Judge::default();
+        let mut said = None;
         loop {
             let this = self.clone();
-            // Only a second look tells whether the clock is being set: nothing is deleted at the first.
-            let first = offset_ns.is_none();
-            let now_ns = self.clock.utc_ns();
-            // Saturating: a clock that is years wrong must not stop this.
-            let offset_now_ns = now_ns.saturating_sub(self.clock.mono_ns() as i64);
-            let stepped = offset_ns.is_some_and(|before: i64| offset_now_ns.saturating_sub(before).abs() > STEP_NS);
-            let before = status.borrow().deleted;
-            let synchronised = self.clock.is_synchronised();
-            let mut judged = judge.clone();
+            let now = Moment {
+                utc_ns: self.clock.utc_ns(),
+                mono_ns: self.clock.mono_ns(),
+                synchronised: self.clock.is_synchronised(),
+            };
             let look = move |_: &Store| {
                 let rows = this.store.reader()?.retention_rows()?;
-                // Without limits what was announced is taken back whatever the clock says.
-                if !this.limits.is_unlimited() && !judged.trusts(&rows, now_ns, synchronised) {
-                    return Ok((judged, None));
-                }
-                this.look(&rows, now_ns, stepped, !first).map(|outcome| (judged, Some(outcome)))
+                let captures: Vec<Candidate> = rows.iter().map(candidate).collect();
+                let mut judged = judge;
+                let verdict = judged.look(now, &captures);
+                this.look(&rows, &captures, now.utc_ns, &verdict).map(|outcome| (judged, verdict, outcome))
             };
             match self.store.offload(look).await {
-                Ok((judged, outcome)) => {
+                Ok((judged, verdict, (planned, deleted))) => {
                     judge = judged;
-                    // By a clock that is not believed nothing was looked at: the next look is the first.
-                    offset_ns = outcome.is_some().then_some(offset_now_ns);
-                    let (planned, deleted) = outcome.unwrap_or_default();
+                    // Without limits no age matters.
+                    let found = verdict.distrust.filter(|_| !self.limits.is_unlimited());
+                    let distrust = found.map(|distrust| told(distrust, now.utc_ns));
+                    if found != said {
+                        say(distrust.as_ref(), now.utc_ns);
+                        said = found;
+                    }
                     let planned_total = planned.len() as u64;
                     let planned = planned.into_iter().take(LISTED).collect();
-                    status.send_replace(RetentionStatus { planned, planned_total, deleted: before + deleted });
+                    status.send_modify(|status| {
+                        let deleted = status.deleted + deleted;
+                        *status = RetentionStatus { planned, planned_total, deleted, distrust };
+                    });
+                    if self.limits.is_unlimited() {
+                        return;
+                    }
                 }
                 Err(StoreError::Closed) => return,
                 Err(error) => tracing::warn!(%error, "retention waits for the database"),
-            }
-            if self.limits.is_unlimited() && offset_ns.is_some() {
-                return;
             }
             tokio::select! {
                 () = stop.cancelled() => return,
@@ -98,11 +98,11 @@ impl Retention {
     fn look(
         &self,
         rows: &[RetentionRow],
+        captures: &[Candidate],
         now_utc_ns: i64,
-        stepped: bool,
-        may_delete: bool,
+        verdict: &Verdict,
     ) -> Result<(Vec<PlannedDeletion>, u64), StoreError> {
-        let planned = plan(&rows.iter().map(candidate).collect::<Vec<_>>(), now_utc_ns, stepped, &self.limits);
+        let planned = plan(captures, now_utc_ns, verdict, &self.limits);
         let row = |id: i64| rows.iter().find(|row| row.id == id);
         let listed = |one: &Planned| PlannedDeletion {
             capture: one.id,
@@ -122,7 +122,11 @@ impl Retention {
             self.store.announce_deletions(changes.clone())?;
         }
         for (id, _) in changes.iter().filter(|(_, announcement)| announcement.is_none()) {
-            tracing::info!(capture = id, "it stays: the limits no longer ask for its deletion");
+            if verdict.distrust.is_some() {
+                tracing::info!(capture = id, "it stays for now: the clock is not believed");
+            } else {
+                tracing::info!(capture = id, "it stays: the limits no longer ask for its deletion");
+            }
         }
         // Said only once it is written down: what is told holds after a restart.
         let new: Vec<PlannedDeletion> = planned.iter().filter(|one| one.is_new).map(listed).collect();
@@ -134,7 +138,7 @@ impl Retention {
             self.tap.deletions(new);
         }
         let mut deleted = 0;
-        for one in planned.iter().filter(|one| one.is_due && may_delete) {
+        for one in planned.iter().filter(|one| one.is_due) {
             match self.store.delete_capture(one.id) {
                 Ok(()) => {
                     deleted += 1;
@@ -148,62 +152,38 @@ impl Retention {
         if deleted > 0 {
             self.jobs.wake();
         }
-        Ok((planned.iter().filter(|one| !(one.is_due && may_delete)).map(listed).collect(), deleted))
+        Ok((planned.iter().filter(|one| !one.is_due).map(listed).collect(), deleted))
     }
 }
 
-/// Judges the clock by the captures that were there when it was last believed: one that is made by a wrong clock does not
-/// make it right.
-#[derive(Debug, Clone, Default)]
-struct Judge {
-    /// Whether it has seen the captures at all.
-    looked: bool,
-    newest_utc_ns: Option<i64>,
-    said: Option<Distrust>,
+/// Why the clock is not believed, for the status.
+fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
+    let now = rfc3339(now_utc_ns);
+    let message = match distrust {
+        Distrust::Unset => format!(
+            "the clock shows {now}, so it was never set: no capture is deleted for its age; set it, or wait for a time server"
+        ),
+        Distrust::Behind { capture, since_utc_ns } => format!(
+            "capture {capture} ended at {}, but the clock shows {now}: no capture is deleted for its age; set the clock, or, \
+             where that capture's date is the wrong one, delete the capture",
+            rfc3339(since_utc_ns)
+        ),
+        Distrust::FarAhead { newest_utc_ns } => format!(
+            "the clock shows {now}, more than 30 days after {}, the latest time that is sure: no capture is deleted for its \
+             age until a time server confirms the clock, or it has run for a day without a step and captures were made by it",
+            rfc3339(newest_utc_ns)
+        ),
+    };
+    ClockDistrust { reason: distrust.name().to_owned(), message }
 }
 
-impl Judge {
-    fn trusts(&mut self, rows: &[RetentionRow], now_utc_ns: i64, synchronised: bool) -> bool {
-        // What runs has not ended.
-        let newest = rows.iter().filter(|row| !row.open).map(|row| row.since.0).max();
-        if !self.looked {
-            (self.looked, self.newest_utc_ns) = (true, newest);
+/// Says that the clock is not believed, or is again.
+fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
+    match distrust {
+        None => {
+            tracing::info!(now = rfc3339(now_utc_ns), "the clock is believed again: ages count, from a new notice on")
         }
-        let found = distrust(now_utc_ns, self.newest_utc_ns, synchronised);
-        if found.is_none() {
-            self.newest_utc_ns = newest;
-        }
-        if found != self.said {
-            let now = rfc3339(now_utc_ns);
-            match found {
-                None => tracing::info!(now, "the clock is believed again: retention goes on"),
-                Some(Distrust::Unset) => {
-                    tracing::warn!(
-                        now,
-                        "the clock was never set: no capture is deleted; set it, or wait for a time server"
-                    );
-                }
-                Some(Distrust::Behind(newest)) => {
-                    let newest = rfc3339(newest);
-                    tracing::warn!(
-                        now,
-                        newest,
-                        "a capture ended later than now: no capture is deleted until the clock is set"
-                    );
-                }
-                Some(Distrust::FarAhead(newest)) => {
-                    let newest = rfc3339(newest);
-                    tracing::warn!(
-                        now,
-                        newest,
-                        "the newest capture is far older than now: no capture is deleted until a time server confirms the \
-                         clock, or the daemon starts with a newer capture"
-                    );
-                }
-            }
-            self.said = found;
-        }
-        found.is_none()
+        Some(distrust) => tracing::warn!(reason = distrust.reason, "{}", distrust.message),
     }
 }
 
@@ -229,10 +209,10 @@ mod tests {
     const DAY_NS: i64 = 86_400_000_000_000;
     const NOW_NS: i64 = 1_800_000_000_000_000_000;
 
-    /// Retention by a clock that shows `wrong_ns`, over one capture of [`NOW_NS`] that is too old by the right one, for several
-    /// looks and longer than its notice; then the clock is set to `right_ns`. Answers the captures left before that, and
-    /// returns once there are none.
-    async fn left_by(wrong_ns: i64, right_ns: i64) -> usize {
+    /// Retention by a clock that shows `wrong_ns`, over one capture of [`NOW_NS`] that is too old by the right one, for eight
+    /// looks and longer than its notice; then the clock is set to `right_ns`. Answers the captures left before that and what
+    /// the status says of the clock, and returns once there are none.
+    async fn left_by(wrong_ns: i64, right_ns: i64) -> (usize, Option<String>) {
         let folder = tempfile::tempdir().unwrap();
         let made_by: Arc<dyn Clock> = Arc::new(ManualClock::new(NOW_NS));
         let options = StoreOptions { clock: made_by, ..StoreOptions::default() };
@@ -252,15 +232,18 @@ mod tests {
         store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
         let count = || store.reader().unwrap().retention_rows().unwrap().len();
         let stop = CancellationToken::new();
-        let running = tokio::spawn(retention.run(watch::channel(RetentionStatus::default()).0, stop.clone()));
-        let pass = async || {
-            tokio::time::sleep(Duration::from_millis(300)).await;
+        let (sender, mut status) = watch::channel(RetentionStatus::default());
+        let running = tokio::spawn(retention.run(sender, stop.clone()));
+        // However slow the machine is, each pass is a look.
+        let mut pass = async || {
+            status.changed().await.unwrap();
             clock.advance(Duration::from_millis(500));
+            status.borrow_and_update().clone()
         };
         for _ in 0..8 {
             pass().await;
         }
-        let left = count();
+        let (left, said) = (count(), pass().await.distrust.map(|distrust| distrust.reason));
         clock.step_utc(right_ns - clock.utc_ns());
         for _ in 0..200 {
             if count() == 0 {
@@ -276,13 +259,15 @@ mod tests {
             store.close()
         });
         ended.await.unwrap().unwrap();
-        left
+        (left, said)
     }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn nothing_goes_by_a_clock_that_woke_in_1970_or_far_ahead() {
-        for wrong_ns in [5 * DAY_NS, NOW_NS - DAY_NS, NOW_NS + 20_000 * DAY_NS] {
-            assert_eq!(left_by(wrong_ns, NOW_NS + 2 * DAY_NS).await, 1, "{wrong_ns}");
+        for (wrong_ns, reason) in
+            [(5 * DAY_NS, "unset"), (NOW_NS - DAY_NS, "behind"), (NOW_NS + 20_000 * DAY_NS, "far-ahead")]
+        {
+            assert_eq!(left_by(wrong_ns, NOW_NS + 2 * DAY_NS).await, (1, Some(reason.to_owned())), "{wrong_ns}");
         }
     }
 }

@@ -204,6 +204,18 @@ pub struct RetentionStatus {
     pub planned_total: u64,
     /// Captures deleted by age or size since the daemon started.
     pub deleted: u64,
+    /// Why the clock cannot tell the age of captures; null where it can. Until then only `keep-mib` holds.
+    #[serde(default)]
+    pub distrust: Option<ClockDistrust>,
+}
+
+/// Why no capture is deleted for its age.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ClockDistrust {
+    /// `unset`, `behind` or `far-ahead`.
+    pub reason: String,
+    /// What the clock shows, what is wrong with that, and what to do, for a person.
+    pub message: String,
 }
 
 /// Everything that `GET /v1/status` says, but for version and uptime.

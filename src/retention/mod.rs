@@ -3,13 +3,15 @@
 //! Promised, for any captures, limits and clock (tests/properties below): one that runs, waits or is pinned is never in
 //! the plan; the oldest go first; no more go than the limits ask for; nothing is due that has not been announced for the
 //! whole notice. A clock that is not to be trusted (it steps, it went back, the daemon was away past the date) begins the
-//! notice anew, and one that shows an implausible date ([`distrust`]) tells no ages at all: too late a deletion costs space,
+//! notice anew, and one that shows an implausible date ([`Judge`]) tells no ages at all: too late a deletion costs space,
 //! too early a one costs a night.
 
+mod judge;
+
+use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 use std::time::Duration;
 
-/// Ages by a clock before this (2020-01-01, UTC ns) are those of a machine that did not know the time.
-pub const EARLIEST_UTC_NS: i64 = 1_577_836_800_000_000_000;
+pub use judge::{Distrust, Judge, Moment, Verdict};
 
 /// What captures may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,54 +95,20 @@ pub struct Planned {
     pub is_due: bool,
 }
 
-/// Why ages cannot be told by the clock, so that nothing is announced or deleted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Distrust {
-    /// It was never set: it shows a time before this program was written.
-    Unset,
-    /// A capture ended at this time, UTC ns, which by the clock is yet to come.
-    Behind(i64),
-    /// The newest capture ended so long ago, UTC ns, that the clock must be confirmed.
-    FarAhead(i64),
-}
-
-/// The longest time without a capture that is believed of a clock nobody has confirmed.
-pub const ABSENCE: Duration = Duration::from_secs(30 * 86_400);
-
-/// By so much a time server may set a clock back without anything being wrong with it, ns.
-const SLACK_NS: i64 = 60_000_000_000;
-
-/// Whether the clock may be trusted with the age of captures. `newest_utc_ns` is the latest time at which a capture was
-/// there whole by a clock that was trusted; `synchronised`: the clock has been set by a time server since the machine
-/// started. A machine whose battery is empty wakes in 1970, one whose real-time clock is wrong in any year; both are online
-/// for a while before a time server corrects them.
+/// The captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) what was announced counts from
+/// now; by one that is not believed none goes for its age, and those that were made first are the oldest.
 #[must_use]
-pub fn distrust(now_utc_ns: i64, newest_utc_ns: Option<i64>, synchronised: bool) -> Option<Distrust> {
-    if now_utc_ns < EARLIEST_UTC_NS {
-        return Some(Distrust::Unset);
-    }
-    if synchronised {
-        return None;
-    }
-    let absence_ns = i64::try_from(ABSENCE.as_nanos()).unwrap_or(i64::MAX);
-    match newest_utc_ns {
-        Some(newest) if now_utc_ns.saturating_add(SLACK_NS) < newest => Some(Distrust::Behind(newest)),
-        Some(newest) if now_utc_ns.saturating_sub(newest) > absence_ns => Some(Distrust::FarAhead(newest)),
-        _ => None,
-    }
-}
-
-/// The captures to delete at `now_utc_ns`, oldest first. `clock_stepped`: civil time has jumped since the last plan, so
-/// that what was announced counts from now.
-#[must_use]
-pub fn plan(captures: &[Candidate], now_utc_ns: i64, clock_stepped: bool, limits: &Limits) -> Vec<Planned> {
+pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: &Limits) -> Vec<Planned> {
+    let tells_ages = verdict.distrust.is_none();
     let mut oldest_first: Vec<&Candidate> =
         captures.iter().filter(|capture| !capture.open && !capture.pinned).collect();
-    oldest_first.sort_by_key(|capture| (capture.since_utc_ns, capture.id));
+    // A capture of a clock of 1970 must not pass for the oldest while that clock still runs: ids follow the making.
+    oldest_first.sort_by_key(|capture| (if tells_ages { capture.since_utc_ns } else { 0 }, capture.id));
     let mut total: u64 = captures.iter().fold(0, |sum, capture| sum.saturating_add(capture.bytes));
     let mut planned: Vec<Planned> = Vec::new();
     for capture in oldest_first {
-        let old_at = limits.keep.filter(|_| capture.since_utc_ns >= EARLIEST_UTC_NS).map(|keep| {
+        let has_age = tells_ages && capture.since_utc_ns >= UTC_UNSET_BEFORE_NS;
+        let old_at = limits.keep.filter(|_| has_age).map(|keep| {
             let keep_ns = i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX);
             capture.since_utc_ns.saturating_add(keep_ns)
         });
@@ -154,7 +122,7 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, clock_stepped: bool, limits
         };
         total -= capture.bytes.min(total);
         let standing = capture.announced.filter(|announcement| {
-            !clock_stepped
+            !verdict.stepped
                 // Said by this clock, and not longer past its time than its notice was: else nobody may have seen it.
                 && announcement.said_utc_ns <= now_utc_ns
                 && announcement.delete_at_utc_ns >= announcement.said_utc_ns.saturating_add(notice_ns)
@@ -172,7 +140,7 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, clock_stepped: bool, limits
             reason,
             announcement,
             is_new: standing.is_none(),
-            is_due: in_turn && standing.is_some() && announcement.delete_at_utc_ns <= now_utc_ns,
+            is_due: !verdict.is_first && in_turn && standing.is_some() && announcement.delete_at_utc_ns <= now_utc_ns,
         });
     }
     planned

@@ -15,6 +15,11 @@ fn limits(keep_days: Option<u64>, keep_bytes: Option<u64>) -> Limits {
     Limits { keep: keep_days.map(|days| Duration::from_secs(days * 86_400)), keep_bytes, notice: NOTICE }
 }
 
+/// The plan by a clock that is believed.
+fn plan(captures: &[Candidate], now_utc_ns: i64, stepped: bool, limits: &Limits) -> Vec<Planned> {
+    super::plan(captures, now_utc_ns, &Verdict { stepped, ..Verdict::default() }, limits)
+}
+
 fn ids(planned: &[Planned]) -> Vec<i64> {
     planned.iter().map(|planned| planned.id).collect()
 }
@@ -61,26 +66,6 @@ fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
     let of_1970 = [Candidate { since_utc_ns: 5 * DAY, ..capture(1, 0, 10) }];
     assert_eq!(plan(&of_1970, NOW, false, &limits(Some(30), None)), []);
     assert_eq!(ids(&plan(&of_1970, NOW, false, &limits(Some(30), Some(5)))), [1]);
-}
-
-#[test]
-fn a_clock_that_shows_an_implausible_date_tells_no_ages() {
-    let at = |now, newest, synchronised| distrust(now, newest, synchronised);
-    for synchronised in [false, true] {
-        assert_eq!(at(3 * DAY, Some(NOW), synchronised), Some(Distrust::Unset));
-        assert_eq!(at(3 * DAY, None, synchronised), Some(Distrust::Unset));
-        for usual in [NOW, NOW + 1, NOW + 29 * DAY] {
-            assert_eq!(at(usual, Some(NOW), synchronised), None, "{usual}");
-        }
-        assert_eq!(at(NOW, None, synchronised), None);
-    }
-    assert_eq!(at(NOW - DAY / 24, Some(NOW), false), Some(Distrust::Behind(NOW)));
-    assert_eq!(at(NOW - 1, Some(NOW), false), None, "a time server sets a clock back by a moment");
-    assert_eq!(at(NOW + 31 * DAY, Some(NOW), false), Some(Distrust::FarAhead(NOW)));
-    assert_eq!(at(i64::MAX, Some(-DAY), false), Some(Distrust::FarAhead(-DAY)));
-    // A time server's word counts: then a capture's own date was wrong, or nothing was recorded for long.
-    assert_eq!(at(NOW - DAY, Some(NOW), true), None);
-    assert_eq!(at(NOW + 4000 * DAY, Some(NOW), true), None);
 }
 
 #[test]
