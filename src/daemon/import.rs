@@ -228,8 +228,11 @@ impl Importer for DaemonImporter {
             }
             Ok(())
         };
-        let imported = import(&self.store, self.clock.as_ref(), source, request.name.clone(), &mut room)
-            .map_err(|error| refused(&error, &request))?;
+        let imported =
+            import(&self.store, self.clock.as_ref(), source, request.name.clone(), &mut room).map_err(|error| {
+                // The store may be closed under an import that did not end in time: that is no fault of the store.
+                if self.stop.is_cancelled() { control::ImportError::Stopping } else { refused(&error, &request) }
+            })?;
         if let ImportEnd::Created(id) = imported.end {
             let queued = self.jobs.submit_all(id);
             if let Err(error) = queued {
@@ -333,6 +336,46 @@ fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock::SystemClock;
+    use crate::jobs::JobsOptions;
+    use crate::store::StoreOptions;
+
+    /// An import that outlives the daemon's patience finds the store closed; whoever sent it hears that the daemon stops.
+    #[test]
+    fn an_import_that_fails_because_the_daemon_ends_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+        let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
+        let importer = DaemonImporter::new(store.clone(), jobs.clone(), Arc::new(SystemClock), 0);
+        let import = |file: &Path| {
+            let request = ImportRequest {
+                file: file.to_owned(),
+                called: "desk.csv".to_owned(),
+                name: None,
+                rate_hz: None,
+                abandoned: CancellationToken::new(),
+            };
+            importer.import(request).unwrap_err()
+        };
+        let missing = folder.path().join("none.csv");
+        let error = import(&missing);
+        assert!(
+            matches!(error, control::ImportError::Recording { .. } | control::ImportError::Store { .. }),
+            "{error}"
+        );
+        jobs.stop();
+        store.close().unwrap();
+        let (file, mut text) = (folder.path().join("desk.csv"), String::from("time_s,gyro_x_rad_s\n"));
+        for row in 0..400 {
+            text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
+        }
+        std::fs::write(&file, text).unwrap();
+        assert!(matches!(import(&file), control::ImportError::Store { .. }), "the store is closed, and nobody ends");
+        importer.call_off();
+        for file in [&file, &missing] {
+            assert!(matches!(import(file), control::ImportError::Stopping));
+        }
+    }
 
     #[test]
     fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
