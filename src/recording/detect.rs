@@ -59,8 +59,8 @@ pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> Reco
 pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     match refusal {
         Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
-        Refusal::Expands { file_bytes, expanded_bytes } => {
-            RecordingError::Expands { file: file.to_owned(), file_bytes, expanded_bytes }
+        Refusal::Expands { file_bytes, allowed_bytes } => {
+            RecordingError::Expands { file: file.to_owned(), file_bytes, allowed_bytes }
         }
     }
 }

@@ -41,7 +41,7 @@ pub enum RecordingError {
     },
     /// Few compressed bytes become too many.
     #[error(
-        "{}: its first {file_bytes} compressed bytes become more than {expanded_bytes}, which no sensor's recording does: \
+        "{}: its first {file_bytes} compressed bytes become more than {allowed_bytes}, which no sensor's recording does: \
          decompress it yourself and look at it",
         file.display()
     )]
@@ -51,7 +51,7 @@ pub enum RecordingError {
         /// Bytes of the file that were read.
         file_bytes: u64,
         /// What they may become.
-        expanded_bytes: u64,
+        allowed_bytes: u64,
     },
     /// The compressed data end too early: the recording was cut.
     #[error(

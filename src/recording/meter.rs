@@ -56,8 +56,8 @@ pub(super) const EXPANSION: Expansion = Expansion { free_bytes: 256 << 20, ratio
 pub(super) enum Refusal {
     #[error("nobody wants it any more")]
     Unwanted,
-    #[error("{file_bytes} compressed bytes became more than {expanded_bytes}")]
-    Expands { file_bytes: u64, expanded_bytes: u64 },
+    #[error("{file_bytes} compressed bytes became more than {allowed_bytes}")]
+    Expands { file_bytes: u64, allowed_bytes: u64 },
 }
 
 impl From<Refusal> for std::io::Error {
@@ -110,7 +110,7 @@ impl Meter {
         let allowed = file_bytes.saturating_mul(ratio).saturating_add(free_bytes).min(most_bytes);
         let moved = file_bytes.saturating_add(expanded_bytes);
         let refusal = if expanded_bytes > allowed {
-            Refusal::Expands { file_bytes, expanded_bytes: allowed }
+            Refusal::Expands { file_bytes, allowed_bytes: allowed }
         } else if moved >= self.ask_at.get() {
             self.ask_at.set(moved.saturating_add(ASK_BYTES));
             if self.keep_on.is_wanted() {
