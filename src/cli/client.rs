@@ -1,15 +1,18 @@
 //! Asking the running daemon over HTTP, for the commands that do.
 
+use super::connection::Watched;
+use crate::api::ProblemType;
 use serde_json::Value;
 use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
+use ureq::unversioned::resolver::DefaultResolver;
 
 /// How long an answer may take: the daemon answers from memory or says within 10 s that it cannot.
 const PATIENCE: Duration = Duration::from_secs(12);
 /// How long the daemon may take to say that it wants a body.
 const PERMISSION: Duration = Duration::from_secs(5);
-/// The type of the problem that something else has to end first.
-const BUSY: &str = "urn:vn100d:problem:busy";
 /// Bytes of an answer at most.
 const ANSWER_BYTES: u64 = 16 << 20;
 
@@ -39,8 +42,9 @@ pub enum ClientError {
     },
     /// It was there, and ended the connection before it had answered.
     #[error(
-        "the daemon at {base_url} ended the connection after {sent_bytes} of {length_bytes} bytes ({reason}): see its log, \
-         then try again (what it has already is not doubled)"
+        "the daemon at {base_url} ended the connection{} ({reason}): see its log, then try again (what it has already is not \
+         doubled)",
+        progress(*sent_bytes, *length_bytes)
     )]
     BrokenOff {
         /// Where.
@@ -68,13 +72,18 @@ pub enum ClientError {
     Output(#[from] io::Error),
 }
 
+/// How far a body went, where there was one.
+fn progress(sent_bytes: u64, length_bytes: u64) -> String {
+    if length_bytes == 0 { String::new() } else { format!(" after {sent_bytes} of {length_bytes} bytes") }
+}
+
 impl ClientError {
     /// Which exit code.
     pub(super) fn failure(&self) -> super::Failure {
         match self {
             Self::Unreachable { .. } => super::Failure::Unreachable,
             // It only has to wait.
-            Self::Refused { kind, .. } if kind == BUSY => super::Failure::Other,
+            Self::Refused { kind, .. } if kind == ProblemType::Busy.uri() => super::Failure::Other,
             // The disk behind it is full or fails.
             Self::Refused { status: 503, .. } => super::Failure::InputOutput,
             Self::BrokenOff { .. } | Self::Body(_) => super::Failure::InputOutput,
@@ -106,7 +115,7 @@ pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
         |error: ureq::Error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() };
     let response =
         agent.get(format!("{base_url}{path}")).header("accept", "application/json").call().map_err(unreachable)?;
-    read(base_url, response)
+    read(base_url, response, (0, 0))
 }
 
 /// The JSON that the daemon answers to `POST path` with a body of `length_bytes` bytes, however long it takes.
@@ -122,14 +131,16 @@ pub(super) fn send(
     body: impl io::Read,
 ) -> Result<Value, ClientError> {
     let base_url = base_url.trim_end_matches('/');
-    let agent = ureq::Agent::config_builder()
+    let config = ureq::Agent::config_builder()
         .http_status_as_error(false)
         .timeout_connect(Some(PATIENCE))
         .timeout_await_100(Some(PERMISSION))
         .max_redirects(0)
         .proxy(None)
-        .build()
-        .new_agent();
+        .build();
+    let connector = Watched::default();
+    let connected = Arc::clone(&connector.connected);
+    let agent = ureq::Agent::with_parts(config, connector, DefaultResolver::default());
     let post = |body: &mut dyn io::Read| {
         // The daemon is asked before the first byte is sent: a refusal would be lost behind bytes that nobody reads.
         let mut request = agent
@@ -148,25 +159,26 @@ pub(super) fn send(
     };
     let mut body = Sent { body: body.take(length_bytes), sent_bytes: 0, length_bytes, failed: None };
     let error = match post(&mut body) {
-        Ok(response) => return read(base_url, response),
+        Ok(response) => return read(base_url, response, (body.sent_bytes, length_bytes)),
         Err(error) => error,
     };
     if let Some(failed) = body.failed {
         return Err(ClientError::Body(failed));
     }
-    if body.sent_bytes == 0 {
+    if !connected.load(Ordering::Acquire) {
         return Err(ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() });
     }
     // It did not want the rest, and what it said went by unread: asked again it says so before a byte is sent.
     match post(&mut Nothing) {
-        Ok(response) if !response.status().is_success() => read(base_url, response),
-        _ => Err(ClientError::BrokenOff {
-            base_url: base_url.to_owned(),
-            sent_bytes: body.sent_bytes,
-            length_bytes,
-            reason: error.to_string(),
-        }),
+        Ok(response) if !response.status().is_success() => read(base_url, response, (body.sent_bytes, length_bytes)),
+        _ => Err(broken_off(base_url, (body.sent_bytes, length_bytes), &error)),
     }
+}
+
+/// Somebody took the connection, and ended it. `sent`: bytes of the body that went, and that there were.
+fn broken_off(base_url: &str, sent: (u64, u64), error: &ureq::Error) -> ClientError {
+    let (sent_bytes, length_bytes) = sent;
+    ClientError::BrokenOff { base_url: base_url.to_owned(), sent_bytes, length_bytes, reason: error.to_string() }
 }
 
 /// A body on its way: how much of it went, and what kept the rest.
@@ -209,12 +221,16 @@ impl io::Read for Nothing {
     }
 }
 
-fn read(base_url: &str, mut response: ureq::http::Response<ureq::Body>) -> Result<Value, ClientError> {
-    let unreachable =
-        |error: ureq::Error| ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() };
+/// The answer; `sent`: bytes of the question's body that went, and that there were.
+fn read(
+    base_url: &str,
+    mut response: ureq::http::Response<ureq::Body>,
+    sent: (u64, u64),
+) -> Result<Value, ClientError> {
     let foreign = |reason: String| ClientError::Foreign { base_url: base_url.to_owned(), reason };
     let status = response.status().as_u16();
-    let text = response.body_mut().with_config().limit(ANSWER_BYTES).read_to_string().map_err(unreachable)?;
+    let text = response.body_mut().with_config().limit(ANSWER_BYTES).read_to_string();
+    let text = text.map_err(|error| broken_off(base_url, sent, &error))?;
     let body: Value = serde_json::from_str(&text).map_err(|error| foreign(format!("no JSON ({error})")))?;
     if (200..300).contains(&status) {
         return Ok(body);
@@ -329,6 +345,23 @@ mod tests {
         }
         let error = send(&answering(refusal("422 Unprocessable Content", "analysis-failed").leak()));
         assert_eq!((error.failure(), error.is_unreachable()), (Failure::Other, false), "{error}");
+    }
+
+    /// Once somebody took the connection somebody is there, even where not a byte of the body went or the answer was cut.
+    #[test]
+    fn a_connection_that_ends_is_told_from_one_that_is_never_made() {
+        let send = |base_url: &str| send(base_url, "/v1/imports", &[], "", 10, &[7_u8; 10][..]).unwrap_err();
+        let error = send(&answering(""));
+        assert!(matches!(error, ClientError::BrokenOff { sent_bytes: 0, length_bytes: 10, .. }), "{error}");
+        let cut = "HTTP/1.1 200 OK\r\nContent-Length: 50\r\nConnection: close\r\n\r\n{";
+        for error in [send(&answering(cut)), get(&answering(cut), "/v1/status").unwrap_err()] {
+            assert!(matches!(error, ClientError::BrokenOff { .. }), "{error}");
+            assert_eq!(error.failure(), crate::cli::Failure::InputOutput);
+        }
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let base_url = format!("http://{}", listener.local_addr().unwrap());
+        drop(listener);
+        assert!(send(&base_url).is_unreachable());
     }
 
     #[test]

@@ -69,8 +69,10 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
         }
     };
     let base_url = context.daemon_url(args.listen.as_deref())?;
-    let token = context.token()?;
-    let Some(refused) = refused else { return Ok(Writer::Daemon { base_url, token }) };
+    let Some(refused) = refused else {
+        let token = context.token_for(args.listen.as_deref())?;
+        return Ok(Writer::Daemon { base_url, token });
+    };
     // Whoever answers must have this very database: a recording shall not end up in another one.
     match client::get(&base_url, "/v1/status") {
         Err(error) if error.is_unreachable() => {
@@ -81,6 +83,8 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
             let theirs = status["storage"]["database"].as_str().unwrap_or_default();
             let ours = database.canonicalize().unwrap_or(database);
             if Path::new(theirs) == ours {
+                // Only now: where no daemon is there, nobody needs a token that only its user may read.
+                let token = context.token_for(None)?;
                 return Ok(Writer::Daemon { base_url, token });
             }
             Err(refused).context(format!("the daemon at {base_url} has another database ({theirs})"))
@@ -173,4 +177,38 @@ fn bar(template: &str) -> ProgressBar {
         bar.set_draw_target(ProgressDrawTarget::hidden());
     }
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Nobody needs the token of a daemon that is not there: what keeps the import is the database.
+    #[test]
+    fn a_token_that_cannot_be_read_keeps_nobody_while_no_daemon_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = free.local_addr().unwrap();
+        drop(free);
+        let config = folder.path().join("vn100d.toml");
+        let missing = folder.path().join("token");
+        std::fs::write(&config, format!("[http]\nlisten = \"{address}\"\ntoken-file = {missing:?}\n")).unwrap();
+        let context = Context { data_dir: Some(folder.path().to_owned()), config: Some(config), json: false };
+        let arguments = |listen: Option<&str>| ImportArgs {
+            files: vec!["desk.csv".into()],
+            rate: None,
+            name: None,
+            listen: listen.map(str::to_owned),
+        };
+        let held = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+        let Err(error) = writer(&context, &arguments(None)) else { panic!("the database is held") };
+        assert!(
+            error.downcast_ref::<StoreError>().is_some_and(|error| matches!(error, StoreError::Locked { .. })),
+            "{error:#}"
+        );
+        held.close().unwrap();
+        // A daemon that was named is to be let in at.
+        let Err(error) = writer(&context, &arguments(Some("127.0.0.1:9"))) else { panic!("there is no token") };
+        assert!(error.to_string().contains("token-file"), "{error:#}");
+    }
 }

@@ -7,6 +7,7 @@ mod backup;
 mod captures;
 mod check;
 mod client;
+mod connection;
 mod demo;
 mod emulate;
 mod generate;
@@ -110,8 +111,15 @@ impl Context {
         Ok(Reader::open(&self.database()?)?)
     }
 
-    /// The token that the daemon asks for; empty where there is none.
-    fn token(&self) -> anyhow::Result<String> {
+    /// The token for the daemon at `--listen`, or at the configured address; empty where there is none, or none for that
+    /// address ([`may_have_token`]): then its file is not read.
+    fn token_for(&self, listen: Option<&str>) -> anyhow::Result<String> {
+        if let Some(named) = address(listen)? {
+            let configured = self.load(&Overrides { without_token: true, ..Overrides::default() })?.http.listen;
+            if !may_have_token(named, configured, self.config.is_some()) {
+                return Ok(String::new());
+            }
+        }
         let config = self.load(&Overrides::default())?;
         Ok(config.http.token.secret().to_owned())
     }
@@ -121,6 +129,12 @@ impl Context {
         let config = self.load(&Overrides { listen: address(listen)?, without_token: true, ..Overrides::default() })?;
         Ok(format!("http://{}", config.http.listen))
     }
+}
+
+/// Whether the daemon at an address that was named is sent the token, which goes over the network as it is: one on this
+/// machine, the one that is configured, or any where the configuration was named too.
+fn may_have_token(named: SocketAddr, configured: SocketAddr, configuration_named: bool) -> bool {
+    configuration_named || named.ip().to_canonical().is_loopback() || named == configured
 }
 
 /// `--listen` as an address.
@@ -288,6 +302,23 @@ fn store_failure(error: &StoreError) -> Option<Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_token_goes_to_nobody_who_was_only_named() {
+        let at = |text: &str| text.parse::<SocketAddr>().unwrap();
+        let configured = at("192.0.2.7:8100");
+        for (named, named_too, may) in [
+            ("192.0.2.8:8100", false, false),
+            ("192.0.2.7:8101", false, false),
+            ("192.0.2.7:8100", false, true),
+            ("127.0.0.1:9", false, true),
+            ("[::1]:9", false, true),
+            ("[::ffff:127.0.0.1]:9", false, true),
+            ("192.0.2.8:8100", true, true),
+        ] {
+            assert_eq!(may_have_token(at(named), configured, named_too), may, "{named} {named_too}");
+        }
+    }
 
     #[test]
     fn an_error_is_one_line_and_says_no_cause_twice() {
