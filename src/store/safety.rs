@@ -1,6 +1,6 @@
 //! What holds when commits fail, clocks are set and requests are repeated.
 
-use super::tests::{World, a_capture, gap, sample, segment};
+use super::tests::{World, a_capture, bare_writer, gap, sample, segment};
 use super::*;
 use crate::sample::Record;
 use std::time::Duration;
@@ -317,4 +317,60 @@ fn a_commit_that_meets_damage_is_not_tried_again() {
     assert_eq!((progress.failures, progress.commits), (1, 0), "{progress:?}");
     assert!(store.close().unwrap_err().to_string().contains("vn100d recover"));
     assert!(Store::open(&path, StoreOptions::default()).is_err());
+}
+
+/// Five failed steps a minute apart would be three I/O failures in a minute, or a state that flips with every commit.
+#[test]
+fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
+    let world = World::new();
+    let id = world.capturing();
+    let path = world.store.path().to_owned();
+    world.store.close().unwrap();
+    let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+    let Record::Sample { sample: first, .. } = sample(1, 0) else { panic!() };
+    let before_utc_ns = first.host_utc_ns + 10 * PERIOD_NS as i64;
+    let records = [segment(1, 0)].into_iter().chain((0..10).map(|seq| sample(1, seq)));
+    writer.write_now(records.map(|record| (id, record)));
+    writer.write_now([(id, Record::UtcSet { by_ns: 1_000, before_utc_ns }), (id, sample(1, 10))]);
+    let foreign = rusqlite::Connection::open(&path).unwrap();
+    let sql = "CREATE TRIGGER refuse BEFORE UPDATE OF place ON utc_correction BEGIN SELECT RAISE(ABORT, 'no'); END";
+    foreign.execute(sql, []).unwrap();
+    for failure in 1..=5 {
+        let next = writer.correct_now();
+        let seen = progress::locked(&progress).clone();
+        assert_eq!((seen.state, seen.failures, seen.error.clone()), (Default::default(), 0, None));
+        assert!(!seen.gives_up() && seen.io_failures_mono_ns.is_empty());
+        assert_eq!(next.is_some(), failure < 5, "then it is the next start's");
+        assert!(next.is_none_or(|next| next > Duration::from_secs(50)), "{next:?}");
+        assert_eq!(writer.write_now([(id, sample(1, 10 + failure))]), 0);
+    }
+    drop(writer);
+    foreign.execute("DROP TRIGGER refuse", []).unwrap();
+    let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+    while writer.correct_now().is_some() {}
+    let sql = "SELECT min(host_utc_ns), count(*) FROM sample";
+    let found: (i64, i64) = foreign.query_row(sql, [], |row| Ok((row.get(0)?, row.get(1)?))).unwrap();
+    assert_eq!(found, (first.host_utc_ns + 1_000, 16));
+}
+
+/// A writer beside an old capture, with a batch in the log, and what is in file and log once page `gap` is damaged.
+fn beside_damage(world: &World) -> (writer::Writer, SharedProgress, impl Fn() -> [Vec<u8>; 2] + use<>) {
+    let path = with_old_capture(world);
+    let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+    writer.write_now((6000..6010).map(|seq| (1, sample(1, seq))));
+    let files = move || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
+    (writer, progress, files)
+}
+
+#[test]
+fn no_civil_time_is_corrected_in_a_damaged_file() {
+    let world = World::new();
+    let (mut writer, progress, files) = beside_damage(&world);
+    damage_root(world.store.path(), "gap");
+    writer.write_now([(1, gap(6010, 3)), (1, segment(2, 6010)), (1, sample(2, 6010))]);
+    assert!(progress::locked(&progress).damaged);
+    let before = files();
+    writer.correct_now();
+    drop(writer);
+    assert!(files() == before, "the damaged files were changed");
 }

@@ -44,6 +44,9 @@ const REST: Duration = Duration::from_millis(5);
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
 /// How long the end goes on correcting civil times; what is left then is done at the next start.
 const STOP_CORRECTING: Duration = Duration::from_secs(1);
+/// A step of correcting that failed is tried again after this, and after so many in a row at the next start.
+const CORRECT_AGAIN: Duration = Duration::from_secs(60);
+const CORRECTION_FAILURES: u32 = 5;
 /// Less free space than this explains an error that does not name its cause.
 const NO_SPACE_BYTES: u64 = 1 << 20;
 
@@ -139,6 +142,8 @@ pub(super) struct Writer {
     damage: Option<Damage>,
     /// Civil times are to be corrected; the next step not before the moment.
     correcting: Option<Instant>,
+    /// Steps that failed since one succeeded, for a reason that does not pass by itself.
+    correction_failures: u32,
     /// Taken from the queue, not yet committed.
     batch: Vec<(i64, Record)>,
     /// The number the batch will have.
@@ -183,6 +188,7 @@ impl Writer {
             damage: None,
             // A run before this one may have left some.
             correcting: Some(Instant::now()),
+            correction_failures: 0,
             batch: Vec::with_capacity(COMMIT_RECORDS),
             number,
             in_doubt: false,
@@ -237,7 +243,7 @@ impl Writer {
                 self.commit();
             }
             self.answer_flushes(0);
-            if step.is_some_and(|step| now >= step) && self.retry_at.is_none() {
+            if step.is_some_and(|step| now >= step) && self.retry_at.is_none() && self.damage.is_none() {
                 self.correct_times();
             }
             if now >= self.file_checked + self.file_check {
@@ -282,6 +288,9 @@ impl Writer {
     }
 
     fn connection(&mut self) -> Result<&mut Connection, StoreError> {
+        if let Some(damage) = &self.damage {
+            return Err(damage.error(&self.path));
+        }
         if self.connection.is_none() {
             if !self.file.is_replaced(&self.path, &self.identity) {
                 self.replaced = false;
@@ -348,6 +357,7 @@ impl Writer {
         self.file = FileId::written(&self.path);
         self.connection = Some(connection);
         self.correcting = Some(Instant::now());
+        self.correction_failures = 0;
         self.remember();
         let mut progress = locked(&self.progress);
         progress.committed = self.lost.acknowledged();
@@ -406,15 +416,52 @@ impl Writer {
         }
     }
 
-    /// A step of correcting civil times, between commits.
-    fn correct_times(&mut self) {
+    /// A step of correcting civil times, between commits; false where none can follow at once.
+    fn correct_times(&mut self) -> bool {
         let begun = Instant::now();
-        let done = self.connection().and_then(|connection| in_transaction(connection, |step| utc::step(step)));
+        let connection = match self.connection() {
+            Ok(connection) => connection,
+            // Commits have none either.
+            Err(error) => {
+                self.fail(Failure::of(&error));
+                return false;
+            }
+        };
+        let done = in_transaction(connection, |step| utc::step(step));
+        if done.is_ok() {
+            self.correction_failures = 0;
+        }
         match done {
             // At least as long as the step took, the writer is the capture's alone.
             Ok(true) => self.correcting = Some(Instant::now() + begun.elapsed().max(REST)),
             Ok(false) => self.correcting = None,
-            Err(error) => self.fail(Failure::of(&error)),
+            Err(error) => {
+                self.put_off_correcting(&error);
+                return false;
+            }
+        }
+        self.correcting.is_some()
+    }
+
+    /// A step failed. It reads and writes where no commit does, so it says nothing of those: what an old capture needs must
+    /// not hold up the one that runs, nor end the process. What concerns both the next commit finds by itself.
+    fn put_off_correcting(&mut self, error: &StoreError) {
+        tracing::warn!(message = "Civil times could not be corrected; it is tried again.", %error);
+        self.correcting = Some(Instant::now() + CORRECT_AGAIN);
+        if error.is_damage() {
+            self.fail(Failure::of(error));
+            return;
+        }
+        if error.connection_is_sound() {
+            return;
+        }
+        self.correction_failures += 1;
+        if self.correction_failures >= CORRECTION_FAILURES {
+            tracing::warn!("The times that are left are corrected at the next start.");
+            self.correcting = None;
+        }
+        if concerns_storage(error) && !only_reading_failed(error) {
+            self.close_after(error.storage_state());
         }
     }
 
@@ -465,12 +512,7 @@ impl Writer {
                 self.give_up(damage);
                 return;
             }
-            if let Some(connection) = self.connection.take() {
-                // Should the file be replaced before it is opened again, they go on in the other one.
-                self.lost.note(&connection);
-                self.file.close(&self.path, connection);
-            }
-            self.suspect |= failure.state == StorageState::StorageError;
+            self.close_after(failure.state);
         }
         if failure.state == StorageState::StorageError {
             failure.state = self.cause();
@@ -500,6 +542,16 @@ impl Writer {
         }
         progress.state = failure.state;
         progress.error = Some(failure.text);
+    }
+
+    /// Closes the connection after an error that leaves it in doubt: the next one who needs it opens and checks the file.
+    fn close_after(&mut self, state: StorageState) {
+        if let Some(connection) = self.connection.take() {
+            // Should the file be replaced before it is opened again, they go on in the other one.
+            self.lost.note(&connection);
+            self.file.close(&self.path, connection);
+        }
+        self.suspect |= state == StorageState::StorageError;
     }
 
     /// The database is damaged: from now on nothing is written to it, by this process or the next.
@@ -619,8 +671,9 @@ impl Writer {
         }
         self.answer_flushes(0);
         let until = Instant::now() + STOP_CORRECTING;
-        while self.correcting.is_some() && self.retry_at.is_none() && self.damage.is_none() && Instant::now() < until {
-            self.correct_times();
+        let mut correcting = self.correcting.is_some() && self.retry_at.is_none() && self.damage.is_none();
+        while correcting && Instant::now() < until {
+            correcting = self.correct_times();
         }
         if self.damage.is_some() {
             return self.stop_damaged();
@@ -684,6 +737,12 @@ impl Writer {
         panic!("{:?}", locked(&self.progress));
     }
 
+    /// Tries a step of correcting civil times; answers when the next one is due.
+    pub(super) fn correct_now(&mut self) -> Option<Duration> {
+        self.correct_times();
+        self.correcting.map(|at| at - Instant::now())
+    }
+
     /// Tries the batch again.
     pub(super) fn retry_now(&mut self) {
         self.commit();
@@ -714,6 +773,14 @@ fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> Result<supe
         }
     }
     Ok(inserted)
+}
+
+/// Whether the disk only failed to give what was asked: nothing was written, and what was is in no doubt. In the middle of
+/// a statement SQLite says of a read's EIO that the database is damaged instead.
+fn only_reading_failed(error: &StoreError) -> bool {
+    use rusqlite::ffi::{SQLITE_IOERR_CORRUPTFS, SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ};
+    const READING: [i32; 3] = [SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ, SQLITE_IOERR_CORRUPTFS];
+    matches!(error, StoreError::Sqlite(rusqlite::Error::SqliteFailure(code, _)) if READING.contains(&code.extended_code))
 }
 
 /// Makes what is committed durable without trusting an fsync that has failed before: the log's pages are copied into the
