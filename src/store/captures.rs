@@ -589,18 +589,16 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
         capture.stream = Some((rate_hz, timebase));
         capture.epoch_first_device_ns = first.map(|ns| ns as u64);
     }
-    let sql =
-        "SELECT device_time_ns, host_mono_ns, host_utc_ns FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
-    capture.last = connection
+    let sql = "SELECT device_time_ns, host_mono_ns, host_utc_ns, sync_count, (SELECT boot_id FROM segment WHERE segment.capture_id = sample.capture_id AND \
+               segment.segment_id = sample.segment_id) FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
+    let found = connection
         .query_row(sql, [capture.id], |row| {
             let device: Option<i64> = row.get(0)?;
-            Ok((device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?))
+            let last = (device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?);
+            Ok((Some(last), row.get(3)?, row.get(4)?))
         })
         .optional()?;
-    let sql = "SELECT sync_count, (SELECT boot_id FROM segment WHERE segment.capture_id = sample.capture_id AND \
-               segment.segment_id = sample.segment_id) FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
-    let found = connection.query_row(sql, [capture.id], |row| Ok((row.get(0)?, row.get(1)?))).optional()?;
-    (capture.last_sync_count, capture.boot_id) = found.unwrap_or_default();
+    (capture.last, capture.last_sync_count, capture.boot_id) = found.unwrap_or_default();
     Ok(())
 }
 
