@@ -210,9 +210,9 @@ impl Store {
     #[must_use]
     pub fn status(&self) -> StorageStatus {
         let progress = self.progress();
-        let now = SystemClock.mono_ns();
+        let (now, awake) = (SystemClock.mono_ns(), SystemClock.awake_ns());
         StorageStatus {
-            state: progress.state_now(now),
+            state: progress.state_now(awake),
             time_to_full_s: progress.time_to_full_s(),
             low_space: progress.low_space(),
             warning: progress.warning(self.inner.wal_alarm_bytes),
@@ -223,7 +223,7 @@ impl Store {
             last_commit_age_s: progress.last_commit_mono_ns.map(|at| now.saturating_sub(at) as f64 / 1e9),
             last_commit_s: progress.last_commit.map(|took| took.as_secs_f64()),
             queued: (self.inner.records.queued() + progress.in_flight) as u64,
-            error: progress.error_now(now),
+            error: progress.error_now(awake),
         }
     }
 

@@ -46,14 +46,14 @@ pub struct WriterProgress {
     pub slowest_commit: Duration,
     /// Commits that took longer than a second.
     pub slow_commits: u64,
-    /// Since when a commit is under way, real monotonic ns.
-    pub committing_since_mono_ns: Option<u64>,
+    /// Since when a commit is under way, real ns of a clock that stands while the machine sleeps.
+    pub committing_since_awake_ns: Option<u64>,
     /// Records taken from the queue and not committed.
     pub in_flight: usize,
     /// Grows as long as the thread is alive, at least once a second; stands still while a commit hangs.
     pub ticks: u64,
-    /// When `ticks` last grew, real monotonic ns; `None` before the first time.
-    pub turned_mono_ns: Option<u64>,
+    /// When `ticks` last grew, on the same clock: a machine that slept is no writer that stood. `None` before the first time.
+    pub turned_awake_ns: Option<u64>,
     /// Size of the database file in bytes.
     pub database_bytes: u64,
     /// Size of the write-ahead log in bytes.
@@ -85,25 +85,25 @@ impl WriterProgress {
     }
 
     /// How the store is now: a commit that hangs is slow before it ends, and a writer that does not turn is degraded.
-    pub(super) fn state_now(&self, now_mono_ns: u64) -> StorageState {
+    pub(super) fn state_now(&self, now_awake_ns: u64) -> StorageState {
         let longer = |since: Option<u64>, than: Duration| {
-            since.is_some_and(|since| now_mono_ns.saturating_sub(since) > than.as_nanos() as u64)
+            since.is_some_and(|since| now_awake_ns.saturating_sub(since) > than.as_nanos() as u64)
         };
         match self.state {
-            StorageState::Ok | StorageState::Slow if longer(self.turned_mono_ns, STANDS) => StorageState::Degraded,
-            StorageState::Ok if longer(self.committing_since_mono_ns, SLOW) => StorageState::Slow,
+            StorageState::Ok | StorageState::Slow if longer(self.turned_awake_ns, STANDS) => StorageState::Degraded,
+            StorageState::Ok if longer(self.committing_since_awake_ns, SLOW) => StorageState::Slow,
             state => state,
         }
     }
 
     /// What is wrong now, in words: the last error, or for how long the writer has stood still.
-    pub(super) fn error_now(&self, now_mono_ns: u64) -> Option<String> {
-        if self.state_now(now_mono_ns) != StorageState::Degraded {
+    pub(super) fn error_now(&self, now_awake_ns: u64) -> Option<String> {
+        if self.state_now(now_awake_ns) != StorageState::Degraded {
             return self.error.clone();
         }
-        let stood_ns = self.turned_mono_ns.map_or(0, |turned| now_mono_ns.saturating_sub(turned));
+        let stood_ns = self.turned_awake_ns.map_or(0, |turned| now_awake_ns.saturating_sub(turned));
         let doing =
-            if self.committing_since_mono_ns.is_some() { "a commit has not ended" } else { "the writer stands still" };
+            if self.committing_since_awake_ns.is_some() { "a commit has not ended" } else { "the writer stands still" };
         Some(format!("{doing} for {:.0} s: look at the disk (`dmesg`, `iostat`)", stood_ns as f64 / 1e9))
     }
 
@@ -155,14 +155,14 @@ mod tests {
     #[test]
     fn a_writer_that_hangs_is_slow_and_then_degraded() {
         let second = 1_000_000_000;
-        let mut progress = WriterProgress { turned_mono_ns: Some(10 * second), ..WriterProgress::default() };
+        let mut progress = WriterProgress { turned_awake_ns: Some(10 * second), ..WriterProgress::default() };
         assert_eq!(progress.state_now(12 * second), StorageState::Ok);
-        progress.committing_since_mono_ns = Some(10 * second);
+        progress.committing_since_awake_ns = Some(10 * second);
         assert_eq!(progress.state_now(12 * second), StorageState::Slow);
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
         assert!(progress.error_now(14 * second).unwrap().contains("has not ended for 4 s"));
         // A thread that hangs outside a commit as well.
-        progress.committing_since_mono_ns = None;
+        progress.committing_since_awake_ns = None;
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
         // What is known of the disk is said instead.
         progress.state = StorageState::StorageFull;

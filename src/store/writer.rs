@@ -254,7 +254,7 @@ impl Writer {
             }
             let mut progress = locked(&self.progress);
             progress.ticks += 1;
-            progress.turned_mono_ns = Some(SystemClock.mono_ns());
+            progress.turned_awake_ns = Some(SystemClock.awake_ns());
             progress.in_flight = self.batch.len();
         }
     }
@@ -376,14 +376,13 @@ impl Writer {
             }
             return;
         }
-        let started = SystemClock.mono_ns();
-        locked(&self.progress).committing_since_mono_ns = Some(started);
+        let started = SystemClock.awake_ns();
+        locked(&self.progress).committing_since_awake_ns = Some(started);
         let written = self.write_batch();
-        locked(&self.progress).committing_since_mono_ns = None;
+        locked(&self.progress).committing_since_awake_ns = None;
         match written {
             Ok(inserted) => {
-                let now = SystemClock.mono_ns();
-                let took = Duration::from_nanos(now - started);
+                let took = Duration::from_nanos(SystemClock.awake_ns().saturating_sub(started));
                 let written = self.batch.len();
                 self.batch.clear();
                 self.remember_commit();
@@ -399,7 +398,7 @@ impl Writer {
                     progress.committed.extend(inserted.committed);
                     progress.refused += inserted.refused;
                     progress.commits += 1;
-                    progress.last_commit_mono_ns = Some(now);
+                    progress.last_commit_mono_ns = Some(SystemClock.mono_ns());
                     progress.last_commit = Some(took);
                     progress.slowest_commit = progress.slowest_commit.max(took);
                     if took > SLOW {
