@@ -289,7 +289,7 @@ impl Store {
     pub(crate) fn report_damage(&self, error: &StoreError) {
         let failure = Failure::of(error);
         // A writer that has ended writes nothing anyway.
-        let _ = self.inner.commands.send(Command::Run(Box::new(move |_| Some(failure))));
+        let _ = self.inner.commands.send(Command::Damage(failure));
     }
 
     /// The clock's civil time.

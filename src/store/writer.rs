@@ -78,6 +78,8 @@ type Work = Box<dyn FnOnce(Result<&mut Connection, StoreError>) -> Option<Failur
 pub(super) enum Command {
     /// Run this.
     Run(Work),
+    /// A reader met damage.
+    Damage(Failure),
     /// Answer when everything that is in the queue now is committed.
     Flush(oneshot::Sender<()>),
     /// Write what is there and end.
@@ -222,6 +224,7 @@ impl Writer {
             tokio::select! {
                 command = self.commands.recv() => match command {
                     Some(Command::Run(work)) => self.run_command(work),
+                    Some(Command::Damage(failure)) => self.take_report(failure),
                     Some(Command::Flush(reply)) => self.flushes.push((self.batch.len() + self.records.len(), reply)),
                     Some(Command::Stop) | None => return self.stop(),
                 },
@@ -283,6 +286,13 @@ impl Writer {
             }
         };
         if let Some(failure) = failure {
+            self.fail(failure);
+        }
+    }
+
+    /// A reader met damage: that counts also while the disk refuses, but not of a file that is gone.
+    pub(super) fn take_report(&mut self, failure: Failure) {
+        if self.damage.is_none() && !self.file.is_lost(&self.path) {
             self.fail(failure);
         }
     }
