@@ -25,7 +25,7 @@ type Id = (u64, u64);
 /// opened a file which has just taken the place of the written one would take the written one's log for its.
 static WRITTEN: Mutex<BTreeMap<PathBuf, Id>> = Mutex::new(BTreeMap::new());
 
-fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
+pub(super) fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
     WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

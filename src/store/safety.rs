@@ -374,3 +374,42 @@ fn no_civil_time_is_corrected_in_a_damaged_file() {
     drop(writer);
     assert!(files() == before, "the damaged files were changed");
 }
+
+#[test]
+fn damage_that_is_found_after_an_error_leaves_file_and_log_as_they_are() {
+    for stopped in [false, true] {
+        let world = World::new();
+        let (mut writer, progress, files) = beside_damage(&world);
+        // Whoever reads keeps the log from being emptied while the writer is closed.
+        let reader = Reader::open(world.store.path()).unwrap();
+        assert_eq!(reader.capture(1).unwrap().samples, 6010);
+        writer.pretend_io_error();
+        drop(reader);
+        damage_root(world.store.path(), "gap");
+        let before = files();
+        assert!(!before[1].is_empty());
+        if stopped {
+            assert!(writer.stop().unwrap_err().to_string().contains("vn100d recover"));
+        } else {
+            writer.write_now([(1, sample(1, 6010))]);
+        }
+        let seen = progress::locked(&progress).clone();
+        assert!(seen.damaged, "{seen:?}");
+        drop(writer);
+        assert!(files() == before, "the damaged files were changed");
+    }
+}
+
+#[test]
+fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
+    let world = World::new();
+    let (mut writer, progress, _) = beside_damage(&world);
+    writer.pretend_io_error();
+    assert!(!progress::locked(&progress).damaged);
+    writer.take_report(Failure::of(&StoreError::Damaged { report: "a page".to_owned() }));
+    let seen = progress::locked(&progress).clone();
+    assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("vn100d recover")), "{seen:?}");
+    // It is said once.
+    writer.take_report(Failure::of(&StoreError::Damaged { report: "another".to_owned() }));
+    assert_eq!(progress::locked(&progress).failures, seen.failures);
+}

@@ -2,7 +2,8 @@
 
 use super::StoreError;
 use super::lock::Mark;
-use super::lost::refuse_replaced;
+use super::lost::{refuse_replaced, written};
+use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
 use std::path::Path;
@@ -71,11 +72,19 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
     Ok(connection)
 }
 
-/// The writer's connection to a database that must be there: what it reopens after an error.
+/// The writer's connection to a database that must be there: what it reopens after an error. Until it is told otherwise
+/// ([`keep_log`]) it leaves the log as it is when it is closed: the file may be damaged.
 pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
-    let connection = writer_connection(path, OpenFlags::empty())?;
+    let connection = open_for_writing(path, OpenFlags::empty())?;
+    keep_log(&connection, true)?;
+    configure_writer(&connection)?;
     refuse_foreign(&connection, path)?;
     Ok(connection)
+}
+
+/// Whether closing the connection leaves the log as it is instead of copying it into the file.
+pub(super) fn keep_log(connection: &Connection, keep: bool) -> Result<(), rusqlite::Error> {
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, keep).map(drop)
 }
 
 /// Makes a copy a database of its own: another identity, and nothing left in a log.
@@ -102,8 +111,16 @@ pub(super) fn says_damaged(error: &rusqlite::Error) -> bool {
 }
 
 fn writer_connection(path: &Path, more: OpenFlags) -> Result<Connection, StoreError> {
-    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX | more;
-    let connection = Connection::open_with_flags(path, flags)?;
+    let connection = open_for_writing(path, more)?;
+    configure_writer(&connection)?;
+    Ok(connection)
+}
+
+fn open_for_writing(path: &Path, more: OpenFlags) -> Result<Connection, rusqlite::Error> {
+    Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX | more)
+}
+
+fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.busy_timeout(WRITER_BUSY)?;
     // A new file has no pages yet: it takes the id before it takes WAL mode.
     if connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0))? == 0 {
@@ -116,8 +133,7 @@ fn writer_connection(path: &Path, more: OpenFlags) -> Result<Connection, StoreEr
     connection.pragma_update(None, "wal_autocheckpoint", 1000)?;
     connection.pragma_update(None, "journal_size_limit", 64 << 20)?;
     connection.pragma_update(None, "foreign_keys", true)?;
-    common_pragmas(&connection)?;
-    Ok(connection)
+    common_pragmas(connection)
 }
 
 /// A connection that can only read. It never checkpoints: that is the writer's.
@@ -132,9 +148,10 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     refuse_replaced(path)?;
     connection.busy_timeout(READER_BUSY)?;
     if let Err(StoreError::Sqlite(error)) = refuse_foreign(&connection, path) {
-        // WAL mode needs a shared-memory file; where none can be made and no log is left the file itself is complete.
+        // WAL mode needs a shared-memory file; where none can be made and no log is left the file itself is complete. Where
+        // this process writes it that is true for a moment only.
         let log = wal_path(path);
-        if std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
+        if written().contains_key(path) || std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
             return Err(error.into());
         }
         let uri = format!("file:{}?immutable=1", uri_escaped(path));
@@ -152,7 +169,7 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
-fn common_pragmas(connection: &Connection) -> Result<(), StoreError> {
+fn common_pragmas(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.pragma_update(None, "cell_size_check", true)?;
     connection.pragma_update(None, "trusted_schema", false)?;
     connection.pragma_update(None, "mmap_size", 0)?;
@@ -201,6 +218,7 @@ fn refuse_newer(connection: &Connection, path: &Path) -> Result<(), StoreError> 
 
 #[cfg(test)]
 mod tests {
+    use super::super::lost::FileId;
     use super::*;
 
     #[test]
@@ -233,5 +251,18 @@ mod tests {
         let reader = reader_connection(&path).unwrap();
         assert!(reader.execute("UPDATE writer SET batch = 7", []).is_err());
         assert_eq!(reader.query_row("SELECT batch FROM writer", [], |row| row.get::<_, i64>(0)).unwrap(), 0);
+    }
+
+    #[test]
+    fn a_file_that_this_process_writes_is_never_read_without_its_log() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.db");
+        drop(open_and_migrate(&path, None).unwrap());
+        // No shared memory can be made.
+        std::os::unix::fs::symlink(directory.path().join("nowhere"), shm_path(&path)).unwrap();
+        drop(reader_connection(&path).unwrap());
+        FileId::written(&path);
+        assert!(reader_connection(&path).is_err());
+        FileId::forget(&path);
     }
 }

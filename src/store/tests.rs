@@ -87,10 +87,12 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
     let (_, records) = mpsc::channel(1);
     let (_, commands) = mpsc::unbounded_channel();
     let progress = SharedProgress::default();
+    let connection = schema::reopen(path).unwrap();
+    schema::keep_log(&connection, false).unwrap();
     let parts = WriterParts {
         path: path.to_owned(),
         clock: Arc::new(SystemClock),
-        connection: schema::reopen(path).unwrap(),
+        connection,
         records,
         commands,
         progress: progress.clone(),

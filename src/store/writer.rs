@@ -20,7 +20,6 @@ use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
 use crate::sample::Record;
-use rusqlite::config::DbConfig;
 use rusqlite::{Connection, Transaction, TransactionBehavior};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -330,6 +329,7 @@ impl Writer {
             quick_check(&connection, QUICK_CHECK)?;
             self.suspect = false;
         }
+        schema::keep_log(&connection, false)?;
         self.file = FileId::written(&self.path);
         self.connection = Some(connection);
         Ok(())
@@ -567,8 +567,7 @@ impl Writer {
     fn give_up(&mut self, damage: Damage) {
         if let Some(connection) = self.connection.take() {
             // Closing would copy the log into the file: both stay as they are, for whoever salvages them.
-            let kept = connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true);
-            if let Err(error) = kept {
+            if let Err(error) = schema::keep_log(&connection, true) {
                 tracing::warn!(message = "The log may be copied into the damaged file.", %error);
             }
         }
@@ -648,7 +647,7 @@ impl Writer {
     }
 
     /// Writes everything that is there, copies the log into the file and closes it.
-    fn stop(&mut self) -> Result<(), StoreError> {
+    pub(super) fn stop(&mut self) -> Result<(), StoreError> {
         self.records.close();
         if self.damage.is_some() {
             return self.stop_damaged();
@@ -687,11 +686,16 @@ impl Writer {
         if self.damage.is_some() {
             return self.stop_damaged();
         }
-        if let Ok(connection) = self.connection() {
-            // A reader beside us may keep the log from being emptied; the next start does it then.
-            if let Err(error) = copy_log(connection) {
-                tracing::warn!(message = "The write-ahead log stays until the next start.", %error);
+        match self.connection().and_then(|connection| copy_log(connection)) {
+            Ok(()) => {}
+            Err(error) if error.is_damage() => {
+                self.fail(Failure::of(&error));
+                if self.damage.is_some() {
+                    return self.stop_damaged();
+                }
             }
+            // A reader beside us may keep the log from being emptied; the next start does it then.
+            Err(error) => tracing::warn!(message = "The write-ahead log stays until the next start.", %error),
         }
         if let Some(connection) = self.connection.take() {
             connection.close().map_err(|(_, error)| StoreError::Sqlite(error))?;
