@@ -319,7 +319,7 @@ fn a_commit_that_meets_damage_is_not_tried_again() {
     assert!(Store::open(&path, StoreOptions::default()).is_err());
 }
 
-/// Five failed steps a minute apart would be three I/O failures in a minute, or a state that flips with every commit.
+/// Counted among those of commits its failures would end the process, or make the state flip with every commit.
 #[test]
 fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
     let world = World::new();
