@@ -5,8 +5,11 @@
 //! numbered from 0, with its remaining duration and an event that says so. Nothing that was not committed is lost.
 //!
 //! While the connection is closed (after an I/O error) nothing holds the file: another one may then have its number, and the
-//! same one another device. So before it is opened again the database's own identity is compared, in the file alone: beside
-//! another file the log that was left would destroy it.
+//! same one another device and, on vfat and exfat, another number. So before it is opened again the database's own identity is
+//! compared, in the file alone: beside another file the log that was left would destroy it.
+//!
+//! What takes the place may still be on its way there (`cp`): it is left alone while it changes, and what is refused as
+//! damaged is looked at again ([`FileId::judged`]).
 
 use super::captures::name_is_free;
 use super::insert::{Inserted, timebase_from_name};
@@ -60,13 +63,30 @@ pub(super) struct FileId {
     remains: Vec<(PathBuf, Id)>,
     /// The log that stayed when the connection was closed after an error.
     log: Option<[u8; LOG_HEADER]>,
+    /// The last batch that stood in the file itself then: what has fewer is an older copy, which that log would destroy.
+    copied: i64,
+    /// The path named another file, or none, while this one was still held.
+    let_go: bool,
+    /// What stood in its place when that was last looked at, and how often it was refused since it last changed.
+    newcomer: Option<Stamp>,
+    refusals: u32,
 }
+
+/// What changes while a file is written.
+type Stamp = (u64, i64, i64);
+
+fn stamp(path: &Path) -> Option<Stamp> {
+    std::fs::metadata(path).ok().map(|file| (file.len(), file.mtime(), file.mtime_nsec()))
+}
+
+/// A file in a lost one's place that seems damaged is refused for good at this attempt.
+const REFUSALS: u32 = 3;
 
 /// What a file says of itself, its log left aside.
 #[derive(Debug, PartialEq, Eq)]
 enum Says {
-    /// It is the database of this identity.
-    Identity(String),
+    /// It is the database of this identity, with so many batches.
+    Identity(String, i64),
     /// It is one of ours; who it is stands in its log.
     Ours,
     /// It is damaged or cannot be read now.
@@ -85,16 +105,25 @@ fn says(path: &Path) -> Says {
         Err(StoreError::Foreign { found, .. }) if found != 0 => return Says::Foreign,
         Err(_) => return Says::Nothing,
     }
-    match super::writer::identity_of(&connection) {
-        Ok(identity) => Says::Identity(identity),
-        Err(StoreError::Sqlite(error)) if schema::says_damaged(&error) => Says::Nothing,
+    let read = |row: &rusqlite::Row<'_>| Ok(Says::Identity(row.get(0)?, row.get(1)?));
+    match connection.query_row("SELECT identity, batch FROM writer", [], read) {
+        Ok(identity) => identity,
+        Err(error) if schema::says_damaged(&error) => Says::Nothing,
         Err(_) => Says::Ours,
     }
 }
 
 impl FileId {
     pub(super) fn of(path: &Path) -> Self {
-        Self { database: id_of(path), remains: Vec::new(), log: None }
+        Self {
+            database: id_of(path),
+            remains: Vec::new(),
+            log: None,
+            copied: 0,
+            let_go: false,
+            newcomer: None,
+            refusals: 0,
+        }
     }
 
     /// The file that this process writes from now on.
@@ -126,25 +155,63 @@ impl FileId {
             Ok(file) => file,
             Err(error) => return error.kind() == std::io::ErrorKind::NotFound,
         };
-        // A device may come back under another number, a file's own number stays.
+        // A device may come back under another number, and so may a file of one that has no numbers of its own.
         let same_number = self.database.is_some_and(|(_, number)| number == file.ino());
+        if file.len() == 0 || self.let_go && !same_number {
+            return true;
+        }
         match says(path) {
-            _ if file.len() == 0 || !same_number => true,
-            Says::Identity(found) => found != identity,
+            Says::Identity(found, batch) => found != identity || batch < self.copied,
             Says::Foreign => true,
-            Says::Ours | Says::Nothing => false,
+            Says::Ours | Says::Nothing => !same_number,
+        }
+    }
+
+    /// Notes what stands in the lost file's place now.
+    pub(super) fn look(&mut self, path: &Path) {
+        self.newcomer = stamp(path);
+    }
+
+    /// Opens what stands in the lost file's place. None where it changes still: it may be a copy on its way. What seems
+    /// damaged is refused only at the third attempt that finds it unchanged.
+    pub(super) fn judged<T>(
+        &mut self,
+        path: &Path,
+        open: impl FnOnce(&mut Self) -> Result<T, StoreError>,
+    ) -> Result<Option<T>, StoreError> {
+        let before = stamp(path);
+        if before != std::mem::replace(&mut self.newcomer, before) {
+            self.refusals = 0;
+            return Ok(None);
+        }
+        match open(self) {
+            Ok(opened) => Ok(Some(opened)),
+            Err(error) if error.is_damage() => {
+                self.refusals += 1;
+                tracing::warn!(message = "What took the lost file's place cannot be used.", %error, self.refusals);
+                if self.refusals < REFUSALS { Ok(None) } else { Err(error) }
+            }
+            Err(error) => {
+                // The attempt itself may have changed it.
+                self.look(path);
+                Err(error)
+            }
         }
     }
 
     /// The path names another database after all.
     pub(super) fn set_lost(&mut self) {
-        self.database = None;
+        (self.database, self.let_go) = (None, true);
     }
 
     /// Closes the connection after an error, and notes what it leaves beside the file.
     pub(super) fn close(&mut self, path: &Path, connection: Connection) {
         drop(connection);
         self.log = log_header(path);
+        self.copied = match says(path) {
+            Says::Identity(_, batch) => batch,
+            _ => 0,
+        };
         self.remains =
             [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
     }
@@ -161,7 +228,7 @@ impl FileId {
         if let Err((_, error)) = connection.close() {
             tracing::warn!(message = "The lost file could not be closed.", %error);
         }
-        self.log = None;
+        (self.log, self.let_go) = (None, true);
         if let Err(error) = self.clear_remains(path) {
             tracing::warn!(message = "What a lost file left cannot be removed.", %error);
         }
@@ -173,6 +240,11 @@ impl FileId {
         if let Some(header) = self.log
             && log_header(path) == Some(header)
         {
+            // A file that cannot be read now may be the very one that the log belongs to.
+            if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && says(path) == Says::Nothing {
+                let report = "it cannot be read beside the log that was left".to_owned();
+                return Err(StoreError::RefusedDamaged { path: path.to_owned(), report });
+            }
             let (log, aside) = (schema::wal_path(path), kept_log(path));
             std::fs::rename(&log, &aside).map_err(|source| StoreError::Create { path: aside.clone(), source })?;
             tracing::warn!(
@@ -442,6 +514,7 @@ fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, Sto
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::observe::StorageState;
     use crate::store::tests::{World, bare_writer, sample, segment};
     use crate::store::{
         CaptureFilter, CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress,
@@ -558,10 +631,108 @@ mod tests {
         file.database = Some((device + 1, number));
         assert!(!file.is_replaced(&path, &identity) && file.is_replaced(&path, "another"));
         file.database = Some((device, number + 1));
-        assert!(file.is_replaced(&path, &identity), "a copy is not the file that was written");
+        assert!(!file.is_replaced(&path, &identity), "vfat numbers its files anew at each mount");
+        file.copied = i64::MAX;
+        assert!(file.is_replaced(&path, &identity), "an older copy is not the file that was written");
+        (file.copied, file.let_go) = (0, true);
+        assert!(file.is_replaced(&path, &identity), "the path named another file while this one was held");
         writer.pretend_io_error();
         assert_eq!(writer.write_now(samples(id, 100..110)), 0);
         assert_eq!(content(&path), [("night".to_owned(), 110)]);
+    }
+
+    /// The path's file again, under another number.
+    fn renumber(path: &Path, content: &[u8]) {
+        let (beside, number) = (path.with_extension("beside"), id_of(path));
+        std::fs::write(&beside, content).unwrap();
+        std::fs::rename(&beside, path).unwrap();
+        assert_ne!(id_of(path), number);
+    }
+
+    #[test]
+    fn the_same_database_under_another_number_keeps_its_own_log() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(reader.capture(id).unwrap().samples, 100);
+        let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+        assert_eq!(writer.write_now(samples(id, 100..150)), 0);
+        writer.pretend_io_error();
+        assert!(log_header(&path).is_some(), "the log is there");
+        drop(reader.connection);
+        renumber(&path, &std::fs::read(&path).unwrap());
+        assert_eq!(writer.write_now(samples(id, 150..160)), 0);
+        assert_eq!(content(&path), [("night".to_owned(), 160)]);
+        assert!(!kept_log(&path).to_string_lossy().contains(".lost-2"), "no log was moved aside");
+    }
+
+    #[test]
+    fn an_older_copy_of_the_same_database_never_takes_the_newer_log() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let older = std::fs::read(&path).unwrap();
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(reader.capture(id).unwrap().samples, 100);
+        let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+        assert_eq!(writer.write_now(samples(id, 100..150)), 0);
+        // What the log held goes into the file; it begins anew with what comes.
+        let copied = schema::reopen(&path).unwrap();
+        copied.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())).unwrap();
+        assert_eq!(writer.write_now(samples(id, 150..160)), 0);
+        drop(copied);
+        writer.pretend_io_error();
+        assert!(log_header(&path).is_some(), "the log is there");
+        renumber(&path, &older);
+        assert_eq!(writer.write_now(samples(id, 160..170)), 1);
+        assert_eq!(content(&path), [("night-2".to_owned(), 10), ("night".to_owned(), 100)]);
+        assert!(kept_log(&path).to_string_lossy().contains(".lost-2"), "the log was kept");
+    }
+
+    #[test]
+    fn a_copy_that_is_still_on_its_way_is_waited_for() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let whole = std::fs::read(other(&world)).unwrap();
+        let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+        writer.pretend_io_error();
+        renumber(&path, &whole[..4096]);
+        assert_eq!(writer.attempt(), StorageState::StorageLost);
+        for part in 2..=10 {
+            assert_eq!(writer.attempt(), StorageState::StorageLost, "{part}: {:?}", progress::locked(&progress));
+            // The copy stands still for a while now and then.
+            if part % 3 != 0 {
+                std::fs::write(&path, &whole[..4096 * part]).unwrap();
+            }
+        }
+        std::fs::write(&path, &whole).unwrap();
+        assert_eq!(writer.attempt(), StorageState::StorageLost, "it has just changed");
+        assert_eq!(writer.write_now(samples(id, 100..110)), 0);
+        let mut expected = others();
+        expected.insert(0, ("night".to_owned(), 10));
+        assert_eq!(content(&path), expected);
+    }
+
+    #[test]
+    fn half_a_file_that_stays_as_it_is_is_refused_at_the_third_attempt_and_the_log_stays() {
+        let world = World::new();
+        let (path, id) = night(&world);
+        let whole = std::fs::read(other(&world)).unwrap();
+        let reader = Reader::open(&path).unwrap();
+        assert_eq!(reader.capture(id).unwrap().samples, 100);
+        let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
+        assert_eq!(writer.write_now(samples(id, 100..110)), 0);
+        writer.pretend_io_error();
+        let log = std::fs::read(schema::wal_path(&path)).unwrap();
+        let garbage = vec![7; whole.len() / 2];
+        renumber(&path, &garbage);
+        for _ in 0..3 {
+            assert_eq!(writer.attempt(), StorageState::StorageLost);
+        }
+        assert_eq!(writer.attempt(), StorageState::StorageError);
+        let seen = progress::locked(&progress).clone();
+        assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("damaged")), "{seen:?}");
+        assert!(std::fs::read(&path).unwrap() == garbage);
+        assert!(std::fs::read(schema::wal_path(&path)).unwrap() == log, "it may be that file's own");
     }
 
     #[test]

@@ -335,7 +335,8 @@ impl Writer {
         Ok(())
     }
 
-    fn lost(&self) -> StoreError {
+    fn lost(&mut self) -> StoreError {
+        self.file.look(&self.path);
         let detail = "a new file takes what comes, from what was not yet committed on";
         StoreError::Lost { path: self.path.clone(), detail }
     }
@@ -350,14 +351,19 @@ impl Writer {
             self.lost.note(&connection);
             self.file.let_go(&self.path, connection);
             self.replaced = true;
-            self.fail(Failure::of(&self.lost()));
+            let lost = self.lost();
+            self.fail(Failure::of(&lost));
         }
     }
 
     /// Opens what stands in the lost file's place, or a new file, and lets the captures go on there.
     fn take_new_file(&mut self) -> Result<(), StoreError> {
-        self.file.clear_remains(&self.path)?;
-        let mut connection = schema::open_and_migrate(&self.path, None)?;
+        let path = &self.path;
+        let opened = self.file.judged(path, |file| {
+            file.clear_remains(path)?;
+            schema::open_and_migrate(path, None)
+        })?;
+        let Some(mut connection) = opened else { return Err(self.lost()) };
         let moved = self.lost.settle(&mut connection, self.clock.utc_ns())?;
         self.number = last_batch(&connection)? + 1;
         self.identity = identity_of(&connection)?;
@@ -754,6 +760,12 @@ impl Writer {
     pub(super) fn correct_now(&mut self) -> Option<Duration> {
         self.correct_times();
         self.correcting.map(|at| at - Instant::now())
+    }
+
+    /// Tries the batch once.
+    pub(super) fn attempt(&mut self) -> StorageState {
+        self.commit();
+        locked(&self.progress).state
     }
 
     /// Tries the batch again.
