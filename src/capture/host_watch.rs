@@ -4,6 +4,8 @@
 //! (`CLOCK_BOOTTIME`), one that does not (`CLOCK_MONOTONIC`), and civil time. NTP slews all of them alike, so that a change
 //! between civil and monotonic time is a step.
 
+use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
+
 /// A loop that was not run for this long beyond its tick: the host stood, ns.
 const STALL_NS: u64 = 1_000_000_000;
 /// What the clock that sleeps with the machine lacks, at least, for the machine to have slept, ns.
@@ -86,6 +88,28 @@ pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
     (by_ns.unsigned_abs() > AWAY_STEP_NS + (AWAY_SLEW * away_ns as f64) as u64).then_some(by_ns)
 }
 
+/// Steps of a clock that stays unset are told by the rows from this size on: no measurement is that late, ns.
+const UNSET_STEP_NS: i64 = 10_000_000_000;
+
+/// Where a step shows that the host's clock had not been set: times before which are of the clock as it was, UTC ns.
+/// `utc_ns` is civil time after it. A clock that is still not plausible after the step is set once more later, from what
+/// this step made of it; half of the step tells then which times are from before it.
+#[must_use]
+pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
+    let was_unset = by_ns > 0 && utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS;
+    match utc_ns >= UTC_UNSET_BEFORE_NS {
+        true => was_unset.then_some(UTC_UNSET_BEFORE_NS),
+        false => (was_unset && by_ns >= UNSET_STEP_NS).then_some(utc_ns - by_ns / 2),
+    }
+}
+
+/// Whether a clock was set back to, or within, what is not plausible: what lies before is later than what comes, so that a
+/// later correction would move it too far.
+#[must_use]
+pub fn set_back_unset(by_ns: i64, utc_ns: i64) -> bool {
+    by_ns <= -UNSET_STEP_NS && utc_ns < UTC_UNSET_BEFORE_NS
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -97,6 +121,18 @@ mod tests {
     fn reading(clock: &ManualClock) -> Reading {
         let mono_ns = clock.mono_ns();
         Reading { mono_ns, awake_ns: clock.awake_ns(), utc_ns: clock.utc_ns(), after_ns: clock.mono_ns() }
+    }
+
+    #[test]
+    fn times_before_each_step_of_an_unset_clock_are_told_from_those_after_it() {
+        let (set, in_2010) = (UTC_UNSET_BEFORE_NS + 5, 1_262_304_000_000_000_000);
+        assert_eq!(unset_before(set - 60, set), Some(UTC_UNSET_BEFORE_NS), "1970, then NTP");
+        assert_eq!(unset_before(in_2010 - 60, in_2010), Some(in_2010 / 2 + 30), "1970, then 2010 by hand");
+        assert_eq!(unset_before(-3_600_000_000_000, in_2010), None, "set back");
+        assert!(set_back_unset(-3_600_000_000_000, in_2010) && !set_back_unset(-3_600_000_000_000, set));
+        assert_eq!(unset_before(20_000_000, in_2010), None, "no row tells which side it is on");
+        assert!(!set_back_unset(-20_000_000, in_2010));
+        assert_eq!(unset_before(2_000_000_000, set + 10_000_000_000), None, "a clock that was right");
     }
 
     #[test]

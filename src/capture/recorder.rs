@@ -151,6 +151,12 @@ impl Recorder {
         Self { boot_id, ..self }
     }
 
+    /// The boot of the host; `None` where it is not known.
+    #[must_use]
+    pub fn boot_id(&self) -> Option<String> {
+        self.boot_id.clone()
+    }
+
     /// The plan.
     #[must_use]
     pub fn plan(&self) -> &Plan {

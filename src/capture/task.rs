@@ -1,14 +1,13 @@
 //! Task: drives session, decoder and recorder against the real port. A thin shell: every decision is theirs.
 
 use super::action::{Action, Input};
-use super::host_watch::{HostEvent, HostWatch, Reading, stepped_while_away};
+use super::host_watch::{HostEvent, HostWatch, Reading, set_back_unset, stepped_while_away, unset_before};
 use super::port;
 use super::recorder::{Counts, Plan, Recorder, ResumePoint};
 use super::session::{Session, SessionOptions};
 use crate::clock::Clock;
 use crate::observe::{SensorState, SensorStatus, Tally};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
-use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 use crate::sample::device_clock::{ClockEstimate, DeviceClock};
 use crate::sample::{Accountant, DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
 use rand::SeedableRng;
@@ -121,6 +120,8 @@ struct Book {
     /// How many streams were accepted without a capture.
     idle_runs: i64,
     description: Option<serde_json::Value>,
+    /// Samples of the capture as of the last time that a clock which is not set was set back.
+    set_back_seq: Option<u64>,
     sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
     overflow: VecDeque<(i64, Record)>,
@@ -156,6 +157,7 @@ pub async fn run(
             idle: None,
             idle_runs: 0,
             description: None,
+            set_back_seq: None,
             sink,
             overflow: VecDeque::new(),
             out: Vec::new(),
@@ -587,6 +589,7 @@ impl Book {
             self.out.push(Record::Configuration(description.clone()));
         }
         self.recorder = Some(recorder);
+        self.set_back_seq = None;
         self.flush();
     }
 
@@ -651,15 +654,23 @@ impl Book {
     /// Civil time was stepped: nothing that is counted depends on it, but it is remembered, and where nobody had set the
     /// host's clock before, what was written with it is corrected.
     fn clock_stepped(&mut self, by_ns: i64, utc_ns: i64) {
-        let unset = utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS && utc_ns >= UTC_UNSET_BEFORE_NS;
-        let more = if unset { "; it had not been set, and what was recorded with it is corrected" } else { "" };
+        let before_utc_ns = unset_before(by_ns, utc_ns);
+        let more = if before_utc_ns.is_some() {
+            "; it had not been set, and what was recorded with it is corrected"
+        } else {
+            ""
+        };
         let message = format!("the host's clock was stepped by {:+.3} s{more}", by_ns as f64 / 1e9);
         tracing::warn!(%message, "clock");
-        if self.recorder.is_some() {
-            if unset {
-                self.out.push(Record::UtcSet { by_ns, before_utc_ns: UTC_UNSET_BEFORE_NS });
+        if let Some(recorder) = &self.recorder {
+            if let Some(before_utc_ns) = before_utc_ns {
+                let (boot_id, since_seq) = (recorder.boot_id(), self.set_back_seq);
+                self.out.push(Record::UtcSet { by_ns, before_utc_ns, boot_id, since_seq });
+            } else if set_back_unset(by_ns, utc_ns) {
+                self.set_back_seq = Some(recorder.counts().samples);
             }
-            let detail = Some(serde_json::json!({"by_s": by_ns as f64 / 1e9, "utc_back_filled": unset}));
+            let filled = before_utc_ns.is_some();
+            let detail = Some(serde_json::json!({"by_s": by_ns as f64 / 1e9, "utc_back_filled": filled}));
             self.out.push(Record::Event(EventRecord { utc_ns, kind: EventKind::ClockStep, message, detail }));
             self.flush();
         }

@@ -210,8 +210,12 @@ pub enum Record {
     UtcSet {
         /// By so much, ns.
         by_ns: i64,
-        /// Times before this cannot be, UTC ns.
+        /// Times before this are of the clock as it was, UTC ns.
         before_utc_ns: i64,
+        /// The present boot of the host: what an earlier one wrote lies off by another amount. `None`: not known.
+        boot_id: Option<String>,
+        /// Samples before this were taken before that clock was set back.
+        since_seq: Option<u64>,
     },
     /// The sensor's description and registers as read when (re)connected; stored with the capture.
     Configuration(serde_json::Value),

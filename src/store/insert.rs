@@ -110,9 +110,10 @@ pub(super) fn insert(
                 Ok(())
             }
             Record::DeviceClock { epoch, estimate } => insert_clock(connection, *capture_id, *epoch, estimate),
-            Record::UtcSet { by_ns, before_utc_ns } => {
+            Record::UtcSet { by_ns, before_utc_ns, boot_id, since_seq } => {
                 added.unset_before_utc_ns = Some(*before_utc_ns);
-                utc::note(connection, *capture_id, *by_ns, *before_utc_ns, added.next_seq)
+                let since = utc::since(connection, *capture_id, boot_id.as_deref(), *since_seq, added.next_seq)?;
+                utc::note(connection, *capture_id, *by_ns, *before_utc_ns, since, added.next_seq)
             }
             Record::Configuration(registers) => {
                 insert_configuration(connection, *capture_id, registers, added.next_seq, utc_ns)

@@ -85,7 +85,7 @@ fn a_civil_time_that_is_set_later_keeps_the_checksums_right() {
     world.send(id, (50..60).map(|seq| sample(1, seq)));
     let first: i64 = one(&world, "SELECT min(host_utc_ns) FROM sample");
     let before_utc_ns = first + 60 * PERIOD_NS as i64;
-    world.send(id, [Record::UtcSet { by_ns: 1_000, before_utc_ns }, sample(1, 60)]);
+    world.send(id, [Record::UtcSet { by_ns: 1_000, before_utc_ns, boot_id: None, since_seq: None }, sample(1, 60)]);
     world.store.flush_blocking().unwrap();
     let begun = std::time::Instant::now();
     while one::<i64>(&world, "SELECT count(*) FROM utc_correction") > 0 {

@@ -5,6 +5,9 @@
 //! keeps how far it has come and renews the checksums: a kill costs one step, and what arrives meanwhile is committed in
 //! between. Tables are gone through from the newest row to the oldest, so that civil time never runs back on the way.
 //!
+//! An earlier boot of the host began at another wrong time, so that its rows, where they were never corrected, keep theirs: a
+//! correction reaches back to the first segment of the present boot ([`since`]), or to where the clock was set back since.
+//!
 //! Samples that the accounting still held when the clock was set come after the record, with the old time. So a correction
 //! begins once the first sample with a time of its own is there ([`close`]), or the capture has ended.
 
@@ -15,23 +18,44 @@ use rusqlite::{Connection, OptionalExtension, params};
 /// Rows of one step: some tens of milliseconds.
 pub(super) const STEP_ROWS: i64 = 4096;
 
-/// Where times stand: table, what identifies the capture, what orders its rows, the columns.
+/// Where times stand: table, what identifies the capture, what orders its rows, the columns and which of them are of the
+/// present boot, from sample (event, for events) `?6` on.
 struct Place {
     table: &'static str,
     capture: &'static str,
     key: &'static str,
-    columns: &'static [&'static str],
+    columns: &'static [(&'static str, &'static str)],
 }
 
 /// In the order in which they are gone through; samples last.
 const PLACES: [Place; 6] = [
-    Place { table: "capture", capture: "id", key: "id", columns: &["created_utc_ns", "started_utc_ns"] },
-    Place { table: "configuration", capture: "capture_id", key: "configuration_id", columns: &["utc_ns"] },
-    Place { table: "segment", capture: "capture_id", key: "segment_id", columns: &["first_utc_ns", "last_utc_ns"] },
+    Place {
+        table: "capture",
+        capture: "id",
+        key: "id",
+        columns: &[("created_utc_ns", "?6 = 0"), ("started_utc_ns", "?6 = 0")],
+    },
+    Place {
+        table: "configuration",
+        capture: "capture_id",
+        key: "configuration_id",
+        columns: &[("utc_ns", "before_seq >= ?6")],
+    },
+    Place {
+        table: "segment",
+        capture: "capture_id",
+        key: "segment_id",
+        columns: &[("first_utc_ns", "first_seq >= ?6"), ("last_utc_ns", "first_seq + samples > ?6")],
+    },
     // By place, not by number: that is what its index has.
-    Place { table: "gap", capture: "capture_id", key: "before_seq", columns: &["from_utc_ns", "to_utc_ns"] },
-    Place { table: "event", capture: "capture_id", key: "event_id", columns: &["utc_ns"] },
-    Place { table: "sample", capture: "capture_id", key: "seq", columns: &["host_utc_ns"] },
+    Place {
+        table: "gap",
+        capture: "capture_id",
+        key: "before_seq",
+        columns: &[("from_utc_ns", "(before_seq > ?6 OR ?6 = 0)"), ("to_utc_ns", "before_seq >= ?6")],
+    },
+    Place { table: "event", capture: "capture_id", key: "event_id", columns: &[("utc_ns", "event_id >= ?6")] },
+    Place { table: "sample", capture: "capture_id", key: "seq", columns: &[("host_utc_ns", "seq >= ?6")] },
 ];
 
 /// A row of the table.
@@ -40,10 +64,74 @@ struct Correction {
     capture_id: i64,
     by_ns: i64,
     before_utc_ns: i64,
+    since: Since,
     end_seq: i64,
     place: usize,
     next_key: i64,
     live: bool,
+}
+
+/// The first sample and the first event that a correction concerns; 0 for the whole capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Since {
+    seq: i64,
+    event: i64,
+}
+
+/// How far a correction that comes now reaches back: to the first segment of the boot `boot_id`, or to where the clock was
+/// set back since (`since_seq`). The whole capture where the boot is not known.
+pub(super) fn since(
+    connection: &Connection,
+    capture_id: i64,
+    boot_id: Option<&str>,
+    since_seq: Option<u64>,
+    next_seq: u64,
+) -> Result<Since, StoreError> {
+    let event = |sql: &str, utc_ns: i64| -> Result<i64, StoreError> {
+        Ok(connection
+            .prepare_cached(sql)?
+            .query_row([capture_id, utc_ns], |row| row.get(0))
+            .optional()?
+            .unwrap_or(i64::MAX))
+    };
+    if let Some(seq) = since_seq.filter(|seq| *seq > 0) {
+        // The step back is told by an event, the last of its kind.
+        let sql = "SELECT event_id FROM event WHERE capture_id = ?1 AND kind = 'clock_step' AND utc_ns < ?2 \
+                   ORDER BY event_id DESC LIMIT 1";
+        return Ok(Since { seq: seq as i64, event: event(sql, i64::MAX)? });
+    }
+    let Some(boot_id) = boot_id else { return Ok(Since { seq: 0, event: 0 }) };
+    let sql = "SELECT first_seq, first_utc_ns FROM segment WHERE capture_id = ?1 AND boot_id = ?2 ORDER BY segment_id LIMIT 1";
+    let first = connection
+        .prepare_cached(sql)?
+        .query_row(params![capture_id, boot_id], |row| Ok((row.get(0)?, row.get(1)?)))
+        .optional()?;
+    match first {
+        Some((seq, utc_ns)) if seq > 0 => {
+            // A run of the program tells its first sample by an event with that sample's time.
+            let sql = "SELECT event_id FROM event WHERE capture_id = ?1 AND kind = 'capture_started' \
+                       ORDER BY abs(utc_ns - ?2), event_id DESC LIMIT 1";
+            Ok(Since { seq, event: event(sql, utc_ns)? })
+        }
+        None if next_seq > 0 => Ok(Since { seq: next_seq as i64, event: i64::MAX }),
+        _ => Ok(Since { seq: 0, event: 0 }),
+    }
+}
+
+/// The civil time of a sample as it is once the corrections that are noted are done.
+pub(super) fn corrected(connection: &Connection, capture_id: i64, seq: u64, utc_ns: i64) -> Result<i64, StoreError> {
+    let sql = "SELECT by_ns, before_utc_ns FROM utc_correction JOIN capture ON capture.id = capture_id \
+               WHERE capture_id = ?1 AND ?2 >= first_seq AND ?2 < coalesce(end_seq, samples) \
+               AND (place < ?3 OR place = ?3 AND ?2 < next_key) ORDER BY correction_id";
+    let mut statement = connection.prepare_cached(sql)?;
+    let mut rows = statement.query(params![capture_id, seq as i64, PLACES.len() as i64 - 1])?;
+    let mut corrected = utc_ns;
+    while let Some(row) = rows.next()? {
+        if corrected < row.get(1)? {
+            corrected += row.get::<_, i64>(0)?;
+        }
+    }
+    Ok(corrected)
 }
 
 /// Notes that times of the capture before `before_utc_ns` are to be moved; `next_seq` is that of its next sample.
@@ -52,6 +140,7 @@ pub(super) fn note(
     capture_id: i64,
     by_ns: i64,
     before_utc_ns: i64,
+    since: Since,
     next_seq: u64,
 ) -> Result<(), StoreError> {
     close(connection, capture_id, next_seq)?;
@@ -60,8 +149,8 @@ pub(super) fn note(
         return Ok(());
     }
     connection.execute(
-        "INSERT INTO utc_correction (capture_id, by_ns, before_utc_ns) VALUES (?1, ?2, ?3)",
-        params![capture_id, by_ns, before_utc_ns],
+        "INSERT INTO utc_correction (capture_id, by_ns, before_utc_ns, first_seq, first_event) VALUES (?1, ?2, ?3, ?4, ?5)",
+        params![capture_id, by_ns, before_utc_ns, since.seq, since.event],
     )?;
     Ok(())
 }
@@ -113,7 +202,7 @@ pub(super) fn step(connection: &Connection) -> Result<bool, StoreError> {
 
 fn next(connection: &Connection) -> Result<Option<Correction>, StoreError> {
     let sql = "SELECT correction_id, capture_id, by_ns, before_utc_ns, coalesce(end_seq, samples), place, next_key, \
-               lifecycle = 'live' FROM utc_correction JOIN capture ON capture.id = capture_id \
+               lifecycle = 'live', first_seq, first_event FROM utc_correction JOIN capture ON capture.id = capture_id \
                WHERE end_seq IS NOT NULL OR state <> 'capturing' OR lifecycle <> 'live' ORDER BY correction_id LIMIT 1";
     let read = |row: &rusqlite::Row<'_>| {
         Ok(Correction {
@@ -125,6 +214,7 @@ fn next(connection: &Connection) -> Result<Option<Correction>, StoreError> {
             place: row.get::<_, i64>(5)? as usize,
             next_key: row.get(6)?,
             live: row.get(7)?,
+            since: Since { seq: row.get(8)?, event: row.get(9)? },
         })
     };
     Ok(connection.prepare_cached(sql)?.query_row([], read).optional()?)
@@ -149,10 +239,11 @@ fn rows(connection: &Connection, correction: &Correction, place: &Place) -> Resu
 /// The same for samples, whole batches at a time, whose checksums are renewed.
 fn samples(connection: &Connection, correction: &Correction, place: &Place) -> Result<Option<i64>, StoreError> {
     let end = correction.next_key.min(correction.end_seq);
-    if end <= 0 {
+    let first = correction.since.seq;
+    if end <= first {
         return Ok(None);
     }
-    let from = (end - STEP_ROWS).max(0);
+    let from = (end - STEP_ROWS).max(first);
     let sql = "SELECT capture_id, first_seq, count, crc FROM batch \
                WHERE capture_id = ?1 AND first_seq < ?2 AND first_seq + count > ?3 AND first_seq >= \
                coalesce((SELECT max(first_seq) FROM batch WHERE capture_id = ?1 AND first_seq <= ?3), 0)";
@@ -170,7 +261,7 @@ fn samples(connection: &Connection, correction: &Correction, place: &Place) -> R
     if move_times(connection, correction, place, from, end)? > 0 {
         batch::renew(connection, &intact)?;
     }
-    Ok((from > 0).then_some(from))
+    Ok((from > first).then_some(from))
 }
 
 /// Moves what lies before the time that cannot be; answers how many rows changed.
@@ -184,16 +275,19 @@ fn move_times(
     let Place { table, capture, key, columns } = place;
     let moved: Vec<String> = columns
         .iter()
-        .map(|column| format!("{column} = CASE WHEN {column} < ?5 THEN {column} + ?4 ELSE {column} END"))
+        .map(|(column, since)| {
+            format!("{column} = CASE WHEN {column} < ?5 AND {since} THEN {column} + ?4 ELSE {column} END")
+        })
         .collect();
-    let early: Vec<String> = columns.iter().map(|column| format!("{column} < ?5")).collect();
+    let early: Vec<String> = columns.iter().map(|(column, since)| format!("{column} < ?5 AND {since}")).collect();
     // A row that would become equal to another stays as it is: it must not hold up the rest.
     let sql = format!(
-        "UPDATE OR IGNORE {table} SET {} WHERE {capture} = ?1 AND {key} >= ?2 AND {key} < ?3 AND ({})",
+        "UPDATE OR IGNORE {table} SET {} WHERE {capture} = ?1 AND {key} >= ?2 AND {key} < ?3 AND (({}))",
         moved.join(", "),
-        early.join(" OR ")
+        early.join(") OR (")
     );
-    let values = params![correction.capture_id, from, end, correction.by_ns, correction.before_utc_ns];
+    let since = if *table == "event" { correction.since.event } else { correction.since.seq };
+    let values = params![correction.capture_id, from, end, correction.by_ns, correction.before_utc_ns, since];
     Ok(connection.prepare_cached(&sql)?.execute(values)?)
 }
 
@@ -233,6 +327,10 @@ mod tests {
         Record::Event(EventRecord { utc_ns, kind: EventKind::Warning, message: "said".to_owned(), detail: None })
     }
 
+    fn utc_set(by_ns: i64, before_utc_ns: i64, boot_id: Option<&str>, since_seq: Option<u64>) -> Record {
+        Record::UtcSet { by_ns, before_utc_ns, boot_id: boot_id.map(str::to_owned), since_seq }
+    }
+
     /// What a capture sends that began in 1970: segments and gaps, the clock is set, two samples were still held.
     fn records() -> Vec<Record> {
         let mut records = vec![early(segment(1, 0)), event(5)];
@@ -243,7 +341,7 @@ mod tests {
             }
             records.push(early(sample(number, seq)));
         }
-        records.push(Record::UtcSet { by_ns: BY_NS, before_utc_ns: UNSET_NS });
+        records.push(utc_set(BY_NS, UNSET_NS, None, None));
         records.push(event(START_NS + 1));
         records.extend([early(sample(4, COUNT)), early(sample(4, COUNT + 1)), sample(4, COUNT + 2)]);
         records
@@ -301,6 +399,12 @@ mod tests {
         let (mut steps, mut images) = (0, 0);
         loop {
             let before = connection.total_changes();
+            // Whoever asks for the last sample on the way has the time that it will have.
+            for seq in [0, COUNT / 2, COUNT + 1, COUNT + 2] {
+                let sql = format!("SELECT host_utc_ns FROM sample WHERE seq = {seq}");
+                let will_be = corrected(&connection, id, seq, one(&path, &sql)).unwrap();
+                assert_eq!(will_be, START_NS + seq as i64 * PERIOD_NS, "sample {seq} in step {steps}");
+            }
             let step = connection.transaction().unwrap();
             let more = super::step(&step).unwrap();
             step.commit().unwrap();
@@ -371,8 +475,122 @@ mod tests {
         world.store.flush_blocking().unwrap();
         all_right(&path, seq);
         // A second time: what is right already stays.
-        world.send(id, [Record::UtcSet { by_ns: BY_NS, before_utc_ns: UNSET_NS }, sample(4, seq)]);
+        world.send(id, [utc_set(BY_NS, UNSET_NS, None, None), sample(4, seq)]);
         world.store.close().unwrap();
         all_right(&path, seq + 1);
+    }
+
+    fn of_boot(record: Record, boot: &str) -> Record {
+        match record {
+            Record::Segment(one) => Record::Segment(Segment { boot_id: Some(boot.to_owned()), ..one }),
+            other => other,
+        }
+    }
+
+    fn started(utc_ns: i64) -> Record {
+        let message = "capture `night` goes on".to_owned();
+        Record::Event(EventRecord { utc_ns, kind: EventKind::CaptureStarted, message, detail: None })
+    }
+
+    /// The record as a clock has it that is off by so much.
+    fn off(record: Record, by_ns: i64) -> Record {
+        match record {
+            Record::Sample { seq, segment, mut sample } => {
+                sample.host_utc_ns -= by_ns;
+                Record::Sample { seq, segment, sample }
+            }
+            Record::Segment(one) => Record::Segment(Segment { first_utc_ns: one.first_utc_ns - by_ns, ..one }),
+            other => other,
+        }
+    }
+
+    /// Writes the records, does all corrections; answers a query of rows of numbers.
+    fn corrected_rows(records: Vec<Record>, sql: &str) -> Vec<i64> {
+        let world = World::new();
+        let id = world.capturing();
+        world.store.close().unwrap();
+        let path = world.store.path().to_owned();
+        let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
+        writer.write_now(records.into_iter().map(|record| (id, record)));
+        let mut connection = schema::reopen(&path).unwrap();
+        loop {
+            let step = connection.transaction().unwrap();
+            let more = super::step(&step).unwrap();
+            step.commit().unwrap();
+            if !more {
+                break;
+            }
+        }
+        assert_eq!(one(&path, LEFT), 0);
+        assert!(!check(&path).unwrap().findings.iter().any(|finding| finding.check == "checksum"));
+        let mut statement = connection.prepare(sql).unwrap();
+        let rows = statement.query_map([], |row| row.get(0)).unwrap();
+        rows.collect::<Result<_, _>>().unwrap()
+    }
+
+    const SAMPLES: &str = "SELECT host_utc_ns FROM sample ORDER BY seq";
+
+    /// 100 samples of a first boot and 50 of a second one, whose clocks both began at about the same wrong time.
+    fn two_boots() -> (Vec<Record>, i64) {
+        let (first_off, second_off) = (BY_NS, BY_NS + 120 * PERIOD_NS);
+        let mut records = vec![started(START_NS - first_off), of_boot(off(segment(1, 0), first_off), "one")];
+        records.extend((0..100).map(|seq| off(sample(1, seq), first_off)));
+        records.push(event(7));
+        records.push(started(START_NS + 100 * PERIOD_NS - second_off));
+        let Record::Gap(between) = gap(100, 3) else { panic!() };
+        let (from_utc_ns, to_utc_ns) = (between.from_utc_ns - first_off, START_NS + 100 * PERIOD_NS - second_off);
+        records.push(Record::Gap(Gap { from_utc_ns, to_utc_ns, ..between }));
+        records.push(of_boot(off(segment(2, 100), second_off), "two"));
+        records.extend((100..150).map(|seq| off(sample(2, seq), second_off)));
+        records.push(event(9));
+        (records, second_off)
+    }
+
+    #[test]
+    fn a_clock_that_is_set_leaves_the_rows_of_an_earlier_boot_as_they_are() {
+        let all = "SELECT host_utc_ns FROM (SELECT 1 AS place, seq AS key, host_utc_ns FROM sample \
+                   UNION ALL SELECT 2, segment_id, first_utc_ns FROM segment \
+                   UNION ALL SELECT 3, segment_id, last_utc_ns FROM segment \
+                   UNION ALL SELECT 4, 1, from_utc_ns FROM gap UNION ALL SELECT 4, 2, to_utc_ns FROM gap \
+                   UNION ALL SELECT 5, 1, started_utc_ns FROM capture \
+                   UNION ALL SELECT 6, event_id, utc_ns FROM event) ORDER BY place, key";
+        let at = |seq: i64| START_NS + seq * PERIOD_NS;
+        let (mut records, second_off) = two_boots();
+        records.extend([utc_set(second_off, UNSET_NS, Some("two"), None), sample(2, 150)]);
+        let mut expected: Vec<i64> = (0..100).map(|seq| at(seq) - BY_NS).chain((100..151).map(at)).collect();
+        expected.extend([at(0) - BY_NS, at(100), at(99) - BY_NS, at(150)]);
+        expected.extend([at(99) - BY_NS, at(100), at(0) - BY_NS]);
+        expected.extend([at(0) - BY_NS, 7, at(100), 9 + second_off]);
+        assert_eq!(corrected_rows(records, all), expected);
+        // A boot that has no samples yet has nothing to correct.
+        let (mut records, second_off) = two_boots();
+        records.extend([utc_set(second_off, UNSET_NS, Some("three"), None), sample(2, 150)]);
+        let mut expected: Vec<i64> = (0..100).map(|seq| at(seq) - BY_NS).collect();
+        expected.extend((100..150).map(|seq| at(seq) - second_off).chain([at(150)]));
+        assert_eq!(corrected_rows(records, SAMPLES), expected);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_twice_within_one_boot_is_corrected_twice() {
+        // 1970, then 2010 by hand, then now.
+        let second_off = START_NS - 1_262_304_000_000_000_000;
+        let step = BY_NS - second_off;
+        let steps = |first: Option<Record>, since_seq| {
+            let mut records = vec![of_boot(off(segment(1, 0), BY_NS), "one")];
+            records.extend((0..50).map(|seq| off(sample(1, seq), BY_NS)));
+            records.extend(first);
+            // Two that were still held.
+            records.extend((50..52).map(|seq| off(sample(1, seq), BY_NS)));
+            records.extend((52..100).map(|seq| off(sample(1, seq), second_off)));
+            records.extend([utc_set(second_off, UNSET_NS, Some("one"), since_seq), sample(1, 100)]);
+            records
+        };
+        let middle = START_NS + 52 * PERIOD_NS - second_off - step / 2;
+        let right: Vec<i64> = (0..101).map(|seq| START_NS + seq * PERIOD_NS).collect();
+        assert_eq!(corrected_rows(steps(Some(utc_set(step, middle, Some("one"), None)), None), SAMPLES), right);
+        // As after a step back, which is noted in no row: what lies before it stays.
+        let mut expected = right.clone();
+        expected.iter_mut().take(52).for_each(|utc_ns| *utc_ns -= BY_NS);
+        assert_eq!(corrected_rows(steps(None, Some(52)), SAMPLES), expected);
     }
 }
