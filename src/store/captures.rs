@@ -599,6 +599,9 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
         })
         .optional()?;
     (capture.last, capture.last_sync_count, capture.boot_id) = found.unwrap_or_default();
+    if let Some((_, _, utc_ns)) = &mut capture.last {
+        *utc_ns = super::utc::corrected(connection, capture.id, capture.samples.saturating_sub(1), *utc_ns)?;
+    }
     Ok(())
 }
 
