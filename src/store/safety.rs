@@ -331,7 +331,10 @@ fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
     let before_utc_ns = first.host_utc_ns + 10 * PERIOD_NS as i64;
     let records = [segment(1, 0)].into_iter().chain((0..10).map(|seq| sample(1, seq)));
     writer.write_now(records.map(|record| (id, record)));
-    writer.write_now([(id, Record::UtcSet { by_ns: 1_000, before_utc_ns }), (id, sample(1, 10))]);
+    writer.write_now([
+        (id, Record::UtcSet { by_ns: 1_000, before_utc_ns, boot_id: None, since_seq: None }),
+        (id, sample(1, 10)),
+    ]);
     let foreign = rusqlite::Connection::open(&path).unwrap();
     let sql = "CREATE TRIGGER refuse BEFORE UPDATE OF place ON utc_correction BEGIN SELECT RAISE(ABORT, 'no'); END";
     foreign.execute(sql, []).unwrap();

@@ -524,8 +524,12 @@ impl Writer {
                 return;
             }
             if let Some(damage) = failure.damage {
-                self.give_up(damage);
-                return;
+                let Some(error) = damage.is_of_the_disk(&self.path) else {
+                    self.give_up(damage);
+                    return;
+                };
+                failure.state = StorageState::StorageError;
+                failure.text = format!("the database cannot be read: {error}");
             }
             self.close_after(failure.state);
         }
