@@ -414,6 +414,10 @@ impl Moved {
                 let before_seq = gap.before_seq.saturating_sub(self.seq.unwrap_or(gap.before_seq));
                 Record::Gap(Gap { before_seq, ..gap.clone() })
             }
+            Record::UtcSet { by_ns, before_utc_ns, boot_id, since_seq } => {
+                let since_seq = since_seq.map(|since| since.saturating_sub(self.seq.unwrap_or(since)));
+                Record::UtcSet { by_ns: *by_ns, before_utc_ns: *before_utc_ns, boot_id: boot_id.clone(), since_seq }
+            }
             other => other.clone(),
         };
         records.push((to, record));
@@ -639,6 +643,19 @@ mod tests {
         writer.pretend_io_error();
         assert_eq!(writer.write_now(samples(id, 100..110)), 0);
         assert_eq!(content(&path), [("night".to_owned(), 110)]);
+    }
+
+    #[test]
+    fn where_the_clock_was_set_back_is_numbered_as_the_new_file_numbers_samples() {
+        let set = |since| Record::UtcSet { by_ns: 1, before_utc_ns: 2, boot_id: None, since_seq: Some(since) };
+        let mut moved = Moved { to: 7, ..Moved::default() };
+        let mut records = Vec::new();
+        for record in [set(90), sample(1, 100), set(90), set(130)] {
+            moved.translate(&record, &mut records);
+        }
+        let sets: Vec<Record> =
+            records.into_iter().map(|(_, record)| record).filter(|one| matches!(one, Record::UtcSet { .. })).collect();
+        assert_eq!(sets, [set(0), set(0), set(30)], "0: the whole of what this file has of the boot");
     }
 
     /// The path's file again, under another number.
