@@ -10,18 +10,30 @@
 //! it is not there it is written again, in new pages that a new fsync vouches for. Where it is there it is made durable
 //! first: the log is copied into the file or, where a reader prevents that, written over itself.
 
+mod failure;
+mod file;
+#[cfg(test)]
+mod pretend;
+
+pub(super) use failure::{Failure, concerns_storage};
+#[cfg(test)]
+pub(super) use file::rewrite;
+pub(super) use file::{identity_of, one_line, quick_check};
+
 use super::check::not_behind;
 use super::damage::Damage;
 use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::{FileId, Lost};
-use super::progress::{IO_FAILURES, SLOW, SharedProgress, locked};
+use super::progress::{SLOW, SharedProgress, locked};
 use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
 use crate::sample::Record;
+use failure::{RETRY, only_reading_failed};
+use file::{committed_of, copy_log, last_batch, make_durable};
 use rusqlite::{Connection, Transaction, TransactionBehavior};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
@@ -31,10 +43,6 @@ use tokio::time::Instant;
 pub const COMMIT_AFTER: Duration = Duration::from_millis(900);
 /// So many records are committed without waiting.
 pub const COMMIT_RECORDS: usize = 8192;
-/// First and longest delay before a failed commit is tried again.
-const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(1));
-/// The same after an I/O error: with the third the process ends, so that a disk which recovers has some seconds.
-const RETRY_IO: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 /// How long the check after an I/O error may take: a large database is then taken as it is.
 const QUICK_CHECK: Duration = Duration::from_secs(2);
 /// The shortest rest between two steps of correcting civil times.
@@ -46,30 +54,6 @@ const STOP_CORRECTING: Duration = Duration::from_secs(1);
 /// A step of correcting that failed is tried again after this, and after so many in a row at the next start.
 const CORRECT_AGAIN: Duration = Duration::from_secs(60);
 const CORRECTION_FAILURES: u32 = 5;
-/// Less free space than this explains an error that does not name its cause.
-const NO_SPACE_BYTES: u64 = 1 << 20;
-
-/// A storage error, apart from its typed origin.
-#[derive(Debug, Clone)]
-pub(super) struct Failure {
-    pub(super) state: StorageState,
-    text: String,
-    sound: bool,
-    damage: Option<Damage>,
-}
-
-impl Failure {
-    pub(super) fn of(error: &StoreError) -> Self {
-        let text = match error {
-            StoreError::Sqlite(rusqlite::Error::SqliteFailure(code, _)) => {
-                format!("{error} (SQLite {})", code.extended_code)
-            }
-            other => other.to_string(),
-        };
-        let damage = Damage::of(error);
-        Self { state: error.storage_state(), text, sound: error.connection_is_sound(), damage }
-    }
-}
 
 type Work = Box<dyn FnOnce(Result<&mut Connection, StoreError>) -> Option<Failure> + Send>;
 
@@ -94,17 +78,6 @@ pub(super) fn in_transaction<T>(
     let value = work(&transaction)?;
     transaction.commit()?;
     Ok(value)
-}
-
-/// Whether the error says something about the disk rather than about what was asked.
-pub(super) fn concerns_storage(error: &StoreError) -> bool {
-    use rusqlite::ErrorCode as Code;
-    matches!(error, StoreError::Sqlite(error) if matches!(
-        error.sqlite_error_code(),
-        Some(Code::DiskFull | Code::ReadOnly | Code::DatabaseBusy | Code::DatabaseLocked | Code::SystemIoFailure
-            | Code::DatabaseCorrupt | Code::CannotOpen | Code::NotADatabase | Code::PermissionDenied)
-    )) || matches!(error, StoreError::Lost { .. })
-        || error.is_damage()
 }
 
 /// What the writer is made of.
@@ -285,13 +258,6 @@ impl Writer {
             }
         };
         if let Some(failure) = failure {
-            self.fail(failure);
-        }
-    }
-
-    /// A reader met damage: that counts also while the disk refuses, but not of a file that is gone.
-    pub(super) fn take_report(&mut self, failure: Failure) {
-        if self.damage.is_none() && !self.file.is_lost(&self.path) {
             self.fail(failure);
         }
     }
@@ -506,108 +472,6 @@ impl Writer {
         Ok(self.lost.named(inserted))
     }
 
-    fn recovered(&mut self) {
-        self.retry_at = None;
-        self.retry_after = Duration::ZERO;
-        let mut progress = locked(&self.progress);
-        if !matches!(progress.state, StorageState::Ok | StorageState::Slow) {
-            tracing::info!(message = "The database takes data again.");
-        }
-        progress.state = StorageState::Ok;
-        progress.error = None;
-    }
-
-    fn fail(&mut self, mut failure: Failure) {
-        if !failure.sound {
-            if self.connection.is_some() && self.file.is_lost(&self.path) {
-                self.check_file();
-                return;
-            }
-            if let Some(damage) = failure.damage {
-                let Some(error) = damage.is_of_the_disk(&self.path) else {
-                    self.give_up(damage);
-                    return;
-                };
-                failure.state = StorageState::StorageError;
-                failure.text = format!("the database cannot be read: {error}");
-            }
-            self.close_after(failure.state);
-        }
-        if failure.state == StorageState::StorageError {
-            failure.state = self.cause();
-        }
-        let retry = if failure.state == StorageState::StorageError { RETRY_IO } else { RETRY };
-        self.retry_after = self.retry_after.clamp(retry.0, retry.1);
-        if failure.state == StorageState::StorageLost {
-            // Long enough to be seen.
-            self.retry_after = RETRY.1;
-        }
-        self.retry_at = Some(Instant::now() + self.retry_after);
-        self.retry_after = match failure.state {
-            StorageState::StorageError => RETRY_IO.1,
-            _ => (self.retry_after * 2).min(RETRY.1),
-        };
-        let mut progress = locked(&self.progress);
-        if progress.error.as_ref() != Some(&failure.text) {
-            tracing::error!(message = "The database does not take data; it is kept in memory.", error = failure.text);
-        }
-        progress.failures += 1;
-        progress.busy += u64::from(failure.state == StorageState::StorageLocked);
-        if failure.state == StorageState::StorageError {
-            progress.io_failures_mono_ns.push(SystemClock.mono_ns());
-            if progress.io_failures_mono_ns.len() > IO_FAILURES {
-                progress.io_failures_mono_ns.remove(0);
-            }
-        }
-        progress.state = failure.state;
-        progress.error = Some(failure.text);
-    }
-
-    /// Closes the connection after an error that leaves it in doubt: the next one who needs it opens and checks the file.
-    fn close_after(&mut self, state: StorageState) {
-        if let Some(connection) = self.connection.take() {
-            // Should the file be replaced before it is opened again, they go on in the other one.
-            self.lost.note(&connection);
-            self.file.close(&self.path, connection);
-        }
-        self.suspect |= state == StorageState::StorageError;
-    }
-
-    /// The database is damaged: from now on nothing is written to it, by this process or the next.
-    fn give_up(&mut self, damage: Damage) {
-        if let Some(connection) = self.connection.take() {
-            // Closing would copy the log into the file: both stay as they are, for whoever salvages them.
-            if let Err(error) = schema::keep_log(&connection, true) {
-                tracing::warn!(message = "The log may be copied into the damaged file.", %error);
-            }
-        }
-        if let Damage::Met(report) = &damage
-            && let Err(error) = self.lock.mark_damaged(&self.identity, report)
-        {
-            tracing::warn!(message = "The damage cannot be remembered for the next start.", %error);
-        }
-        let error = damage.error(&self.path);
-        tracing::error!("{error}");
-        (self.retry_at, self.due) = (None, None);
-        self.damage = Some(damage);
-        let mut progress = locked(&self.progress);
-        progress.failures += 1;
-        progress.state = StorageState::StorageError;
-        progress.error = Some(error.to_string());
-        progress.damaged = true;
-    }
-
-    /// What an I/O error comes from, as the system says it of a small write beside the database.
-    fn cause(&self) -> StorageState {
-        let full = || lock::free_bytes(&self.path).is_ok_and(|free| free < NO_SPACE_BYTES);
-        match self.remember().map(|error| error.kind()) {
-            Some(std::io::ErrorKind::ReadOnlyFilesystem) => StorageState::StorageReadonly,
-            Some(std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) => StorageState::StorageFull,
-            _ if full() => StorageState::StorageFull,
-            _ => StorageState::StorageError,
-        }
-    }
-
     fn answer_flushes(&mut self, written: usize) {
         let idle = self.batch.is_empty() && self.records.is_empty();
         for (remaining, _) in &mut self.flushes {
@@ -714,156 +578,8 @@ impl Writer {
     }
 }
 
-impl Writer {
-    fn stop_damaged(&mut self) -> Result<(), StoreError> {
-        let records = self.batch.len() + self.records.len();
-        if records > 0 {
-            tracing::error!(message = "What was not committed is not written to a damaged file.", records);
-        }
-        Err(self.damage.as_ref().map_or(StoreError::Closed, |damage| damage.error(&self.path)))
-    }
-}
-
 impl Drop for Writer {
     fn drop(&mut self) {
         FileId::forget(&self.path);
-    }
-}
-
-#[cfg(test)]
-impl Writer {
-    /// Writes the records and behaves as if the commit had reported an error.
-    pub(super) fn pretend_failed_commit(&mut self, records: Vec<(i64, Record)>) {
-        self.batch = records;
-        self.write_batch().unwrap();
-        self.in_doubt = true;
-        self.suspect = true;
-        self.connection = None;
-    }
-
-    /// Behaves as if the disk had reported an error: the connection is closed.
-    pub(super) fn pretend_io_error(&mut self) {
-        let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_IOERR_WRITE);
-        self.fail(Failure::of(&rusqlite::Error::SqliteFailure(code, None).into()));
-        assert!(self.connection.is_none());
-    }
-
-    /// Commits the records at the first attempt that succeeds; answers how many failed.
-    pub(super) fn write_now(&mut self, records: impl IntoIterator<Item = (i64, Record)>) -> usize {
-        self.batch.extend(records);
-        for failed in 0..5 {
-            self.commit();
-            if self.batch.is_empty() || self.damage.is_some() {
-                return failed;
-            }
-        }
-        panic!("{:?}", locked(&self.progress));
-    }
-
-    /// Tries a step of correcting civil times; answers when the next one is due.
-    pub(super) fn correct_now(&mut self) -> Option<Duration> {
-        self.correct_times();
-        self.correcting.map(|at| at - Instant::now())
-    }
-
-    /// Tries the batch once.
-    pub(super) fn attempt(&mut self) -> StorageState {
-        self.commit();
-        locked(&self.progress).state
-    }
-
-    /// Tries the batch again.
-    pub(super) fn retry_now(&mut self) {
-        self.commit();
-        assert!(self.batch.is_empty());
-    }
-}
-
-pub(super) fn identity_of(connection: &Connection) -> Result<String, StoreError> {
-    Ok(connection.query_row("SELECT identity FROM writer", [], |row| row.get(0))?)
-}
-
-fn last_batch(connection: &Connection) -> Result<i64, StoreError> {
-    Ok(connection.query_row("SELECT batch FROM writer", [], |row| row.get(0))?)
-}
-
-/// What a batch that turned out to be there has left in the captures.
-fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> Result<super::insert::Inserted, StoreError> {
-    let mut inserted = super::insert::Inserted::default();
-    let captures: std::collections::BTreeSet<i64> = batch.iter().map(|(id, _)| *id).collect();
-    inserted.samples = batch.iter().filter(|(_, record)| matches!(record, Record::Sample { .. })).count() as u64;
-    for id in captures {
-        let samples =
-            connection.query_row("SELECT samples FROM capture WHERE id = ?1", [id], |row| row.get::<_, i64>(0));
-        match samples {
-            Ok(samples) => drop(inserted.committed.insert(id, samples as u64)),
-            Err(rusqlite::Error::QueryReturnedNoRows) => {}
-            Err(error) => return Err(error.into()),
-        }
-    }
-    Ok(inserted)
-}
-
-/// Whether the disk only failed to give what was asked: nothing was written, and what was is in no doubt. In the middle of
-/// a statement SQLite says of a read's EIO that the database is damaged instead.
-fn only_reading_failed(error: &StoreError) -> bool {
-    use rusqlite::ffi::{SQLITE_IOERR_CORRUPTFS, SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ};
-    const READING: [i32; 3] = [SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ, SQLITE_IOERR_CORRUPTFS];
-    matches!(error, StoreError::Sqlite(rusqlite::Error::SqliteFailure(code, _)) if READING.contains(&code.extended_code))
-}
-
-/// Makes what is committed durable without trusting an fsync that has failed before: the log's pages are copied into the
-/// file, which is synced. Where a reader prevents that the log is written over itself, byte by byte the same, which makes
-/// its pages dirty again, and synced.
-fn make_durable(connection: &Connection, path: &Path) -> Result<(), StoreError> {
-    let (log, copied): (i64, i64) =
-        connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |row| Ok((row.get(1)?, row.get(2)?)))?;
-    if log > copied {
-        rewrite(&schema::wal_path(path))
-            .map_err(|source| StoreError::Create { path: schema::wal_path(path), source })?;
-    }
-    Ok(())
-}
-
-pub(super) fn rewrite(path: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::FileExt;
-    let file = std::fs::OpenOptions::new().read(true).write(true).open(path)?;
-    let mut buffer = vec![0; 1 << 20];
-    let mut at = 0;
-    loop {
-        let count = file.read_at(&mut buffer, at)?;
-        if count == 0 {
-            return file.sync_all();
-        }
-        file.write_all_at(&buffer[..count], at)?;
-        at += count as u64;
-    }
-}
-
-/// Copies the whole log into the database file and empties it.
-fn copy_log(connection: &Connection) -> Result<(), StoreError> {
-    connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))?;
-    Ok(())
-}
-
-/// SQLite's report without its headline.
-pub(super) fn one_line(report: &str) -> String {
-    report.trim_start_matches("*** in database main ***").trim().replace('\n', "; ")
-}
-
-/// SQLite's quick check; one that takes longer than `limit` is given up and taken as passed.
-pub(super) fn quick_check(connection: &Connection, limit: Duration) -> Result<(), StoreError> {
-    let until = std::time::Instant::now() + limit;
-    connection.progress_handler(100_000, Some(move || std::time::Instant::now() > until))?;
-    let report: Result<String, rusqlite::Error> = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0));
-    connection.progress_handler(0, None::<fn() -> bool>)?;
-    match report {
-        Ok(report) if report == "ok" => Ok(()),
-        Ok(report) => Err(StoreError::Damaged { report: one_line(&report) }),
-        Err(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::OperationInterrupted) => {
-            tracing::warn!(message = "The database is too large to be checked in passing.", ?limit);
-            Ok(())
-        }
-        Err(error) => Err(error.into()),
     }
 }

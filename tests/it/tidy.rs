@@ -20,7 +20,7 @@ const MAY_USE: [(&str, &[&str]); 19] = [
     ("jobs", &["store", "noise", "sample", "clock", "observe", "units"]),
     ("config", &["units", "protocol", "observe"]),
     ("notify", &["observe", "sample", "clock", "units"]),
-    ("retention", &[]),
+    ("retention", &["sample"]),
     ("api", &["store", "jobs", "observe", "control", "noise", "sample", "clock", "units"]),
     ("lib", &[]),
 ];

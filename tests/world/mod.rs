@@ -29,6 +29,8 @@ pub struct Process {
     /// What it printed on standard error so far is collected by a thread.
     log: std::sync::Arc<std::sync::Mutex<String>>,
     pub first_line: String,
+    /// Goes with the process: a name left behind would soon lead to the terminal of another test's sensor.
+    link: Option<PathBuf>,
 }
 
 impl Process {
@@ -52,7 +54,7 @@ impl Process {
             let mut rest = Vec::new();
             let _ = output.read_to_end(&mut rest);
         });
-        Self { child, log, first_line: first_line.trim().to_owned() }
+        Self { child, log, first_line: first_line.trim().to_owned(), link: None }
     }
 
     pub fn log(&self) -> String {
@@ -83,8 +85,17 @@ impl Process {
 
     /// Ends it as a power cut would.
     pub fn kill(&mut self) {
+        self.unlink();
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+
+    fn unlink(&mut self) {
+        let ours = |link: &PathBuf| std::fs::read_link(link).is_ok_and(|to| to.as_os_str() == self.first_line.as_str());
+        // The next sensor may have taken the name already.
+        if let Some(link) = self.link.take().filter(ours) {
+            let _ = std::fs::remove_file(link);
+        }
     }
 
     /// Sends it a signal.
@@ -111,8 +122,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.kill();
     }
 }
 
@@ -148,7 +158,8 @@ impl World {
     pub fn emulate(&self, arguments: &[&str]) -> Process {
         let mut command = program();
         command.arg("emulate").arg("--link").arg(self.port()).args(arguments);
-        let process = Process::start(&mut command, true);
+        let mut process = Process::start(&mut command, true);
+        process.link = Some(self.port());
         assert!(process.first_line.starts_with("/dev/pts/"), "{} {}", process.first_line, process.log());
         process
     }
