@@ -5,8 +5,7 @@
 //! the log, and every command is answered with one sentence that says what to run. The next start refuses the file with the
 //! same sentence, also where its check of two seconds does not come to the damaged place.
 
-use super::{StoreError, lock, schema};
-use std::io::Read as _;
+use super::{StoreError, lock};
 use std::path::Path;
 
 /// Why nothing is written any more.
@@ -32,15 +31,6 @@ impl Damage {
         }
     }
 
-    /// The disk's error where what was met is no more than pages that cannot be read: SQLite calls these corrupt
-    /// (`SQLITE_IOERR_CORRUPTFS` becomes `SQLITE_CORRUPT`), but a disk that was pulled out comes back whole.
-    pub(super) fn is_of_the_disk(&self, path: &Path) -> Option<std::io::Error> {
-        match self {
-            Self::Met(_) => [path.to_owned(), schema::wal_path(path)].iter().find_map(|path| read_whole(path).err()),
-            Self::Refused(_) | Self::LogMissing(_) => None,
-        }
-    }
-
     /// What whoever asks is told from now on.
     pub(super) fn error(&self, path: &Path) -> StoreError {
         let path = path.to_owned();
@@ -49,34 +39,5 @@ impl Damage {
             Self::Refused(report) => StoreError::RefusedDamaged { path, report: report.clone() },
             Self::LogMissing(lost) => StoreError::LogMissing { lock: lock::lock_path(&path), path, lost: *lost },
         }
-    }
-}
-
-/// A file that is not there has nothing that cannot be read.
-fn read_whole(path: &Path) -> std::io::Result<()> {
-    let mut file = match std::fs::File::open(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        opened => opened?,
-    };
-    let mut buffer = vec![0; 1 << 20];
-    while file.read(&mut buffer)? > 0 {}
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_cannot_be_read_is_the_disks_fault_and_what_can_is_damage() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("vn100d.db");
-        std::fs::write(&path, vec![1; 3 << 20]).unwrap();
-        let met = Damage::Met("database disk image is malformed".to_owned());
-        assert!(met.is_of_the_disk(&path).is_none());
-        // A directory is what every read of fails here.
-        std::fs::create_dir(schema::wal_path(&path)).unwrap();
-        assert!(met.is_of_the_disk(&path).is_some());
-        assert!(Damage::LogMissing(1).is_of_the_disk(&path).is_none());
     }
 }

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// taken away is noticed. A third says that damage was met, so that the next start knows it whatever its check finds.
 #[derive(Debug)]
 pub(super) struct WriterLock {
-    file: File,
+    pub(super) file: File,
     /// What an earlier writer left.
     pub(super) previous: Option<Mark>,
 }
@@ -63,11 +63,14 @@ impl WriterLock {
         self.file.write_all_at(line.as_bytes(), PID_WIDTH as u64 + 1)
     }
 
-    /// Remembers that this database is damaged, durably.
+    /// Remembers that this database is damaged, durably or not at all.
     pub(super) fn mark_damaged(&self, identity: &str, report: &str) -> std::io::Result<()> {
         let line = format!("{identity} damaged: {}\n", report.replace('\n', "; "));
-        self.file.write_all_at(line.as_bytes(), DAMAGE_AT)?;
-        self.file.sync_all()
+        let marked = self.file.write_all_at(line.as_bytes(), DAMAGE_AT).and_then(|()| self.file.sync_all());
+        if marked.is_err() {
+            let _ = self.file.set_len(DAMAGE_AT);
+        }
+        marked
     }
 }
 

@@ -79,8 +79,9 @@ fn stamp(path: &Path) -> Option<Stamp> {
     std::fs::metadata(path).ok().map(|file| (file.len(), file.mtime(), file.mtime_nsec()))
 }
 
-/// A file in a lost one's place that seems damaged is refused for good at this attempt.
-const REFUSALS: u32 = 3;
+/// A file in a lost one's place that seems damaged is refused for good at this attempt: about a second lies between two, and
+/// the queue holds half a minute.
+const REFUSALS: u32 = 30;
 
 /// What a file says of itself, its log left aside.
 #[derive(Debug, PartialEq, Eq)]
@@ -163,7 +164,8 @@ impl FileId {
         match says(path) {
             Says::Identity(found, batch) => found != identity || batch < self.copied,
             Says::Foreign => true,
-            Says::Ours | Says::Nothing => !same_number,
+            // The number of a file that was let go may be given to the next one.
+            Says::Ours | Says::Nothing => self.let_go || !same_number,
         }
     }
 
@@ -173,7 +175,7 @@ impl FileId {
     }
 
     /// Opens what stands in the lost file's place. None where it changes still: it may be a copy on its way. What seems
-    /// damaged is refused only at the third attempt that finds it unchanged.
+    /// damaged is refused only at the last of [`REFUSALS`] attempts that find it unchanged.
     pub(super) fn judged<T>(
         &mut self,
         path: &Path,
@@ -206,12 +208,13 @@ impl FileId {
 
     /// Closes the connection after an error, and notes what it leaves beside the file.
     pub(super) fn close(&mut self, path: &Path, connection: Connection) {
-        drop(connection);
-        self.log = log_header(path);
+        // Before it is closed: a copy of the log that fails on the way may have reached no more than the system's memory.
         self.copied = match says(path) {
             Says::Identity(_, batch) => batch,
             _ => 0,
         };
+        drop(connection);
+        self.log = log_header(path);
         self.remains =
             [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
     }
@@ -730,7 +733,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_file_that_stays_as_it_is_is_refused_at_the_third_attempt_and_the_log_stays() {
+    fn half_a_file_that_stays_as_it_is_is_refused_in_the_end_and_the_log_stays() {
         let world = World::new();
         let (path, id) = night(&world);
         let whole = std::fs::read(other(&world)).unwrap();
@@ -742,7 +745,7 @@ mod tests {
         let log = std::fs::read(schema::wal_path(&path)).unwrap();
         let garbage = vec![7; whole.len() / 2];
         renumber(&path, &garbage);
-        for _ in 0..3 {
+        for _ in 0..REFUSALS {
             assert_eq!(writer.attempt(), StorageState::StorageLost);
         }
         assert_eq!(writer.attempt(), StorageState::StorageError);

@@ -416,3 +416,23 @@ fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
     writer.take_report(Failure::of(&StoreError::Damaged { report: "another".to_owned() }));
     assert_eq!(progress::locked(&progress).failures, seen.failures);
 }
+
+#[test]
+fn a_disk_that_has_gone_is_no_damage() {
+    let world = World::new();
+    let path = with_old_capture(&world);
+    let lock = world.directory.path().join("lock");
+    let (mut writer, progress) = super::tests::bare_writer(&path, &lock);
+    writer.pretend_no_disk(&lock::lock_path(&lock));
+    let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_CORRUPT);
+    let corrupt = || super::writer::Failure::of(&rusqlite::Error::SqliteFailure(code, None).into());
+    writer.take_report(corrupt());
+    let seen = super::progress::locked(&progress).clone();
+    assert!(!seen.damaged && seen.io_failures_mono_ns.len() == 1, "{seen:?}");
+    drop(writer);
+    // The same with a disk that takes the mark.
+    let (mut writer, progress) = super::tests::bare_writer(&path, &lock);
+    writer.take_report(corrupt());
+    assert!(super::progress::locked(&progress).damaged);
+    assert!(std::fs::read_to_string(lock::lock_path(&lock)).unwrap().contains("damaged: "));
+}

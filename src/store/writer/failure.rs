@@ -84,12 +84,12 @@ impl Writer {
                 return;
             }
             if let Some(damage) = failure.damage {
-                let Some(error) = damage.is_of_the_disk(&self.path) else {
+                let Err(error) = self.mark_damaged(&damage) else {
                     self.give_up(damage);
                     return;
                 };
                 failure.state = StorageState::StorageError;
-                failure.text = format!("the database cannot be read: {error}");
+                failure.text = format!("{}, and the disk takes no mark of that: {error}", failure.text);
             }
             self.close_after(failure.state);
         }
@@ -133,6 +133,16 @@ impl Writer {
         self.suspect |= state == StorageState::StorageError;
     }
 
+    /// Remembers damage for the next start. SQLite calls a page that cannot be read corrupt too (`SQLITE_IOERR_CORRUPTFS`
+    /// becomes `SQLITE_CORRUPT`): where not even the mark can be written it is the disk that has gone, and it may come back
+    /// whole.
+    fn mark_damaged(&self, damage: &Damage) -> std::io::Result<()> {
+        match damage {
+            Damage::Met(report) => self.lock.mark_damaged(&self.identity, report),
+            Damage::Refused(_) | Damage::LogMissing(_) => Ok(()),
+        }
+    }
+
     /// The database is damaged: from now on nothing is written to it, by this process or the next.
     fn give_up(&mut self, damage: Damage) {
         if let Some(connection) = self.connection.take() {
@@ -140,11 +150,6 @@ impl Writer {
             if let Err(error) = schema::keep_log(&connection, true) {
                 tracing::warn!(message = "The log may be copied into the damaged file.", %error);
             }
-        }
-        if let Damage::Met(report) = &damage
-            && let Err(error) = self.lock.mark_damaged(&self.identity, report)
-        {
-            tracing::warn!(message = "The damage cannot be remembered for the next start.", %error);
         }
         let error = damage.error(&self.path);
         tracing::error!("{error}");

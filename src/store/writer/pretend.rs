@@ -24,6 +24,11 @@ impl Writer {
         assert!(self.connection.is_none());
     }
 
+    /// Behaves as if the disk had gone: the lock's file takes nothing any more.
+    pub(in crate::store) fn pretend_no_disk(&mut self, lock: &std::path::Path) {
+        self.lock.file = std::fs::File::open(lock).unwrap();
+    }
+
     /// Commits the records at the first attempt that succeeds; answers how many failed.
     pub(in crate::store) fn write_now(&mut self, records: impl IntoIterator<Item = (i64, Record)>) -> usize {
         self.batch.extend(records);
