@@ -2,6 +2,7 @@
 //!
 //! `VN100D_SOAK=8h` runs it for eight hours (30 s where it is not set), `VN100D_SOAK_SEED=N` repeats a run: the same faults in
 //! the same order after the same pauses. What depends on the scheduler (which sample a kill falls on) differs.
+//! `VN100D_SOAK_CALM=1` leaves faults, kills and jobs out: what memory does by itself.
 
 use crate::audit::Held;
 use crate::storage::{Mount, full};
@@ -141,16 +142,20 @@ impl Asked {
     }
 }
 
-/// Growth of memory in bytes per hour, from (s, bytes) behind the first two minutes; `None` from less than ten. A span of
-/// less than 25 minutes is told but not judged: one step of the allocator would be all of it.
+/// Growth of memory in bytes per hour, from (s, bytes) behind the first two minutes; `None` from less than ten. Of each
+/// minute the least counts: a job's work space comes and goes. A span of less than 25 minutes is told but not judged: one
+/// step of the allocator would be all of it.
 fn slope(points: &[(f64, f64)]) -> Option<Slope> {
-    let points: Vec<_> = points.iter().filter(|(time, _)| *time > 120.0).collect();
+    let late: Vec<(f64, f64)> = points.iter().copied().filter(|(time, _)| *time > 120.0).collect();
+    let least = |minute: &[(f64, f64)]| minute.iter().copied().min_by(|one, other| one.1.total_cmp(&other.1));
+    let points: Vec<(f64, f64)> =
+        late.chunk_by(|one, next| (one.0 / 60.0).floor() == (next.0 / 60.0).floor()).filter_map(least).collect();
     let (first, last) = (points.first()?, points.last()?);
     if last.0 - first.0 < 600.0 {
         return None;
     }
     let count = points.len() as f64;
-    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(|point| value(point)).sum::<f64>() / count;
+    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / count;
     let (time, bytes) = (mean(|point| point.0), mean(|point| point.1));
     let covariance: f64 = points.iter().map(|point| (point.0 - time) * (point.1 - bytes)).sum();
     let variance: f64 = points.iter().map(|point| (point.0 - time).powi(2)).sum();
@@ -190,9 +195,13 @@ fn everything_at_once_loses_nothing_silently() {
     let long = duration >= Duration::from_secs(1800);
     let last_kill = duration - if long { (duration / 2).min(Duration::from_secs(1800)) } else { Duration::ZERO };
     let mut baseline = Held::of(daemon.id());
+    let calm = std::env::var_os("VN100D_SOAK_CALM").is_some();
     let mut slopes = Vec::new();
     std::thread::scope(|scope| {
-        let asking = [scope.spawn(|| asked.ask(&world, &stop)), scope.spawn(|| asked.work(&world, &stop))];
+        let mut asking = vec![scope.spawn(|| asked.ask(&world, &stop))];
+        if !calm {
+            asking.push(scope.spawn(|| asked.work(&world, &stop)));
+        }
         let begun = Instant::now();
         let mut started = Instant::now();
         let mut memory = Vec::new();
@@ -204,6 +213,9 @@ fn everything_at_once_loses_nothing_silently() {
                 assert!(held.rss_bytes > 0, "the daemon ended by itself:\n{}", daemon.log());
                 memory.push((started.elapsed().as_secs_f64(), held.rss_bytes as f64));
                 std::thread::sleep(Duration::from_millis(500).min(pause));
+            }
+            if calm {
+                continue;
             }
             match Fault::next(&mut random) {
                 Fault::Sensor(fault) => {

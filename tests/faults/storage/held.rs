@@ -92,8 +92,9 @@ fn a_backup_during_a_capture_is_whole_and_costs_no_sample() {
     };
     let took = backup("copy-1.db").min(backup("copy-2.db"));
     println!("backup {took:?}, plain copy {copied:?}, {} bytes", world.database().metadata().unwrap().len());
-    // Of the same order: the ratio is measured alone, on a quiet machine (docs/reliability/storage.md).
-    let limit = 5 * copied + Duration::from_secs(1);
+    // The start of a process does not grow with the database. In full the copy is that of a disk as fast as memory, where
+    // SQLite's work per page is to be seen (docs/reliability.md, C9).
+    let limit = copied.mul_f64(tools::scaled(1.5, 4.0)) + Duration::from_millis(250);
     assert!(took <= limit, "backup {took:?}, plain copy {copied:?}");
     for name in ["copy-1.db", "copy-2.db"] {
         assert!(sound(&world.path(name)));
