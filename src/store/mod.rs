@@ -18,6 +18,7 @@ mod captures;
 mod check;
 mod damage;
 mod error;
+mod file_id;
 mod import;
 mod insert;
 mod jobs;
@@ -39,6 +40,8 @@ mod writer;
 
 #[cfg(test)]
 mod data_model;
+#[cfg(test)]
+mod replaced;
 #[cfg(test)]
 mod safety;
 #[cfg(test)]

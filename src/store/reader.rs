@@ -3,7 +3,7 @@
 //! Every method is one short query; none leaves a read transaction open, because an open one keeps the log from being
 //! emptied (an hour's worth of data: 168 MB).
 
-use super::lost::FileId;
+use super::file_id::FileId;
 use super::{StoreError, schema};
 use rusqlite::{Connection, InterruptHandle};
 use std::path::{Path, PathBuf};

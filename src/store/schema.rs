@@ -1,8 +1,8 @@
 //! Opening: the one place that says which file is ours, what its schema is and which pragmas a connection has.
 
 use super::StoreError;
+use super::file_id::{refuse_replaced, written};
 use super::lock::Mark;
-use super::lost::{refuse_replaced, written};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
@@ -218,7 +218,7 @@ fn refuse_newer(connection: &Connection, path: &Path) -> Result<(), StoreError> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::lost::FileId;
+    use super::super::file_id::FileId;
     use super::*;
 
     #[test]

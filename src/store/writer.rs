@@ -22,9 +22,10 @@ pub(super) use file::{identity_of, one_line, quick_check};
 
 use super::check::not_behind;
 use super::damage::Damage;
+use super::file_id::FileId;
 use super::insert::insert;
 use super::lock::{Mark, WriterLock};
-use super::lost::{FileId, Lost};
+use super::lost::Lost;
 use super::progress::{SLOW, SharedProgress, locked};
 use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};

@@ -47,6 +47,11 @@ impl Writer {
         self.correcting.map(|at| at - Instant::now())
     }
 
+    /// Looks whether the path still names the open file.
+    pub(in crate::store) fn check_now(&mut self) {
+        self.check_file();
+    }
+
     /// Tries the batch once.
     pub(in crate::store) fn attempt(&mut self) -> StorageState {
         self.commit();

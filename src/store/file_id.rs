@@ -1,0 +1,276 @@
+//! File identity: which file the writer has open under the database's path, and whether what stands there now is another.
+//!
+//! While the connection is closed (after an I/O error) nothing holds the file: another one may then have its number, and the
+//! same one another device and, on vfat and exfat, another number. So before it is opened again the database's own identity is
+//! compared, in the file alone: beside another file the log that was left would destroy it.
+//!
+//! What takes the place may still be on its way there (`cp`): it is left alone while it changes, and what is refused as
+//! damaged is looked at again ([`FileId::judged`]).
+
+use super::{StoreError, schema};
+use rusqlite::{Connection, OpenFlags};
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+type Id = (u64, u64);
+
+/// Which file this process writes under a path. For the whole process, because SQLite's own bookkeeping is: a reader that
+/// opened a file which has just taken the place of the written one would take the written one's log for its.
+static WRITTEN: Mutex<BTreeMap<PathBuf, Id>> = Mutex::new(BTreeMap::new());
+
+pub(super) fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
+    WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// To be asked between opening a connection, which opens the file, and its first read, which opens the log.
+pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
+    match written().get(path) {
+        Some(id) if id_of(path) != Some(*id) => Err(StoreError::Lost {
+            path: path.to_owned(),
+            detail: "it is read again once another file takes its place",
+        }),
+        _ => Ok(()),
+    }
+}
+
+pub(super) fn id_of(path: &Path) -> Option<Id> {
+    std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
+}
+
+/// What tells one log from the next in the same file: its header, with the salt.
+const LOG_HEADER: usize = 32;
+
+pub(super) fn log_header(path: &Path) -> Option<[u8; LOG_HEADER]> {
+    let mut header = [0; LOG_HEADER];
+    std::fs::File::open(schema::wal_path(path)).ok()?.read_exact(&mut header).ok()?;
+    Some(header)
+}
+
+/// Which files are open: the database, its log, its shared memory.
+#[derive(Debug, Clone)]
+pub(super) struct FileId {
+    pub(super) database: Option<Id>,
+    /// Log and shared memory of the open file: they stay the same while a connection has them open.
+    beside: Vec<(PathBuf, Id)>,
+    /// What the file left when it was closed, to be taken away before another one is opened.
+    remains: Vec<(PathBuf, Id)>,
+    /// The log that stayed when the connection was closed after an error.
+    log: Option<[u8; LOG_HEADER]>,
+    /// The last batch that stood in the file itself then: what has fewer is an older copy, which that log would destroy.
+    pub(super) copied: i64,
+    /// The path named another file, or none, while this one was still held.
+    pub(super) let_go: bool,
+    /// What stood in its place when that was last looked at, and how often it was refused since it last changed.
+    newcomer: Option<Stamp>,
+    refusals: u32,
+}
+
+/// What changes while a file is written.
+type Stamp = (u64, i64, i64);
+
+fn stamp(path: &Path) -> Option<Stamp> {
+    std::fs::metadata(path).ok().map(|file| (file.len(), file.mtime(), file.mtime_nsec()))
+}
+
+/// A file in a lost one's place that seems damaged is refused for good at this attempt: about a second lies between two, and
+/// the queue holds half a minute.
+pub(super) const REFUSALS: u32 = 30;
+
+/// What a file says of itself, its log left aside.
+#[derive(Debug, PartialEq, Eq)]
+enum Says {
+    /// It is the database of this identity, with so many batches.
+    Identity(String, i64),
+    /// It is one of ours; who it is stands in its log.
+    Ours,
+    /// It is damaged or cannot be read now.
+    Nothing,
+    /// It is something else.
+    Foreign,
+}
+
+fn says(path: &Path) -> Says {
+    let uri = format!("file:{}?immutable=1", schema::uri_escaped(path));
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+    let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Says::Nothing };
+    match schema::refuse_foreign(&connection, path) {
+        Ok(()) => {}
+        // No database at all may be a damaged one.
+        Err(StoreError::Foreign { found, .. }) if found != 0 => return Says::Foreign,
+        Err(_) => return Says::Nothing,
+    }
+    let read = |row: &rusqlite::Row<'_>| Ok(Says::Identity(row.get(0)?, row.get(1)?));
+    match connection.query_row("SELECT identity, batch FROM writer", [], read) {
+        Ok(identity) => identity,
+        Err(error) if schema::says_damaged(&error) => Says::Nothing,
+        Err(_) => Says::Ours,
+    }
+}
+
+impl FileId {
+    pub(super) fn of(path: &Path) -> Self {
+        Self {
+            database: id_of(path),
+            beside: Vec::new(),
+            remains: Vec::new(),
+            log: None,
+            copied: 0,
+            let_go: false,
+            newcomer: None,
+            refusals: 0,
+        }
+    }
+
+    /// The file that this process writes from now on; a connection has read it, so that log and shared memory are there.
+    pub(super) fn written(path: &Path) -> Self {
+        let beside = [schema::wal_path(path), schema::shm_path(path)];
+        let beside = beside.into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
+        let file = Self { beside, ..Self::of(path) };
+        match file.database {
+            Some(id) => written().insert(path.to_owned(), id),
+            None => written().remove(path),
+        };
+        file
+    }
+
+    /// Nothing is written any more.
+    pub(super) fn forget(path: &Path) {
+        written().remove(path);
+    }
+
+    /// Whether the path names another file, or none.
+    pub(super) fn is_lost(&self, path: &Path) -> bool {
+        match std::fs::metadata(path) {
+            Ok(file) => Some((file.dev(), file.ino())) != self.database,
+            Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+        }
+    }
+
+    /// As [`Self::is_lost`] where no connection holds the file.
+    pub(super) fn is_replaced(&self, path: &Path, identity: &str) -> bool {
+        let file = match std::fs::metadata(path) {
+            Ok(file) => file,
+            Err(error) => return error.kind() == std::io::ErrorKind::NotFound,
+        };
+        // A device may come back under another number, and so may a file of one that has no numbers of its own.
+        let same_number = self.database.is_some_and(|(_, number)| number == file.ino());
+        if file.len() == 0 || self.let_go && !same_number {
+            return true;
+        }
+        match says(path) {
+            Says::Identity(found, batch) => found != identity || batch < self.copied,
+            Says::Foreign => true,
+            // The number of a file that was let go may be given to the next one.
+            Says::Ours | Says::Nothing => self.let_go || !same_number,
+        }
+    }
+
+    /// Notes what stands in the lost file's place now.
+    pub(super) fn look(&mut self, path: &Path) {
+        self.newcomer = stamp(path);
+    }
+
+    /// Opens what stands in the lost file's place. None where it changes still: it may be a copy on its way. What seems
+    /// damaged is refused only at the last of [`REFUSALS`] attempts that find it unchanged.
+    pub(super) fn judged<T>(
+        &mut self,
+        path: &Path,
+        open: impl FnOnce(&mut Self) -> Result<T, StoreError>,
+    ) -> Result<Option<T>, StoreError> {
+        let before = stamp(path);
+        if before != std::mem::replace(&mut self.newcomer, before) {
+            self.refusals = 0;
+            return Ok(None);
+        }
+        match open(self) {
+            Ok(opened) => Ok(Some(opened)),
+            Err(error) if error.is_damage() => {
+                self.refusals += 1;
+                tracing::warn!(message = "What took the lost file's place cannot be used.", %error, self.refusals);
+                if self.refusals < REFUSALS { Ok(None) } else { Err(error) }
+            }
+            Err(error) => {
+                // The attempt itself may have changed it.
+                self.look(path);
+                Err(error)
+            }
+        }
+    }
+
+    /// The path names another database after all.
+    pub(super) fn set_lost(&mut self) {
+        (self.database, self.let_go) = (None, true);
+    }
+
+    /// Closes the connection after an error, and notes what it leaves beside the file.
+    pub(super) fn close(&mut self, path: &Path, connection: Connection) {
+        // Before it is closed: a copy of the log that fails on the way may have reached no more than the system's memory.
+        self.copied = match says(path) {
+            Says::Identity(_, batch) => batch,
+            _ => 0,
+        };
+        drop(connection);
+        self.log = log_header(path);
+        self.remains =
+            [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
+    }
+
+    /// Closes the connection to the lost file, complete for whoever has it under another name, and takes the log and the
+    /// shared memory that belonged to it away; not those that the file in its place may have brought along.
+    pub(super) fn let_go(&mut self, path: &Path, connection: Connection) {
+        self.remains = std::mem::take(&mut self.beside);
+        let copied = connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
+        if let Err(error) = copied {
+            tracing::warn!(message = "The lost file could not be completed.", %error);
+        }
+        if let Err((_, error)) = connection.close() {
+            tracing::warn!(message = "The lost file could not be closed.", %error);
+        }
+        (self.log, self.let_go) = (None, true);
+        if let Err(error) = self.clear_remains(path) {
+            tracing::warn!(message = "What a lost file left cannot be removed.", %error);
+        }
+    }
+
+    /// Takes log and shared memory of the lost file away: with another file they would destroy it. A log that may hold
+    /// what the lost file lacks is kept under another name.
+    pub(super) fn clear_remains(&mut self, path: &Path) -> Result<(), StoreError> {
+        if let Some(header) = self.log
+            && log_header(path) == Some(header)
+        {
+            // A file that cannot be read now may be the very one that the log belongs to.
+            if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && says(path) == Says::Nothing {
+                let report = "it cannot be read beside the log that was left".to_owned();
+                return Err(StoreError::RefusedDamaged { path: path.to_owned(), report });
+            }
+            let (log, aside) = (schema::wal_path(path), kept_log(path));
+            std::fs::rename(&log, &aside).map_err(|source| StoreError::Create { path: aside.clone(), source })?;
+            tracing::warn!(
+                message = "The lost file's log is kept: beside that file, under its name and `-wal`, it completes it.",
+                path = %aside.display()
+            );
+        }
+        self.log = None;
+        for (remains, id) in std::mem::take(&mut self.remains) {
+            if id_of(&remains) == Some(id)
+                && let Err(error) = std::fs::remove_file(&remains)
+            {
+                tracing::warn!(message = "What a lost file left cannot be removed.", path = %remains.display(), %error);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A name beside the database that nothing has.
+pub(super) fn kept_log(path: &Path) -> PathBuf {
+    let numbered = |number: u32| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".lost-{number}-wal"));
+        PathBuf::from(name)
+    };
+    (1..).map(numbered).find(|name| !name.exists()).unwrap_or_else(|| numbered(0))
+}
