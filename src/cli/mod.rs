@@ -325,7 +325,10 @@ mod tests {
         let io = || std::io::Error::from_raw_os_error(5);
         let error = StoreError::Create { path: "/data/vn100d.db.lock".into(), source: io() };
         let said = sentence(&anyhow::Error::from(error));
-        assert_eq!(said, "cannot create /data/vn100d.db.lock: Input/output error (os error 5)");
+        assert_eq!(
+            said,
+            "cannot create /data/vn100d.db.lock: Input/output error (os error 5); see that its directory exists, has room and may be written to"
+        );
         let error = anyhow::Error::from(io()).context("the token\n  file cannot be read");
         assert_eq!(sentence(&error), "the token file cannot be read: Input/output error (os error 5)");
     }

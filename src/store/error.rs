@@ -17,7 +17,7 @@ pub enum StoreError {
         pid: String,
     },
     /// A directory or file could not be made.
-    #[error("cannot create {path}: {source}")]
+    #[error("cannot create {path}: {source}; see that its directory exists, has room and may be written to")]
     Create {
         /// What should have been made.
         path: PathBuf,
