@@ -1,8 +1,9 @@
 //! Curves: deviation against averaging time with its confidence, as the contract writes it.
 
-use super::edf::{CONFIDENCE_68, confidence_factors};
+use super::edf::{CONFIDENCE_68, confidence_factors, total_bias};
+use super::identify::noise_of_phases;
 use super::point::{AllanPoint, noise_by_slope};
-use super::{AllanSums, Estimator, Phases, SquareSum, TauGrid, equivalent_degrees_of_freedom};
+use super::{AllanSums, Estimator, NoiseType, Phases, SquareSum, TauGrid, equivalent_degrees_of_freedom};
 use crate::sample::Channel;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -24,6 +25,13 @@ pub struct AllanCurve {
     pub edf: Vec<f64>,
     /// Numbers of differences averaged.
     pub n: Vec<u64>,
+    /// The noise that dominates: `edf` and with it the interval follow from it.
+    #[serde(default)]
+    pub noise: Vec<NoiseType>,
+    /// From this averaging time on, in s, differences are taken at every sixteenth of it instead of at every sample; absent
+    /// where all have full overlap. For white noise the uncertainty of a variance grows by 0.25 % through that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stride_from_s: Option<f64>,
 }
 
 impl AllanCurve {
@@ -38,12 +46,16 @@ impl AllanCurve {
     pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
         for (point, noise) in points.iter().zip(noise_by_slope(points)) {
-            curve.push(point.m, rate_hz, point.variance.sqrt(), point.edf(noise), point.terms);
+            curve.push(point.m, rate_hz, point.variance, point.edf(noise), point.taken(), noise, 1.0);
         }
+        curve.stride_from_s = points.iter().find(|point| point.stride > 1).map(|point| point.m as f64 / rate_hz);
         curve
     }
 
     /// The curve of any estimator over whole segments in memory.
+    ///
+    /// Intervals are those of what is estimated: of a total deviation the Allan deviation, from which its expectation
+    /// departs at long averaging times; `deviation` is as defined, without a correction.
     #[must_use]
     pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
         let sums: Vec<(usize, SquareSum)> = grid
@@ -55,29 +67,29 @@ impl AllanCurve {
             })
             .filter(|(_, sum)| sum.terms > 0)
             .collect();
-        let points: Vec<AllanPoint> = sums
-            .iter()
-            .map(|(m, sum)| AllanPoint { m: *m, variance: sum.sum / sum.terms as f64, terms: sum.terms, segments: 1 })
-            .collect();
+        let factors: Vec<usize> = sums.iter().map(|(m, _)| *m).collect();
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
-        for (point, noise) in points.iter().zip(noise_by_slope(&points)) {
-            let edf = segments
-                .iter()
-                .map(|phases| equivalent_degrees_of_freedom(estimator, noise, point.m, phases.len() as u64))
-                .sum();
-            curve.push(point.m, rate_hz, point.variance.sqrt(), edf, point.terms);
+        for ((m, sum), noise) in sums.iter().zip(noise_of_phases(segments, &factors)) {
+            let lengths = || segments.iter().map(|phases| phases.len() as u64);
+            let degrees = lengths().map(|phases| equivalent_degrees_of_freedom(estimator, noise, *m, phases)).sum();
+            let bias = if estimator == Estimator::Totdev { total_bias(noise, *m, lengths()) } else { 1.0 };
+            curve.push(*m, rate_hz, sum.sum / sum.terms as f64, degrees, sum.terms, noise, bias);
         }
         curve
     }
 
-    fn push(&mut self, m: usize, rate_hz: f64, deviation: f64, edf: f64, terms: u64) {
+    /// `bias`: expectation of the variance over what it estimates.
+    #[expect(clippy::too_many_arguments, reason = "one of each column")]
+    fn push(&mut self, m: usize, rate_hz: f64, variance: f64, edf: f64, terms: u64, noise: NoiseType, bias: f64) {
         let Some(factors) = confidence_factors(edf, CONFIDENCE_68) else { return };
+        let (deviation, unbiased) = (variance.sqrt(), (variance / bias).sqrt());
         self.tau_s.push(m as f64 / rate_hz);
         self.deviation.push(deviation);
-        self.ci68_low.push(deviation * factors.low);
-        self.ci68_high.push(deviation * factors.high);
+        self.ci68_low.push(unbiased * factors.low);
+        self.ci68_high.push(unbiased * factors.high);
         self.edf.push(edf);
         self.n.push(terms);
+        self.noise.push(noise);
     }
 
     /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
@@ -99,12 +111,10 @@ impl AllanSums {
     pub fn points(&self) -> Vec<AllanPoint> {
         (0..self.grid().factors().len())
             .filter_map(|index| {
-                Some(AllanPoint {
-                    m: self.grid().factors()[index],
-                    variance: self.variance(index)?,
-                    terms: self.terms()[index],
-                    segments: self.segments()[index],
-                })
+                let m = self.grid().factors()[index];
+                let (segments, stride) = (self.segments()[index], self.grid().stride(m));
+                let terms = AllanPoint::spanned(self.terms()[index], segments, stride);
+                Some(AllanPoint { m, variance: self.variance(index)?, terms, segments, stride })
             })
             .collect()
     }
@@ -125,6 +135,12 @@ pub struct AllanReport {
     /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<u64>,
+    /// Several captures of one sensor: what each gave. Samples are then their sum.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub captures: Vec<crate::noise::Contribution>,
+    /// Samples missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing: Option<u64>,
     /// What about the input a reader should know: gaps, samples that were left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
@@ -150,9 +166,18 @@ impl AllanReport {
             rate_hz,
             complete,
             samples: None,
+            captures: Vec::new(),
+            missing: None,
             warnings: Vec::new(),
             channels: channels.into_iter().collect(),
         }
+    }
+
+    /// Says where differences are no longer taken at every sample ([`AllanCurve::stride_from_s`]).
+    #[must_use]
+    pub fn stride_warning(&self) -> Option<String> {
+        let from_s = self.channels.values().filter_map(|curve| curve.stride_from_s).min_by(f64::total_cmp)?;
+        Some(format!("from {from_s:.0} s on, differences are taken at every sixteenth of the averaging time"))
     }
 }
 
@@ -190,6 +215,24 @@ mod tests {
     }
 
     #[test]
+    fn a_curve_tells_where_its_stride_begins() {
+        let curve = |grid: TauGrid| {
+            let mut estimator = Overlapping::new(FixedPoint::for_range(0, 1).unwrap(), grid);
+            estimator.push(&samples());
+            AllanCurve::from_sums(estimator.sums(), 40.0, "rad/s")
+        };
+        let report = |curve| AllanReport::new(Estimator::Oadev, 40.0, true, [(Channel::GyroX, curve)]);
+        let full = curve(TauGrid::custom([1, 64, 800]).unwrap());
+        assert_eq!((full.stride_from_s, report(full.clone()).stride_warning()), (None, None));
+        let strided = curve(TauGrid::with_full_overlap([1, 64, 800], 7).unwrap());
+        assert_eq!((strided.stride_from_s, strided.n[2]), (Some(20.0), (5001 - 1600usize).div_ceil(50) as u64));
+        assert!((strided.deviation[2] / full.deviation[2] - 1.0).abs() < 0.02);
+        assert!((strided.edf[2] / full.edf[2] - 1.0).abs() < 0.02);
+        let warning = report(strided).stride_warning().unwrap();
+        assert!(warning.starts_with("from 20 s on"), "{warning}");
+    }
+
+    #[test]
     fn a_report_is_written_as_the_contract_has_it() {
         let curve = AllanCurve {
             unit: "rad/s".into(),
@@ -199,6 +242,8 @@ mod tests {
             ci68_high: vec![1.1e-3],
             edf: vec![50.0],
             n: vec![99],
+            stride_from_s: None,
+            noise: vec![NoiseType::WhiteRate],
         };
         let report = AllanReport::new(Estimator::Oadev, 40.0, true, [(Channel::GyroX, curve)]);
         assert_eq!(
@@ -206,7 +251,8 @@ mod tests {
             serde_json::json!({
                 "format": "vn100d-allan-1", "estimator": "oadev", "rate_hz": 40.0, "complete": true,
                 "channels": { "gyro_x": { "unit": "rad/s", "tau_s": [0.025], "deviation": [1e-3], "ci68_low": [9e-4],
-                                          "ci68_high": [1.1e-3], "edf": [50.0], "n": [99] } }
+                                          "ci68_high": [1.1e-3], "edf": [50.0], "n": [99],
+                                          "noise": ["white_rate"] } }
             })
         );
     }

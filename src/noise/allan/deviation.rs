@@ -107,6 +107,17 @@ impl Phases {
         self.0.len()
     }
 
+    /// One phase in `m` ≥ 1.
+    #[cfg(test)]
+    pub(super) fn picked(&self, m: usize) -> Vec<f64> {
+        self.0.iter().copied().step_by(m).collect()
+    }
+
+    /// Means of every `m` ≥ 1 phases, one after the other.
+    pub(super) fn averages(&self, m: usize) -> Vec<f64> {
+        self.0.chunks_exact(m).map(|phases| phases.iter().sum::<f64>() / m as f64).collect()
+    }
+
     /// The sum of squares of an estimator at averaging factor `m` ≥ 1; its mean is the variance in the samples' unit squared.
     ///
     /// # Source

@@ -30,6 +30,18 @@ impl NoiseType {
     pub const ALL: [Self; 5] =
         [Self::WhiteAngle, Self::FlickerAngle, Self::WhiteRate, Self::FlickerRate, Self::RandomWalkRate];
 
+    /// The name in JSON and CSV.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::WhiteAngle => "white_angle",
+            Self::FlickerAngle => "flicker_angle",
+            Self::WhiteRate => "white_rate",
+            Self::FlickerRate => "flicker_rate",
+            Self::RandomWalkRate => "random_walk_rate",
+        }
+    }
+
     /// The exponent of the spectrum.
     #[must_use]
     pub fn alpha(self) -> i32 {
@@ -78,8 +90,15 @@ pub fn equivalent_degrees_of_freedom(estimator: Estimator, noise: NoiseType, m: 
     edf.map_or(0.0, |edf| edf.max(1.0))
 }
 
-/// NIST SP1065, table 7; angle noise, for which it has no row, by its equation for α = 2 of the overlapping estimator.
+/// Least averaging factor of the total variance's own table: below it hardly a term is reflected, and terms are not as
+/// dense as the table takes them.
+const TABLE_FROM: usize = 8;
+
+/// NIST SP1065, table 7, from m = 8 on, and the overlapping estimator's degrees below; angle noise, for which it has no row, by its equation for α = 2 of the overlapping estimator.
 fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
+    if m < TABLE_FROM {
+        return greenhall(noise, 2, m, phases, true, false);
+    }
     let (n, m) = (phases as f64, m as f64);
     let (b, c) = match noise {
         NoiseType::WhiteRate => (1.50, 0.0),
@@ -92,6 +111,26 @@ fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
         NoiseType::WhiteAngle => return (n > 2.0 * m).then(|| (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))),
     };
     Some(b * n / m - c)
+}
+
+/// Expectation of the total variance over the Allan variance, of segments of so many phases together.
+///
+/// # Source
+/// C. A. Greenhall, D. A. Howe and D. B. Percival, "Total variance, an estimator of long-term frequency stability", IEEE
+/// Trans. UFFC 46 (1999) 1183: 1 − a·τ/T.
+pub(super) fn total_bias(noise: NoiseType, m: usize, phases: impl Iterator<Item = u64>) -> f64 {
+    let a = match noise {
+        NoiseType::FlickerRate => 1.0 / (3.0 * std::f64::consts::LN_2),
+        NoiseType::RandomWalkRate => 0.75,
+        _ => 0.0,
+    };
+    // A segment of T samples gives T − 1 terms.
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for samples in phases.map(|phases| phases.saturating_sub(1) as f64).filter(|samples| *samples > m as f64) {
+        sum += (samples - 1.0) * (1.0 - a * m as f64 / samples);
+        weights += samples - 1.0;
+    }
+    if weights > 0.0 { sum / weights } else { 1.0 }
 }
 
 /// The combined algorithm; d: order of the difference, S = m overlapped or 1, F = 1 modified or m. `None` without a term.
@@ -295,6 +334,13 @@ mod tests {
         }
         assert_eq!(chi_squared_quantile(0.5, 0.0), None);
         assert_eq!(chi_squared_quantile(0.5, f64::NAN), None);
+    }
+
+    #[test]
+    fn a_noise_has_one_name() {
+        for noise in NoiseType::ALL {
+            assert_eq!(serde_json::to_value(noise).unwrap(), noise.name());
+        }
     }
 
     #[test]

@@ -13,7 +13,7 @@ const ROUNDING: f64 = 6_755_399_441_055_744.0;
 ///
 /// # Validation
 /// A quantised value is below [`FixedPoint::MAGNITUDE_BITS`] bits, so that a second difference at
-/// [`TauGrid::MAX_FACTOR`](super::TauGrid::MAX_FACTOR) stays below 2^63 (`the_worst_input_does_not_overflow`).
+/// [`TauGrid::FULL_OVERLAP`](super::TauGrid::FULL_OVERLAP) stays below 2^63 (`the_worst_input_does_not_overflow`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FixedPoint {
     pub(super) decimals: u8,
@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn the_worst_input_does_not_overflow() {
         let largest = FixedPoint::largest_steps() as i128;
-        assert!(2 * TauGrid::MAX_FACTOR as i128 * largest < 1 << 63);
+        assert!(2 * TauGrid::FULL_OVERLAP as i128 * largest < 1 << 63);
         assert_eq!(FixedPoint::steps(FixedPoint::largest_steps()), Some(largest as i64));
         assert_eq!(FixedPoint::steps(-FixedPoint::largest_steps()), Some(-largest as i64));
     }

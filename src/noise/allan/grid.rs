@@ -1,6 +1,7 @@
 //! Grids of averaging factors. A grid is fixed before the first sample is seen: sums over different grids do not add.
 
 use super::AllanError;
+use super::strided::OVERLAP;
 use serde::{Deserialize, Serialize};
 
 /// How the averaging factors are spaced.
@@ -12,21 +13,29 @@ pub enum TauSpacing {
     /// About twenty to the decade.
     #[default]
     Log,
-    /// Every one.
+    /// Every one up to [`TauGrid::FULL_OVERLAP`], twenty to the decade beyond.
     All,
     /// A list of one's own.
     Custom,
 }
 
 /// Averaging factors m in ascending order, each once; τ = m / rate.
+///
+/// Up to [`TauGrid::FULL_OVERLAP`] every phase is the newest of a second difference. Beyond, differences are taken at every
+/// m/16th phase, and factors are multiples of 16.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TauGrid {
     factors: Vec<usize>,
+    /// Binary logarithm of the largest factor with full overlap.
+    full_overlap: u8,
 }
 
 impl TauGrid {
-    /// The largest factor of exact sums with full overlap.
-    pub const MAX_FACTOR: usize = 1 << 20;
+    /// The largest factor of sums with full overlap: an hour at 288 Hz. It bounds their memory.
+    pub const FULL_OVERLAP: usize = 1 << Self::FULL_OVERLAP_BITS;
+    const FULL_OVERLAP_BITS: u8 = 20;
+    /// The largest factor of all: 15 days at 800 Hz.
+    pub const MAX_FACTOR: usize = 1 << 30;
     /// Factors to the decade of [`TauGrid::log`].
     pub const PER_DECADE: u32 = 20;
     /// Factors end at this fraction of the longest segment: beyond a quarter fewer than about four degrees of freedom remain.
@@ -60,7 +69,7 @@ impl TauGrid {
     /// [`AllanError::TooShort`] below four samples.
     pub fn octave(longest: u64) -> Result<Self, AllanError> {
         let largest = Self::largest(longest)?;
-        Ok(Self { factors: std::iter::successors(Some(1), |m| Some(m * 2)).take_while(|m| *m <= largest).collect() })
+        Self::custom(std::iter::successors(Some(1), |m| Some(m * 2)).take_while(|m| *m <= largest))
     }
 
     /// Twenty to the decade, rounded to integers, each once.
@@ -68,38 +77,57 @@ impl TauGrid {
     /// # Errors
     /// [`AllanError::TooShort`] below four samples.
     pub fn log(longest: u64) -> Result<Self, AllanError> {
-        let largest = Self::largest(longest)?;
-        let mut factors: Vec<usize> = (0..)
-            .map(|step| 10f64.powf(f64::from(step) / f64::from(Self::PER_DECADE)).round() as usize)
-            .take_while(|m| *m <= largest)
-            .collect();
-        factors.dedup();
-        Ok(Self { factors })
+        Self::custom(Self::logarithmic(Self::largest(longest)?))
     }
 
-    /// Every factor.
+    fn logarithmic(largest: usize) -> impl Iterator<Item = usize> {
+        (0..)
+            .map(|step| 10f64.powf(f64::from(step) / f64::from(Self::PER_DECADE)).round() as usize)
+            .take_while(move |m| *m <= largest)
+    }
+
+    /// Every factor up to [`TauGrid::FULL_OVERLAP`]; beyond, as [`TauGrid::log`].
     ///
     /// # Errors
     /// [`AllanError::TooShort`] below four samples.
     pub fn all(longest: u64) -> Result<Self, AllanError> {
-        Ok(Self { factors: (1..=Self::largest(longest)?).collect() })
+        let largest = Self::largest(longest)?;
+        let beyond = Self::logarithmic(largest).filter(|m| *m > Self::FULL_OVERLAP);
+        Self::custom((1..=largest.min(Self::FULL_OVERLAP)).chain(beyond))
     }
 
-    /// The factors given, sorted, each once.
+    /// The factors given, sorted, each once; those beyond [`TauGrid::FULL_OVERLAP`] as the multiple of 16 below them.
     ///
     /// # Errors
     /// [`AllanError::FactorOutOfRange`] for 0 or more than [`TauGrid::MAX_FACTOR`]; [`AllanError::TooShort`] for none.
     pub fn custom(factors: impl IntoIterator<Item = usize>) -> Result<Self, AllanError> {
+        Self::with_full_overlap(factors, Self::FULL_OVERLAP_BITS)
+    }
+
+    /// The same with full overlap up to `1 << full_overlap`, at least 16.
+    pub(super) fn with_full_overlap(
+        factors: impl IntoIterator<Item = usize>,
+        full_overlap: u8,
+    ) -> Result<Self, AllanError> {
+        if !(OVERLAP.ilog2()..=u32::from(Self::FULL_OVERLAP_BITS)).contains(&full_overlap.into()) {
+            return Err(AllanError::FactorOutOfRange {
+                found: full_overlap.into(),
+                largest: Self::FULL_OVERLAP as u64,
+            });
+        }
         let mut factors: Vec<usize> = factors.into_iter().collect();
         if let Some(found) = factors.iter().find(|m| !(1..=Self::MAX_FACTOR).contains(*m)) {
             return Err(AllanError::FactorOutOfRange { found: *found as u64, largest: Self::MAX_FACTOR as u64 });
+        }
+        for m in factors.iter_mut().filter(|m| **m > 1 << full_overlap) {
+            *m -= *m % OVERLAP;
         }
         factors.sort_unstable();
         factors.dedup();
         if factors.is_empty() {
             return Err(AllanError::TooShort { samples: 0, needed: Self::LONGEST_FRACTION });
         }
-        Ok(Self { factors })
+        Ok(Self { factors, full_overlap })
     }
 
     /// The averaging factors, ascending; never empty.
@@ -114,10 +142,38 @@ impl TauGrid {
         self.factors.last().copied().unwrap_or(1)
     }
 
-    /// How many samples before a chunk its terms reach back to: what [`Overlapping::resume`](super::Overlapping::resume) needs.
+    /// Those of the factors whose differences are taken at every phase; the first ones.
+    #[must_use]
+    pub fn full_overlap(&self) -> &[usize] {
+        &self.factors[..self.full_factors()]
+    }
+
+    /// The others.
+    #[must_use]
+    pub fn beyond_full_overlap(&self) -> &[usize] {
+        &self.factors[self.full_factors()..]
+    }
+
+    fn full_factors(&self) -> usize {
+        self.factors.partition_point(|m| *m <= 1 << self.full_overlap)
+    }
+
+    /// Phases from one second difference of factor `m` to the next: 1 with full overlap, else m/16.
+    #[must_use]
+    pub fn stride(&self, m: usize) -> usize {
+        if m <= 1 << self.full_overlap { 1 } else { m / OVERLAP }
+    }
+
+    /// Binary logarithm of the largest factor with full overlap.
+    pub(super) fn full_overlap_bits(&self) -> u8 {
+        self.full_overlap
+    }
+
+    /// How many samples before a cut the terms of full overlap reach back to: what
+    /// [`Overlapping::restore`](super::Overlapping::restore) needs.
     #[must_use]
     pub fn halo_len(&self) -> usize {
-        2 * self.max_factor()
+        2 * self.full_overlap().last().copied().unwrap_or(0)
     }
 }
 
@@ -139,6 +195,23 @@ mod tests {
         assert_eq!(TauGrid::octave(40).unwrap().factors(), [1, 2, 4, 8]);
         assert_eq!(TauGrid::all(20).unwrap().factors(), [1, 2, 3, 4, 5]);
         assert_eq!(TauGrid::octave(u64::MAX).unwrap().max_factor(), TauGrid::MAX_FACTOR);
+        let all = TauGrid::all(14_400_000).unwrap();
+        assert_eq!(all.full_overlap().len(), TauGrid::FULL_OVERLAP);
+        assert_eq!(all.beyond_full_overlap().len(), 11);
+    }
+
+    #[test]
+    fn beyond_full_overlap_factors_are_multiples_of_their_strides() {
+        let grid = TauGrid::log(14_400_000).unwrap();
+        assert_eq!(grid.full_overlap().last(), Some(&1_000_000));
+        assert!(grid.max_factor() > 3_500_000 && grid.max_factor() <= 3_600_000, "{}", grid.max_factor());
+        assert!(grid.beyond_full_overlap().iter().all(|m| 16 * grid.stride(*m) == *m));
+        assert!(grid.full_overlap().iter().all(|m| grid.stride(*m) == 1));
+        // Of two that become one, one remains, and none falls back into full overlap.
+        let limit = TauGrid::FULL_OVERLAP;
+        let custom = TauGrid::custom([limit, limit + 1, limit + 16, limit + 31]).unwrap();
+        assert_eq!(custom.factors(), [limit, limit + 16]);
+        assert_eq!((custom.halo_len(), TauGrid::custom([limit + 16]).unwrap().halo_len()), (2 * limit, 0));
     }
 
     #[test]

@@ -1,117 +1,120 @@
 //! The inner loop: the exact sum of `(x − 2y + z)²` over three windows of integer phases.
 //!
-//! Products of 64-bit integers do not vectorise on baseline x86-64, products of 32-bit halves do. Each width below adds a
-//! bias so that differences are non-negative, multiplies halves of 32 bits or fewer, checks afterwards that every
-//! difference fitted, and leaves to the next width what did not. All widths give the same sum; `benches/allan.rs` times them.
+//! Where the processor has a fused multiply-add, differences become doubles (exact below 2^51) and each square is split by
+//! two fused operations into a multiple of 2^45 and an exact rest; sums of both stay exact, and whether every difference
+//! fitted is seen by the sum itself afterwards. Nothing depends on how large the differences of a block are, so that binary
+//! floats cost what ASCII decimals do. Blocks that do not fit, and other processors, take [`integers`]. All ways give the
+//! same sum; `benches/allan.rs` times them.
 
-/// Terms per call: the widths' 64-bit accumulators are sized for it.
+use super::integers::{self, Width};
+use fearless_simd::Level;
+
+/// Terms per call: each lane's sums are sized for it.
 pub(super) const BLOCK: usize = 8192;
+/// What is added to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 + d.
+pub(super) const BIAS: i64 = ORIGIN.to_bits() as i64;
 
-/// How many bits the differences of a block need, as far as is known; the next block of the same factor begins with it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub(super) enum Width {
-    #[default]
-    Bits24,
-    Bits31,
-    Bits47,
-    Bits63,
+const ORIGIN: f64 = 6_755_399_441_055_744.0;
+/// Sums of coarse parts begin here, 2^97, where doubles are multiples of [`COARSE`], and end below twice that.
+const COARSE_ORIGIN: f64 = (1u128 << 97) as f64;
+/// 2^45.
+const COARSE_BITS: u32 = 45;
+const COARSE: f64 = (1u64 << COARSE_BITS) as f64;
+/// Terms that a lane may take: so many rests of up to 2^44 stay below 2^53.
+const MOST_PER_LANE: usize = 512;
+
+/// The exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms; `newest` holds [`BIAS`] more than
+/// the phases are. Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
+///
+/// `width`: what the differences of this factor needed last time, where that counts.
+pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
+    debug_assert!(newest.len() <= BLOCK && newest.len() == middle.len() && newest.len() == oldest.len());
+    match dispatched(newest, middle, oldest) {
+        Some(fused) => fused.unwrap_or_else(|| integers::one_by_one(newest, middle, oldest)),
+        None => integers::sum_of_squares(newest, middle, oldest, width),
+    }
 }
 
-impl Width {
-    /// The next smaller width: signals calm down again after a knock.
-    pub(super) fn narrower(self) -> Self {
-        match self {
-            Self::Bits24 | Self::Bits31 => Self::Bits24,
-            Self::Bits47 => Self::Bits31,
-            Self::Bits63 => Self::Bits47,
+/// The fused form by the widest instructions there are; None where there is no fused multiply-add.
+#[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
+fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u128>> {
+    use fearless_simd::Simd as _;
+    // Found out once, remembered by the crate.
+    let level = Level::new();
+    if let Some(avx512) = level.as_avx512() {
+        return Some(avx512.vectorize(
+            #[inline(always)]
+            || fused::<32>(newest, middle, oldest),
+        ));
+    }
+    let avx2 = level.as_avx2()?;
+    Some(avx2.vectorize(
+        #[inline(always)]
+        || fused::<16>(newest, middle, oldest),
+    ))
+}
+
+/// Every 64-bit ARM has it.
+#[cfg(target_arch = "aarch64")]
+fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u128>> {
+    Some(fused::<16>(newest, middle, oldest))
+}
+
+#[cfg(not(any(target_arch = "x86_64", target_arch = "x86", target_arch = "aarch64")))]
+fn dispatched(_: &[i64], _: &[i64], _: &[i64]) -> Option<Option<u128>> {
+    None
+}
+
+/// Adds a term to one lane's coarse sum and sum of rests.
+///
+/// Let c be the coarse sum, a double in [2^97, 2^98) and thus a multiple of 2^45. The fused d² + c rounds once, to such a
+/// multiple again, so that the step c' − c is exact, within 2^44 of d², and d² less the step is an integer below 2^53,
+/// which the second fused operation gives exactly. All of this holds when the last c' is below 2^98: c never falls.
+///
+/// A difference beyond ±2^51 changes the exponent of the double that its bits are read as. That double's distance from the
+/// origin is 2^51 or more all the same (or it is no number), because doubles are ordered as their bits are: its square
+/// takes c' beyond 2^98.
+#[inline(always)]
+fn add((newest, middle, oldest): (i64, i64, i64), (coarse, rest): (f64, f64)) -> (f64, f64) {
+    let bits = newest.wrapping_sub(middle).wrapping_sub(middle.wrapping_sub(oldest));
+    let difference = f64::from_bits(bits as u64) - ORIGIN;
+    let next = difference.mul_add(difference, coarse);
+    (next, rest + difference.mul_add(difference, -(next - coarse)))
+}
+
+/// Each lane's sums over whole rows. By itself, so that they stay in registers: what indexes lanes by a variable comes after.
+#[inline(always)]
+fn rows<const LANES: usize>(
+    newest: &[[i64; LANES]],
+    middle: &[[i64; LANES]],
+    oldest: &[[i64; LANES]],
+) -> ([f64; LANES], [f64; LANES]) {
+    let (mut coarse, mut rest) = ([COARSE_ORIGIN; LANES], [0.0; LANES]);
+    for ((x, y), z) in newest.iter().zip(middle).zip(oldest) {
+        for lane in 0..LANES {
+            (coarse[lane], rest[lane]) = add((x[lane], y[lane], z[lane]), (coarse[lane], rest[lane]));
         }
     }
+    (coarse, rest)
 }
 
-/// The exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms, and the width that it took.
-///
-/// Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
-pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], start: Width) -> (u128, Width) {
-    debug_assert!(newest.len() <= BLOCK && newest.len() == middle.len() && newest.len() == oldest.len());
-    if start <= Width::Bits24
-        && let Some(sum) = bits24(newest, middle, oldest)
-    {
-        return (sum, Width::Bits24);
-    }
-    if start <= Width::Bits31
-        && let Some(sum) = bits31(newest, middle, oldest)
-    {
-        return (sum, Width::Bits31);
-    }
-    if start <= Width::Bits47
-        && let Some(sum) = bits47(newest, middle, oldest)
-    {
-        return (sum, Width::Bits47);
-    }
-    (bits63(newest, middle, oldest), Width::Bits63)
-}
-
+/// The sum by fused multiply-adds; None where a difference or a sum does not fit.
 #[inline(always)]
-fn difference(newest: i64, middle: i64, oldest: i64) -> i64 {
-    newest.wrapping_sub(middle).wrapping_sub(middle.wrapping_sub(oldest))
-}
-
-/// Σd² from the sums over u = d + bias: Σu² − 2·bias·Σu + n·bias².
-fn unbias(squares: u128, biased: u64, terms: usize, bias: u32) -> u128 {
-    (squares + ((terms as u128) << (2 * bias))) - (u128::from(biased) << (bias + 1))
-}
-
-fn bits24(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
-    const BIAS: u32 = 24;
-    let (mut squares, mut biased, mut seen) = (0u64, 0u64, 0u64);
-    for ((x, y), z) in newest.iter().zip(middle).zip(oldest) {
-        let u = difference(*x, *y, *z).wrapping_add(1 << BIAS) as u64;
-        seen |= u;
-        biased = biased.wrapping_add(u);
-        let low = u & 0xffff_ffff;
-        squares = squares.wrapping_add(low * low);
+fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
+    const { assert!(BLOCK <= MOST_PER_LANE * LANES) };
+    let ((x, last_x), (y, last_y), (z, last_z)) =
+        (newest.as_chunks::<LANES>(), middle.as_chunks::<LANES>(), oldest.as_chunks::<LANES>());
+    let (mut coarse, mut rest) = rows(x, y, z);
+    for (lane, ((x, y), z)) in last_x.iter().zip(last_y).zip(last_z).enumerate() {
+        (coarse[lane], rest[lane]) = add((*x, *y, *z), (coarse[lane], rest[lane]));
     }
-    (seen >> (BIAS + 1) == 0).then(|| unbias(squares.into(), biased, newest.len(), BIAS))
-}
-
-fn bits31(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
-    const BIAS: u32 = 31;
-    let (mut high, mut low, mut biased, mut seen) = (0u64, 0u64, 0u64, 0u64);
-    for ((x, y), z) in newest.iter().zip(middle).zip(oldest) {
-        let u = difference(*x, *y, *z).wrapping_add(1 << BIAS) as u64;
-        seen |= u;
-        biased = biased.wrapping_add(u);
-        let half = u & 0xffff_ffff;
-        let square = half * half;
-        high = high.wrapping_add(square >> 32);
-        low = low.wrapping_add(square & 0xffff_ffff);
+    // Written so that what is no number does not fit.
+    if !coarse.iter().all(|sum| *sum < 2.0 * COARSE_ORIGIN) {
+        return None;
     }
-    (seen >> (BIAS + 1) == 0).then(|| unbias((u128::from(high) << 32) + u128::from(low), biased, newest.len(), BIAS))
-}
-
-fn bits47(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
-    const BIAS: u32 = 47;
-    let (mut hh, mut hl, mut ll, mut biased, mut seen) = (0u64, 0u64, 0u64, 0u64, 0u64);
-    for ((x, y), z) in newest.iter().zip(middle).zip(oldest) {
-        let u = difference(*x, *y, *z).wrapping_add(1 << BIAS) as u64;
-        seen |= u;
-        biased = biased.wrapping_add(u);
-        let (high, low) = ((u >> 24) & 0xffff_ffff, u & 0xff_ffff);
-        hh = hh.wrapping_add(high * high);
-        hl = hl.wrapping_add(high * low);
-        ll = ll.wrapping_add(low * low);
-    }
-    (seen >> (BIAS + 1) == 0).then(|| {
-        let squares = (u128::from(hh) << 48) + (u128::from(hl) << 25) + u128::from(ll);
-        unbias(squares, biased, newest.len(), BIAS)
-    })
-}
-
-fn bits63(newest: &[i64], middle: &[i64], oldest: &[i64]) -> u128 {
-    newest.iter().zip(middle).zip(oldest).fold(0u128, |sum, ((x, y), z)| {
-        let magnitude = u128::from(difference(*x, *y, *z).unsigned_abs());
-        sum.saturating_add(magnitude * magnitude)
-    })
+    let coarse: u64 = coarse.iter().map(|sum| ((sum - COARSE_ORIGIN) / COARSE) as u64).sum();
+    let rest: i64 = rest.iter().map(|sum| *sum as i64).sum();
+    Some((u128::from(coarse) << COARSE_BITS).wrapping_add_signed(rest.into()))
 }
 
 #[cfg(test)]
@@ -119,39 +122,61 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn biased(newest: &[i64]) -> Vec<i64> {
+        newest.iter().map(|phase| phase.wrapping_add(BIAS)).collect()
+    }
+
     proptest! {
         #[test]
-        fn every_width_gives_the_same_sum(
+        fn every_way_gives_the_same_sum(
             bits in 1u32..62,
             raw in proptest::collection::vec(any::<(i64, i64, i64)>(), 0..200),
         ) {
             let shift = 64 - bits;
             let x: Vec<i64> = raw.iter().map(|d| d.0 >> shift).collect();
             let (y, z): (Vec<i64>, Vec<i64>) = raw.iter().map(|d| ((d.1 >> shift) / 4, (d.2 >> shift) / 4)).unzip();
-            let expected = bits63(&x, &y, &z);
-            for start in [Width::Bits24, Width::Bits31, Width::Bits47, Width::Bits63] {
-                prop_assert_eq!(sum_of_squares(&x, &y, &z, start).0, expected);
+            let by_definition = raw.iter().enumerate().fold(0u128, |sum, (i, _)| {
+                let d = i128::from(x[i]) - 2 * i128::from(y[i]) + i128::from(z[i]);
+                sum.saturating_add((d * d) as u128)
+            });
+            let x = biased(&x);
+            prop_assert_eq!(integers::one_by_one(&x, &y, &z), by_definition);
+            prop_assert_eq!(sum_of_squares(&x, &y, &z, &mut Width::default()), by_definition);
+            for sum in [fused::<16>(&x, &y, &z), fused::<32>(&x, &y, &z)] {
+                // Below 2^41 even the sum over all lanes' terms fits.
+                prop_assert!(sum.is_none_or(|sum| sum == by_definition) && (sum.is_some() || bits > 41));
+            }
+            for mut width in [Width::Bits31, Width::Bits47, Width::Bits63] {
+                prop_assert_eq!(integers::sum_of_squares(&x, &y, &z, &mut width), by_definition);
+            }
+        }
+
+        /// The rests of a lane add up to the most there can be, and the sum is exact or refused whatever the size.
+        #[test]
+        fn a_full_block_is_exact_or_refused(value in any::<i64>(), shift in 7u32..60) {
+            let value = value >> shift;
+            let zero = vec![0i64; BLOCK];
+            let x = vec![value.wrapping_add(BIAS); BLOCK];
+            let expected = (i128::from(value) * i128::from(value)) as u128 * BLOCK as u128;
+            for sum in [fused::<16>(&x, &zero, &zero), fused::<32>(&x, &zero, &zero)] {
+                prop_assert!(sum.is_none_or(|sum| sum == expected));
+                prop_assert_eq!(sum.is_some() || value.unsigned_abs() >= 1 << 43, true);
             }
         }
     }
 
     #[test]
-    fn a_full_block_at_each_widths_limit_is_exact() {
-        let zero = vec![0i64; BLOCK];
-        for (value, width) in [
-            ((1i64 << 24) - 1, Width::Bits24),
-            (-(1 << 24), Width::Bits24),
-            (1 << 24, Width::Bits31),
-            ((1 << 31) - 1, Width::Bits31),
-            (-(1 << 31), Width::Bits31),
-            (1 << 31, Width::Bits47),
-            ((1 << 47) - 1, Width::Bits47),
-            (-(1 << 47), Width::Bits47),
-            (1 << 47, Width::Bits63),
-        ] {
-            let x = vec![value; BLOCK];
-            let expected = (i128::from(value) * i128::from(value)) as u128 * BLOCK as u128;
-            assert_eq!(sum_of_squares(&x, &zero, &zero, Width::Bits24), (expected, width), "{value}");
+    fn what_does_not_fit_is_seen_wherever_its_bits_land() {
+        let zero = vec![0i64; 100];
+        // Infinities, what is no number and numbers of the other sign, as which biased bits would read.
+        let bits = [f64::INFINITY, f64::NEG_INFINITY, f64::NAN, -f64::NAN, -0.0, 0.0, 1.0, -1.0, f64::MIN_POSITIVE];
+        let edges = [1i64 << 51, -(1 << 51) - 1, 1 << 62, -(1 << 62), i64::MAX, i64::MIN + 1, 1 << 52, 3 << 51];
+        for value in bits.map(|of| (of.to_bits() as i64).wrapping_sub(BIAS)).into_iter().chain(edges) {
+            let mut x = vec![BIAS + 12_345; 100];
+            x[37] = value.wrapping_add(BIAS);
+            assert_eq!(fused::<16>(&x, &zero, &zero), None, "{value}");
+            let expected = 99 * 12_345 * 12_345 + u128::from(value.unsigned_abs()).pow(2);
+            assert_eq!(sum_of_squares(&x, &zero, &zero, &mut Width::default()), expected, "{value}");
         }
     }
 }

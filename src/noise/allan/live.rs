@@ -1,17 +1,16 @@
 //! The live estimator: all octaves of a running capture in constant memory.
 //!
-//! Averaging factors are powers of two up to [`TauGrid::MAX_FACTOR`]. Beyond m = 16 terms are taken at every m/16th sample:
+//! Averaging factors are powers of two up to [`TauGrid::FULL_OVERLAP`]. Beyond m = 16 terms are taken at every m/16th sample:
 //! for white rate noise the variance of the estimate grows by 0.5 % against full overlap. The sums are integers and do not
 //! depend on how the samples were portioned.
 
 use super::point::AllanPoint;
+use super::strided::OVERLAP;
 use super::{FixedPoint, TauGrid};
 
-/// Terms per averaging time.
-const OVERLAP: usize = 16;
 /// Phases a level keeps: a power of two above two averaging times.
 const KEPT: usize = 64;
-const LEVELS: usize = TauGrid::MAX_FACTOR.ilog2() as usize + 1;
+const LEVELS: usize = TauGrid::FULL_OVERLAP.ilog2() as usize + 1;
 /// Levels that see every phase: m = 1 to 16.
 const DENSE: usize = OVERLAP.ilog2() as usize + 1;
 
@@ -131,20 +130,22 @@ impl LiveAllan {
     }
 
     /// The points so far, for a curve ([`AllanCurve::from_points`](super::AllanCurve::from_points)) or a fit: octaves up to a
-    /// quarter of the samples of the segments they come from. `terms` counts full overlap.
+    /// quarter of the samples of the segments they come from.
     #[must_use]
     pub fn points(&self) -> Vec<AllanPoint> {
         let steps = self.steps_per_unit;
         let mut points = Vec::new();
         for (power, level) in self.levels.iter().enumerate() {
             let m = 1usize << power;
-            let terms = level.terms * (m / OVERLAP).max(1) as u64;
+            let stride = (m / OVERLAP).max(1);
+            let terms = level.terms * stride as u64;
             // A segment of 4m samples has 2m terms: shorter ones say little.
             if level.terms == 0 || level.squares == u128::MAX || terms < level.segments * 2 * m as u64 {
                 continue;
             }
             let mean = level.squares as f64 / (2.0 * level.terms as f64 * (m as f64).powi(2));
-            points.push(AllanPoint { m, variance: mean / steps / steps, terms, segments: level.segments });
+            let terms = AllanPoint::spanned(level.terms, level.segments, stride);
+            points.push(AllanPoint { m, variance: mean / steps / steps, terms, segments: level.segments, stride });
         }
         points
     }

@@ -5,6 +5,8 @@
 //! terms (Riley & Howe, NIST SP1065, equation 10; the convention of allantools and Stable32).
 //! `tests/golden/allan` holds the reference values that all of this is checked against.
 
+#[cfg(test)]
+mod coverage;
 mod curve;
 mod deviation;
 mod edf;
@@ -13,10 +15,13 @@ mod fixed_point;
 #[cfg(test)]
 mod golden;
 mod grid;
+mod identify;
+mod integers;
 mod kernel;
 mod live;
 mod overlapping;
 mod point;
+mod strided;
 mod sums;
 
 pub use curve::{AllanCurve, AllanReport};

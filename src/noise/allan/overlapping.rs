@@ -1,66 +1,99 @@
 //! The overlapping Allan estimator: samples in any portions, exact sums out.
 
-use super::kernel::{self, Width};
-use super::{AllanSums, FixedPoint, TauGrid};
+use super::integers::Width;
+use super::kernel;
+use super::strided::Strided;
+use super::{AllanError, AllanSums, FixedPoint, TauGrid};
 
 /// Blocks after which a factor tries the next smaller width again.
 const RETRY_BLOCKS: u32 = 16;
-/// Binary places by which phases of nothing but zeros may be shifted.
-const MOST_SHIFT: u32 = 62;
 
 /// Folds the samples of one channel into [`AllanSums`].
 ///
 /// Every second difference belongs to the portion that holds its last phase, and second differences do not see where phases
-/// begin. So a segment may be cut anywhere: a fresh estimator that is given the [`TauGrid::halo_len`] samples before the
-/// cut ([`Overlapping::resume`]) continues to the same sums, bit for bit, and sums of parts that were computed side by side
-/// add up to those of the whole.
+/// begin. So a segment may be cut anywhere: [`Overlapping::restore`], given what [`Overlapping::save`] wrote and the
+/// [`TauGrid::halo_len`] samples before the cut, continues to the same sums, bit for bit. Sums over other data add
+/// ([`AllanSums::merge`]).
 ///
-/// Memory: 2.5 · m_max phases of 8 bytes. Speed: see docs/performance.md.
+/// Memory: 2.5 phases of 8 bytes for each sample of the longest averaging time with full overlap, at most
+/// [`Overlapping::bytes`]; 0.5 kB for each factor beyond. Speed: see docs/performance.md.
 #[derive(Debug, Clone)]
 pub struct Overlapping {
     sums: AllanSums,
     steps_per_unit: f64,
-    /// Phases of the current segment over 2^`shift`, newest last, the oldest possibly dropped; phase 0 of a segment is 0.
+    /// Phases of the current segment, newest last, the oldest possibly dropped; phase 0 of a segment is 0.
     phases: Vec<i64>,
-    /// Zeros that all steps of the segment end in: decimals of ASCII output need fewer bits, and squares less time.
-    shift: u32,
     /// Phases before this index have had their turn as the newest of a term.
     folded: usize,
+    /// The factors beyond full overlap.
+    strided: Strided,
     widths: Vec<Width>,
     blocks: u32,
-    /// Kept for its memory.
-    steps: Vec<i64>,
+    /// The newest phases of a block as the kernel wants them; kept for its memory.
+    newest: Vec<i64>,
 }
 
 impl Overlapping {
     /// An estimator that has seen nothing.
     #[must_use]
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
-        Self::resume(AllanSums::new(scale, grid), &[])
+        let strided = Strided::new(&grid);
+        Self::resume(AllanSums::new(scale, grid), strided, &[])
     }
 
-    /// Continues from a checkpoint within a segment.
-    ///
-    /// `halo`: the samples of the segment that precede the next one to be pushed, oldest first: the last
-    /// [`TauGrid::halo_len`] of them, or all where the segment has fewer; none at the start of a segment. More does no harm.
-    #[must_use]
-    pub fn resume(sums: AllanSums, halo: &[f64]) -> Self {
-        let taus = sums.grid().factors().len();
+    fn resume(sums: AllanSums, strided: Strided, halo: &[f64]) -> Self {
+        let taus = sums.grid().full_overlap().len();
         let mut estimator = Self {
             steps_per_unit: sums.scale().steps_per_unit(),
             sums,
             phases: vec![0],
-            shift: MOST_SHIFT,
             folded: 1,
+            strided,
             widths: vec![Width::default(); taus],
             blocks: 0,
-            steps: Vec::new(),
+            newest: Vec::new(),
         };
         // A sample that was refused ended a segment, and was counted, when it came first.
         let ended = halo.iter().rposition(|value| FixedPoint::steps(value * estimator.steps_per_unit).is_none());
-        estimator.append(&halo[ended.map_or(0, |at| at + 1)..]);
+        estimator.integrate(&halo[ended.map_or(0, |at| at + 1)..]);
         estimator.folded = estimator.phases.len();
         estimator
+    }
+
+    /// The checkpoint: the sums over everything pushed so far, and where in its segment the next sample stands.
+    pub fn save(&mut self) -> Vec<u8> {
+        let sums = self.sums().to_bytes();
+        let mut bytes = (sums.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(sums);
+        bytes.extend(self.strided.to_bytes());
+        bytes
+    }
+
+    /// Continues from a checkpoint.
+    ///
+    /// `halo`: the samples of the segment that precede the next one to be pushed, oldest first: the last
+    /// [`TauGrid::halo_len`] of them, or all where the segment has fewer; none at the start of a segment. More does no harm.
+    ///
+    /// # Errors
+    /// [`AllanError`] as [`AllanSums::from_bytes`].
+    pub fn restore(bytes: &[u8], halo: &[f64]) -> Result<Self, AllanError> {
+        let damaged =
+            |field, expected: u64| Err(AllanError::CheckpointDamaged { field, expected, found: bytes.len() as u64 });
+        let Some((length, rest)) = bytes.split_first_chunk::<8>() else { return damaged("length", 8) };
+        let length = u64::from_le_bytes(*length);
+        let parts = usize::try_from(length).ok().and_then(|length| rest.split_at_checked(length));
+        let Some((sums, strided)) = parts else { return damaged("length of sums", length) };
+        let sums = AllanSums::from_bytes(sums)?;
+        match Strided::from_bytes(sums.grid(), strided) {
+            Some(strided) => Ok(Self::resume(sums, strided, halo)),
+            None => damaged("factors beyond full overlap", length),
+        }
+    }
+
+    /// Bytes that a channel of a longest segment of that many samples takes on that grid.
+    #[must_use]
+    pub fn bytes(grid: &TauGrid, longest: u64) -> usize {
+        8 * usize::try_from(longest).unwrap_or(usize::MAX).min(Self::most_phases(grid))
     }
 
     /// Takes the next samples of the segment, in the channel's unit.
@@ -72,7 +105,6 @@ impl Overlapping {
             let mut rest = portion;
             loop {
                 let taken = self.append(rest);
-                self.sums.samples += taken as u64;
                 if taken == rest.len() {
                     break;
                 }
@@ -87,32 +119,41 @@ impl Overlapping {
         }
     }
 
-    /// Integrates samples up to the first that is out of range; answers how many they were.
+    /// Takes samples up to the first that is out of range; answers how many they were.
     fn append(&mut self, samples: &[f64]) -> usize {
-        self.steps.clear();
-        self.steps.extend(samples.iter().map_while(|value| FixedPoint::steps(value * self.steps_per_unit)));
-        let common = self.steps.iter().fold(0, |common, steps| common | steps).trailing_zeros();
-        if common < self.shift {
-            for phase in &mut self.phases {
-                *phase = phase.wrapping_shl(self.shift - common);
-            }
-            self.shift = common;
+        let known = self.phases.len();
+        let before = self.phases[known - 1];
+        let taken = self.integrate(samples);
+        self.strided.take(before, &self.phases[known..], &mut self.sums);
+        self.sums.samples += taken as u64;
+        taken
+    }
+
+    /// Adds the phases of samples up to the first that is out of range; answers how many they were.
+    fn integrate(&mut self, samples: &[f64]) -> usize {
+        let scale = self.steps_per_unit;
+        let fits = |value: &f64| FixedPoint::steps(value * scale).is_some();
+        let taken = samples.iter().position(|value| !fits(value)).unwrap_or(samples.len());
+        let needed = self.phases.len() + taken;
+        if needed > self.phases.capacity() {
+            // In steps of twice the size as ever, but no further than there will ever be phases.
+            let room = (2 * self.phases.capacity()).min(Self::most_phases(self.sums.grid())).max(needed);
+            self.phases.reserve_exact(room - self.phases.len());
         }
         let mut phase = self.phases.last().copied().unwrap_or(0);
-        let shift = self.shift;
-        self.phases.extend(self.steps.iter().map(|steps| {
-            phase = phase.wrapping_add(steps >> shift);
+        self.phases.extend(samples[..taken].iter().map(|value| {
+            phase = phase.wrapping_add(FixedPoint::steps(value * scale).unwrap_or(0));
             phase
         }));
-        self.steps.len()
+        taken
     }
 
     /// Ends the segment: what comes next does not continue what came before.
     pub fn break_segment(&mut self) {
         self.fold();
+        self.strided.break_segment();
         self.phases.clear();
         self.phases.push(0);
-        self.shift = MOST_SHIFT;
         self.folded = 1;
     }
 
@@ -141,28 +182,25 @@ impl Overlapping {
         }
     }
 
-    /// All averaging factors over one block of phases, so that the block stays in the cache.
+    /// All averaging factors of full overlap over one block of phases, so that the block stays in the cache.
     fn fold_block(&mut self) {
         let from = self.folded;
         let to = self.phases.len().min(from + kernel::BLOCK);
         let retry = self.blocks.is_multiple_of(RETRY_BLOCKS);
         let (phases, sums) = (&self.phases, &mut self.sums);
-        for index in 0..self.widths.len() {
+        self.newest.clear();
+        self.newest.extend(phases[from..to].iter().map(|phase| phase.wrapping_add(kernel::BIAS)));
+        for (index, width) in self.widths.iter_mut().enumerate() {
             let m = sums.grid().factors()[index];
             let first = from.max(2 * m);
             if first >= to {
                 break;
             }
-            let width = &mut self.widths[index];
-            let start = if retry { width.narrower() } else { *width };
-            let (sum, used) = kernel::sum_of_squares(
-                &phases[first..to],
-                &phases[first - m..to - m],
-                &phases[first - 2 * m..to - 2 * m],
-                start,
-            );
-            *width = used;
-            let sum = if sum.leading_zeros() >= 2 * self.shift { sum << (2 * self.shift) } else { u128::MAX };
+            if retry {
+                *width = width.narrower();
+            }
+            let (middle, oldest) = (&phases[first - m..to - m], &phases[first - 2 * m..to - 2 * m]);
+            let sum = kernel::sum_of_squares(&self.newest[first - from..], middle, oldest, width);
             sums.squares[index] = sums.squares[index].saturating_add(sum);
             sums.terms[index] += (to - first) as u64;
             sums.segments[index] += u64::from(first == 2 * m);
@@ -174,12 +212,22 @@ impl Overlapping {
     /// Keeps one phase more than terms reach back to: index 2m is then the newest of a term only once in a segment.
     fn drop_oldest(&mut self) {
         let keep = self.grid().halo_len() + 1;
-        let slack = (keep / 4).max(4 * kernel::BLOCK);
-        if self.folded > keep + slack {
+        if self.folded > keep + Self::slack(keep) {
             let surplus = self.folded - keep;
             self.phases.drain(..surplus);
             self.folded -= surplus;
         }
+    }
+
+    /// Phases beyond those needed that wait until all are moved at once.
+    fn slack(keep: usize) -> usize {
+        (keep / 4).max(4 * kernel::BLOCK)
+    }
+
+    /// Phases that there are at most: those needed, the slack, a block that waits and a portion that comes.
+    fn most_phases(grid: &TauGrid) -> usize {
+        let keep = grid.halo_len() + 1;
+        keep + Self::slack(keep) + 2 * kernel::BLOCK
     }
 }
 
@@ -198,15 +246,20 @@ mod tests {
         estimator.into_sums()
     }
 
-    /// The definition, in integers, one term after the other.
     fn by_definition(samples: &[f64], m: usize) -> (u128, u64) {
+        by_definition_at(samples, m, 1)
+    }
+
+    /// The definition, in integers, one term after the other.
+    fn by_definition_at(samples: &[f64], m: usize, stride: usize) -> (u128, u64) {
         let mut phases = vec![0i128];
         for value in samples {
             phases.push(phases.last().unwrap() + i128::from(scale().quantise(*value).unwrap()));
         }
-        let terms = phases.len().saturating_sub(2 * m);
-        let sum = (0..terms).map(|i| (phases[i + 2 * m] - 2 * phases[i + m] + phases[i]).pow(2) as u128).sum();
-        (sum, terms as u64)
+        let starts = (0..phases.len().saturating_sub(2 * m)).step_by(stride);
+        starts.fold((0, 0), |(sum, terms), i| {
+            (sum + (phases[i + 2 * m] - 2 * phases[i + m] + phases[i]).pow(2) as u128, terms + 1)
+        })
     }
 
     fn noise(count: usize, size: f64) -> Vec<f64> {
@@ -269,25 +322,32 @@ mod tests {
     }
 
     #[test]
+    fn beyond_full_overlap_sums_are_those_of_the_definition_at_the_stride() {
+        let grid = TauGrid::with_full_overlap([1, 64, 65, 96, 1000, 4000], 6).unwrap();
+        assert_eq!((grid.full_overlap(), grid.beyond_full_overlap()), (&[1, 64][..], &[96, 992, 4000][..]));
+        for (samples, what) in [
+            (noise(30_000, 0.01), "at rest"),
+            ((0..30_000).map(|i| if i / 3000 % 2 == 0 { 127.0 } else { -127.0 }).collect(), "in motion"),
+        ] {
+            let sums = whole(&samples, &grid);
+            for (index, m) in grid.factors().iter().enumerate() {
+                let expected = by_definition_at(&samples, *m, grid.stride(*m));
+                assert_eq!((sums.squares[index], sums.terms[index]), expected, "m = {m} {what}");
+                assert_eq!(sums.segments()[index], 1);
+            }
+            let last = sums.points().pop().unwrap();
+            assert_eq!((last.m, last.stride, last.taken()), (4000, 250, 89));
+            assert_eq!(last.terms, 88 * 250 + 1);
+        }
+        assert!(Overlapping::bytes(&grid, 30_000) < 8 * 60_000, "phases kept for factors beyond full overlap");
+    }
+
+    #[test]
     fn full_scale_motion_is_still_exact() {
         let grid = TauGrid::custom([1, 1000]).unwrap();
         let samples: Vec<f64> = (0..4000).map(|i| if i / 1000 % 2 == 0 { 134.0 } else { -134.0 }).collect();
         let sums = whole(&samples, &grid);
         assert_eq!((sums.squares[1], sums.terms[1]), by_definition(&samples, 1000));
-    }
-
-    #[test]
-    fn decimals_before_finer_values_leave_no_trace() {
-        let grid = TauGrid::custom([1, 10, 700]).unwrap();
-        let mut samples: Vec<f64> = noise(20_000, 0.01).iter().map(|value| (value * 1e6).round() / 1e6).collect();
-        samples.extend(noise(20_000, 0.01));
-        let sums = whole(&samples, &grid);
-        for (index, m) in grid.factors().iter().enumerate() {
-            assert_eq!((sums.squares[index], sums.terms[index]), by_definition(&samples, *m), "m = {m}");
-        }
-        let mut decimals = Overlapping::new(scale(), grid);
-        decimals.push(&samples[..20_000]);
-        assert_eq!(decimals.shift, 15);
     }
 
     #[test]
@@ -324,7 +384,7 @@ mod tests {
             breaks in proptest::collection::vec(0usize..3000, 0..4),
             portions in proptest::collection::vec(1usize..700, 1..6),
         ) {
-            let grid = TauGrid::custom([1, 2, 5, 17, 100, 333]).unwrap();
+            let grid = TauGrid::with_full_overlap([1, 2, 5, 17, 100, 144, 336], 7).unwrap();
             let samples = noise(count, size);
             let expected = fold(&samples, &breaks, &grid, &[usize::MAX / 2]);
             prop_assert_eq!(fold(&samples, &breaks, &grid, &portions), expected);
@@ -337,7 +397,7 @@ mod tests {
             bad in proptest::collection::vec(0usize..3000, 0..3),
             more in 0usize..50,
         ) {
-            let grid = TauGrid::custom([1, 2, 5, 17, 100, 333]).unwrap();
+            let grid = TauGrid::with_full_overlap([1, 2, 5, 17, 100, 144, 336], 7).unwrap();
             let mut samples = noise(count, 0.1);
             for at in bad {
                 if at < count {
@@ -347,19 +407,46 @@ mod tests {
             let expected = whole(&samples, &grid);
             let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut % count).chain([0, count]).collect();
             cuts.sort_unstable();
-            let mut checkpoint = AllanSums::new(scale(), grid.clone()).to_bytes();
-            let mut side_by_side = AllanSums::new(scale(), grid.clone());
+            let mut checkpoint = Overlapping::new(scale(), grid.clone()).save();
+            let of_full_overlap = TauGrid::custom(grid.full_overlap().iter().copied()).unwrap();
+            let none = AllanSums::new(scale(), of_full_overlap.clone());
+            let mut side_by_side = none.clone();
             for pair in cuts.windows(2) {
                 let halo = &samples[pair[0].saturating_sub(grid.halo_len() + more)..pair[0]];
-                let mut resumed = Overlapping::resume(AllanSums::from_bytes(&checkpoint).unwrap(), halo);
+                let mut resumed = Overlapping::restore(&checkpoint, halo).unwrap();
                 resumed.push(&samples[pair[0]..pair[1]]);
-                checkpoint = resumed.sums().to_bytes();
-                let mut part = Overlapping::resume(AllanSums::new(scale(), grid.clone()), halo);
+                checkpoint = resumed.save();
+                // With full overlap, parts of a segment need their halo alone.
+                let mut part = Overlapping::resume(none.clone(), Strided::new(&of_full_overlap), halo);
                 part.push(&samples[pair[0]..pair[1]]);
                 side_by_side.merge(part.sums()).unwrap();
             }
-            prop_assert_eq!(AllanSums::from_bytes(&checkpoint).unwrap(), expected.clone());
-            prop_assert_eq!(side_by_side, expected);
+            prop_assert_eq!(Overlapping::restore(&checkpoint, &[]).unwrap().into_sums(), expected);
+            prop_assert_eq!(side_by_side, whole(&samples, &of_full_overlap));
         }
+
+        #[test]
+        fn sums_of_captures_add_beyond_full_overlap_too(first in 1usize..2000, second in 1usize..2000) {
+            let grid = TauGrid::with_full_overlap([1, 17, 144, 336], 7).unwrap();
+            let samples = noise(first + second, 0.1);
+            let mut merged = whole(&samples[..first], &grid);
+            merged.merge(&whole(&samples[first..], &grid)).unwrap();
+            prop_assert_eq!(merged, fold(&samples, &[first], &grid, &[usize::MAX / 2]));
+        }
+    }
+
+    #[test]
+    fn a_damaged_checkpoint_is_refused() {
+        let grid = TauGrid::with_full_overlap([1, 2, 144], 7).unwrap();
+        let mut estimator = Overlapping::new(scale(), grid);
+        estimator.push(&noise(1000, 0.1));
+        let bytes = estimator.save();
+        assert_eq!(Overlapping::restore(&bytes, &[]).unwrap().into_sums(), estimator.into_sums());
+        for length in [0, 7, 8, 40, bytes.len() - 528, bytes.len() - 1] {
+            assert!(Overlapping::restore(&bytes[..length], &[]).is_err(), "{length}");
+        }
+        let mut bad = bytes;
+        bad[0] ^= 1;
+        assert!(Overlapping::restore(&bad, &[]).is_err());
     }
 }

@@ -13,27 +13,49 @@ pub struct AllanPoint {
     pub terms: u64,
     /// Segments that gave any of them; ≥ 1.
     pub segments: u64,
+    /// Phases from one second difference to the next: 1 with full overlap.
+    pub stride: usize,
 }
 
 impl AllanPoint {
+    /// The terms at full overlap between the first and the last of `taken` differences at every `stride`th phase.
+    #[must_use]
+    pub fn spanned(taken: u64, segments: u64, stride: usize) -> u64 {
+        taken.saturating_sub(segments) * stride as u64 + segments.min(taken)
+    }
+
+    /// How many differences were averaged: fewer than [`Self::terms`] where not every phase is the newest of one.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        self.terms.saturating_sub(self.segments) / self.stride.max(1) as u64 + self.segments.min(self.terms)
+    }
+
     /// Equivalent degrees of freedom where `noise` dominates: those of each segment add.
     ///
     /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for
     /// segments of a few m, so that only the counts have to be carried through merges.
     #[must_use]
     pub fn edf(&self, noise: NoiseType) -> f64 {
-        let segments = self.segments.max(1);
-        let phases = (self.terms as f64 / segments as f64).round() as u64 + 2 * self.m as u64;
-        segments as f64 * equivalent_degrees_of_freedom(Estimator::Oadev, noise, self.m, phases)
+        let phases = self.phases() as u64;
+        self.segments.max(1) as f64 * equivalent_degrees_of_freedom(Estimator::Oadev, noise, self.m, phases)
+    }
+
+    /// Phases of a segment, whole.
+    fn phases(&self) -> f64 {
+        (self.terms as f64 / self.segments.max(1) as f64).round() + 2.0 * self.m as f64
     }
 }
 
-/// The noise that dominates at each point, by the slope of the variance over an octave to both sides.
+/// The noise that dominates at each point, by the slope of the variance over an octave to both sides; `points` in order of
+/// m. Where a segment is shorter than thirty averaging times the slope is mostly chance, and the last noise that was told
+/// before stays.
 #[must_use]
 pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
     /// At both sides this factor in m takes part in the slope.
     const REACH: f64 = 2.1;
-    points
+    /// Averaging times that a segment has to hold.
+    const LEAST: f64 = 30.0;
+    let mut kinds: Vec<NoiseType> = points
         .iter()
         .map(|point| {
             let near = points.iter().filter(|other| {
@@ -56,7 +78,12 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
                 NoiseType::WhiteRate
             }
         })
-        .collect()
+        .collect();
+    let told = points.iter().take_while(|point| point.phases() >= LEAST * point.m as f64).count();
+    if let Some(last) = told.checked_sub(1).and_then(|last| kinds.get(last).copied()) {
+        kinds.iter_mut().skip(told).for_each(|kind| *kind = last);
+    }
+    kinds
 }
 
 #[cfg(test)]
@@ -65,7 +92,13 @@ mod tests {
 
     fn points(variance: impl Fn(f64) -> f64) -> Vec<AllanPoint> {
         (0..10)
-            .map(|k| AllanPoint { m: 1 << k, variance: variance(f64::from(1 << k)), terms: 10_000, segments: 1 })
+            .map(|k| AllanPoint {
+                m: 1 << k,
+                variance: variance(f64::from(1 << k)),
+                terms: 10_000,
+                segments: 1,
+                stride: 1,
+            })
             .collect()
     }
 
@@ -77,11 +110,33 @@ mod tests {
     }
 
     #[test]
+    fn beyond_a_thirtieth_of_the_segment_the_noise_told_before_stays() {
+        let mut points = points(|m| 1.0 / m);
+        // 10,000 terms: from m = 512 on a segment holds fewer than thirty averaging times.
+        assert_eq!(points.len(), 10);
+        points.extend((10..13).map(|k| AllanPoint { m: 1 << k, variance: 1.0, terms: 3000, segments: 1, stride: 1 }));
+        assert_eq!(noise_by_slope(&points), [NoiseType::WhiteRate; 13]);
+        // Nothing told before: the slope has to do.
+        let short: Vec<AllanPoint> = (0..3)
+            .map(|k| AllanPoint { m: 1 << k, variance: f64::from(1 << k), terms: 5, segments: 1, stride: 1 })
+            .collect();
+        assert_eq!(noise_by_slope(&short), [NoiseType::RandomWalkRate; 3]);
+    }
+
+    #[test]
     fn degrees_of_equal_segments_add() {
-        let one = AllanPoint { m: 16, variance: 1.0, terms: 1000, segments: 1 };
+        let one = AllanPoint { m: 16, variance: 1.0, terms: 1000, segments: 1, stride: 1 };
         let three = AllanPoint { terms: 3000, segments: 3, ..one };
         for noise in NoiseType::ALL {
             assert!((three.edf(noise) - 3.0 * one.edf(noise)).abs() < 1e-9 * three.edf(noise));
         }
+    }
+    #[test]
+    fn a_stride_is_undone() {
+        for (taken, segments, stride) in [(33, 1, 65_536), (66, 2, 65_536), (1, 1, 4), (1000, 7, 1), (5, 5, 9)] {
+            let terms = AllanPoint::spanned(taken, segments, stride);
+            assert_eq!(AllanPoint { m: 1, variance: 1.0, terms, segments, stride }.taken(), taken);
+        }
+        assert_eq!(AllanPoint::spanned(33, 1, 65_536), 32 * 65_536 + 1);
     }
 }

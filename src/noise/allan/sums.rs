@@ -3,7 +3,7 @@
 use super::{AllanError, FixedPoint, TauGrid};
 
 const MAGIC: [u8; 4] = *b"OAVS";
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// Per averaging factor the exact sum of squared second differences, how many there were, and how many segments gave any.
 ///
@@ -48,7 +48,8 @@ impl AllanSums {
         &self.grid
     }
 
-    /// How many second differences each sum has: `n + 1 − 2m` over a segment of `n` samples.
+    /// How many second differences each sum has: over a segment of `n` samples `n + 1 − 2m`, or with a stride `s` every
+    /// `s`th of these from the first one on.
     #[must_use]
     pub fn terms(&self) -> &[u64] {
         &self.terms
@@ -126,7 +127,7 @@ impl AllanSums {
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(32 + 36 * self.squares.len());
         bytes.extend_from_slice(&MAGIC);
-        bytes.extend_from_slice(&[VERSION, self.scale.decimals, self.scale.binary, 0]);
+        bytes.extend_from_slice(&[VERSION, self.scale.decimals, self.scale.binary, self.grid.full_overlap_bits()]);
         bytes.extend_from_slice(&(self.squares.len() as u64).to_le_bytes());
         bytes.extend_from_slice(&self.samples.to_le_bytes());
         bytes.extend_from_slice(&self.out_of_range.to_le_bytes());
@@ -171,7 +172,7 @@ impl AllanSums {
         let row = |row: &[u8; 36], at: usize| u64::from_le_bytes(std::array::from_fn(|byte| row[at + byte]));
         let factors: Vec<usize> =
             rows.iter().map(|row| u32::from_le_bytes([row[0], row[1], row[2], row[3]]) as usize).collect();
-        let grid = TauGrid::custom(factors.iter().copied())?;
+        let grid = TauGrid::with_full_overlap(factors.iter().copied(), header[7])?;
         if grid.factors() != factors {
             return Err(damaged("order of averaging factors", taus, grid.factors().len()));
         }
@@ -205,6 +206,8 @@ mod tests {
     #[test]
     fn a_checkpoint_is_read_back_as_it_was_written() {
         assert_eq!(AllanSums::from_bytes(&some().to_bytes()).unwrap(), some());
+        let long = AllanSums::new(some().scale(), TauGrid::octave(1 << 30).unwrap());
+        assert_eq!(AllanSums::from_bytes(&long.to_bytes()).unwrap(), long);
     }
 
     #[test]
@@ -213,7 +216,7 @@ mod tests {
         for length in [0, 5, 31, bytes.len() - 1] {
             assert!(AllanSums::from_bytes(&bytes[..length]).is_err(), "{length}");
         }
-        for (at, value) in [(0, b'X'), (4, 9), (5, 200), (8, 77), (32, 0)] {
+        for (at, value) in [(0, b'X'), (4, 9), (5, 200), (7, 0), (7, 21), (8, 77), (32, 0)] {
             let mut bad = bytes.clone();
             bad[at] = value;
             assert!(AllanSums::from_bytes(&bad).is_err(), "byte {at}");
