@@ -142,7 +142,7 @@ mod tests {
     fn points() -> Vec<AllanPoint> {
         (0..14)
             .map(|k| 1usize << k)
-            .map(|m| AllanPoint { m, variance: 1.0, terms: 720_001 - 2 * m as u64, segments: 1 })
+            .map(|m| AllanPoint { m, variance: 1.0, terms: 720_001 - 2 * m as u64, segments: 1, stride: 1 })
             .collect()
     }
 
@@ -167,7 +167,7 @@ mod tests {
     #[test]
     fn white_noise_at_one_sample_has_two_thirds_of_its_terms_as_degrees() {
         // Differences of neighbours correlate by −1/2: 2V²/C = n / (1 + 2/4).
-        let points = [AllanPoint { m: 1, variance: 1.0, terms: 720_000, segments: 1 }];
+        let points = [AllanPoint { m: 1, variance: 1.0, terms: 720_000, segments: 1, stride: 1 }];
         let matrix = CovarianceForm::new(&points, 0.025).at(&[(Term::N, 1.0)]);
         let edf = 2.0 * Term::N.allan_variance(1, 0.025).powi(2) / matrix[(0, 0)];
         assert!((edf / 480_000.0 - 1.0).abs() < 1e-3, "{edf}");
@@ -178,7 +178,7 @@ mod tests {
         // Λ² integrates to two thirds of τ at each end.
         assert!((triangles(3.0, 3.0) - 2.0).abs() < 1e-3);
         assert!((triangles(1.0, 4.0) - 0.25).abs() < 1e-3);
-        let point = AllanPoint { m: 4000, variance: 1.0, terms: 92_000, segments: 1 };
+        let point = AllanPoint { m: 4000, variance: 1.0, terms: 92_000, segments: 1, stride: 1 };
         let form = CovarianceForm::new(&[point], 0.025);
         let (noise, slope) = (1e-6, 1e-10);
         let added = form.at(&[(Term::N, noise), (Term::R, slope)])[(0, 0)] - form.at(&[(Term::N, noise)])[(0, 0)];

@@ -17,10 +17,13 @@ mod least_squares;
 #[cfg(test)]
 mod monte_carlo;
 mod parameters;
+pub(in crate::noise) mod selection;
 mod term;
 mod variance_fit;
 
-pub use parameters::{Estimate, FitSummary, Flag, GaussMarkov, NoiseParameters, NoiseReport, unit};
+pub use parameters::{
+    Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, NoiseParameters, NoiseReport, gauss_markov_variance, unit,
+};
 pub use term::Term;
 
 use crate::noise::allan::AllanPoint;
@@ -46,7 +49,7 @@ pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParame
     match fitted {
         Some((choice, fit)) => of_choice(&choice, &fit, channel),
         None if constant => {
-            nothing(channel, Flag::whole("constant", "every sample has the same value: no noise to be seen"))
+            nothing(channel, METHOD, Flag::whole("constant", "every sample has the same value: no noise to be seen"))
         }
         None => {
             let needed = 4 << (VarianceFit::LEAST_POINTS - 1);
@@ -54,7 +57,7 @@ pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParame
                 "fewer than {} octaves of averaging time: record at least {needed} samples without a gap",
                 VarianceFit::LEAST_POINTS
             );
-            nothing(channel, Flag::whole("insufficient", note))
+            nothing(channel, METHOD, Flag::whole("insufficient", note))
         }
     }
 }
@@ -95,12 +98,14 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
             chi2: choice.residual.map(|residual| residual.chi2),
             degrees_of_freedom: choice.residual.map(|residual| residual.degrees_of_freedom),
             p_value: choice.residual.map(|residual| residual.p_value),
+            curve: Some(fit.curve(&choice.model)),
         },
         flags,
     }
 }
 
-fn nothing(channel: Channel, flag: Flag) -> NoiseParameters {
+/// The answer where nothing can be told.
+pub(in crate::noise) fn nothing(channel: Channel, method: &str, flag: Flag) -> NoiseParameters {
     let estimate = |term| Estimate::unidentified(channel, term, None);
     NoiseParameters {
         unit: channel.unit().to_owned(),
@@ -110,9 +115,20 @@ fn nothing(channel: Channel, flag: Flag) -> NoiseParameters {
         q: estimate(Term::Q),
         r: estimate(Term::R),
         gauss_markov: None,
-        fit: FitSummary { method: METHOD.to_owned(), chi2: None, degrees_of_freedom: None, p_value: None },
+        fit: FitSummary { method: method.to_owned(), chi2: None, degrees_of_freedom: None, p_value: None, curve: None },
         flags: vec![flag],
     }
+}
+
+/// Panics where a number is not finite. JSON has null for it, which a list of numbers cannot be read back from and an optional
+/// number would silently be absent by.
+#[cfg(test)]
+pub(in crate::noise) fn assert_finite(parameters: &NoiseParameters) {
+    let text = serde_json::to_string(parameters).unwrap();
+    let back: NoiseParameters = serde_json::from_str(&text).unwrap();
+    // Null where there was a number: the text of the one that was read back lacks nothing else.
+    let absent = |of: &NoiseParameters| format!("{of:?}").matches("None").count();
+    assert_eq!(absent(&back), absent(parameters), "{parameters:?}");
 }
 
 #[cfg(test)]
@@ -223,7 +239,26 @@ mod tests {
             for term in Term::ALL {
                 assert!(!parameters.estimate(term).identified);
             }
-            assert!(!serde_json::to_string(&parameters).unwrap().contains("NaN"));
+            assert_finite(&parameters);
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_seen_wherever_they_stand() {
+        let samples: Vec<f64> = white().take(4000).collect();
+        let whole = of(&samples, TauGrid::octave(4000).unwrap());
+        assert_finite(&whole);
+        let spoilt: [fn(&mut NoiseParameters); 5] = [
+            |of| of.n.value = Some(f64::NAN),
+            |of| of.k.upper_limit95 = Some(f64::INFINITY),
+            |of| of.n.ci95 = Some([0.0, f64::INFINITY]),
+            |of| of.fit.p_value = Some(f64::NAN),
+            |of| of.fit.curve.as_mut().unwrap().deviation[0] = f64::NAN,
+        ];
+        for (number, spoil) in spoilt.into_iter().enumerate() {
+            let mut parameters = whole.clone();
+            spoil(&mut parameters);
+            assert!(std::panic::catch_unwind(|| assert_finite(&parameters)).is_err(), "{number}");
         }
     }
 
@@ -233,9 +268,7 @@ mod tests {
         for count in (1..200).chain([500, 1000, 3999]) {
             let Ok(grid) = TauGrid::log(count as u64) else { continue };
             let parameters = of(&samples[..count], grid);
-            let text = serde_json::to_string(&parameters).unwrap();
-            let back: NoiseParameters = serde_json::from_str(&text).unwrap();
-            assert_eq!(back.n.identified, parameters.n.identified, "{count} samples");
+            assert_finite(&parameters);
             if let Some(n) = parameters.n.value {
                 assert!((0.1..10.0).contains(&(n / (1.0 / 480f64.sqrt()))), "{count} samples: {:?}", parameters.n);
             }

@@ -2,7 +2,10 @@
 
 use super::term::Term;
 use crate::sample::{Channel, Triad};
-use crate::units::{RAD_PER_DEG, SECONDS_PER_HOUR, STANDARD_GRAVITY_M_S2};
+use crate::units::{
+    MICROTESLA_PER_GAUSS as UT, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR,
+    STANDARD_GRAVITY_M_S2,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -17,7 +20,7 @@ pub struct Estimate {
     /// The value is below this with 95 % confidence; only where it is not identified.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub upper_limit95: Option<f64>,
-    /// Whether the data supports a value (1 % level).
+    /// Whether the data supports a value (1 % level, some terms stricter).
     pub identified: bool,
     /// Unit of value, interval and limit.
     pub unit: String,
@@ -38,6 +41,19 @@ impl Estimate {
             identified: true,
             unit: unit(channel, term),
             also,
+        }
+    }
+
+    /// A value with its 95 % interval in a unit of its own.
+    #[must_use]
+    pub fn of(unit: &str, value: f64, ci95: [f64; 2]) -> Self {
+        Self {
+            value: Some(value),
+            ci95: Some(ci95),
+            upper_limit95: None,
+            identified: true,
+            unit: unit.to_owned(),
+            also: BTreeMap::new(),
         }
     }
 
@@ -67,14 +83,71 @@ pub struct GaussMarkov {
 /// How the parameters were found, and whether the model describes the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FitSummary {
-    /// `wls-avar`: weighted least squares on Allan variances with the model's own covariance.
+    /// `whittle-dst`: the Whittle likelihood of the sine transform of the differences, for samples at hand; `wls-avar`:
+    /// weighted least squares on Allan variances with the model's own covariance, while a capture runs.
     pub method: String,
     /// Squared residuals in units of their covariance; null where nothing could be fitted.
     pub chi2: Option<f64>,
-    /// Averaging times less terms; correlated ones count through the covariance.
+    /// Bands of frequency, or averaging times, whose correlations count through the covariance, less parameters.
     pub degrees_of_freedom: Option<usize>,
     /// How often residuals as large come by chance.
     pub p_value: Option<f64>,
+    /// The fitted Allan deviation and what each term gives to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curve: Option<FittedCurve>,
+}
+
+/// The Allan deviation of a fitted model, for plots; all lists have one entry per averaging time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FittedCurve {
+    /// Averaging times τ in s: octaves up to a quarter of the longest stretch.
+    pub tau_s: Vec<f64>,
+    /// Deviation of the whole model.
+    pub deviation: Vec<f64>,
+    /// Deviation of each term alone: `N`, `B`, `K`, `Q`, `R`, `gauss_markov`. Their squares add up to that of the whole.
+    pub parts: BTreeMap<String, Vec<f64>>,
+}
+
+impl FittedCurve {
+    /// The curve of named variances as functions of the averaging factor.
+    pub(in crate::noise) fn of<'a>(
+        longest_s: f64,
+        dt_s: f64,
+        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64>)>,
+    ) -> Self {
+        let quarter = longest_s / dt_s / 4.0;
+        let factors: Vec<usize> =
+            (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect();
+        let mut variances = vec![0.0; factors.len()];
+        let mut curve = Self {
+            tau_s: factors.iter().map(|m| *m as f64 * dt_s).collect(),
+            deviation: Vec::new(),
+            parts: BTreeMap::new(),
+        };
+        for (name, variance) in parts {
+            let own: Vec<f64> = factors.iter().map(|m| variance(*m)).collect();
+            for (sum, own) in variances.iter_mut().zip(&own) {
+                *sum += own;
+            }
+            curve.parts.insert(name.to_owned(), own.iter().map(|variance| variance.sqrt()).collect());
+        }
+        curve.deviation = variances.iter().map(|variance| variance.sqrt()).collect();
+        curve
+    }
+}
+
+/// Allan variance at `tau_s` of a Gauss–Markov process with σ = 1 and correlation time `tc_s`.
+///
+/// # Source
+/// IEEE Std 952-1997, annex C (exponentially correlated noise); the series where the closed form would lose its digits.
+#[must_use]
+pub fn gauss_markov_variance(tau_s: f64, tc_s: f64) -> f64 {
+    let x = tau_s / tc_s;
+    if x < 1e-3 {
+        // (2/x)(1 − (3 − 4e⁻ˣ + e⁻²ˣ)/2x), whose series begins with 2x/3.
+        return 2.0 * x / 3.0 - 0.5 * x * x;
+    }
+    2.0 / x * (1.0 - (3.0 - 4.0 * (-x).exp() + (-2.0 * x).exp()) / (2.0 * x))
 }
 
 /// Something to know about a channel's data.
@@ -97,6 +170,21 @@ impl Flag {
     #[must_use]
     pub fn whole(kind: &str, note: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
+    }
+
+    /// `out_of_range`, where that many values were no measurements; none where all were.
+    #[must_use]
+    pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
+        let note =
+            || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
+        (samples > 0).then(|| Self::whole("out_of_range", note()))
+    }
+
+    /// `other_rate`, where that many samples came at another rate than the one analysed; none where none did.
+    #[must_use]
+    pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
+        let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
+        (samples > 0).then(|| Self::whole("other_rate", note()))
     }
 }
 
@@ -147,8 +235,11 @@ impl NoiseParameters {
 pub struct NoiseReport {
     /// [`NoiseReport::FORMAT`].
     pub format: String,
-    /// The capture's name.
+    /// The capture's name; of several their names with ` + ` between them.
     pub capture: String,
+    /// Several captures of one sensor: what each gave. Durations, samples and missing ones are then sums.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub captures: Vec<crate::noise::Contribution>,
     /// Sampling rate in Hz.
     pub rate_hz: f64,
     /// Sample time covered, s.
@@ -161,6 +252,9 @@ pub struct NoiseReport {
     pub complete: bool,
     /// One entry per analysed channel.
     pub channels: BTreeMap<Channel, NoiseParameters>,
+    /// What happened to each channel while it was recorded; absent while a capture runs.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub disturbances: BTreeMap<Channel, crate::noise::robust::Disturbances>,
     /// Comparison with a data sheet, where one was asked for.
     pub datasheet: Option<serde_json::Value>,
 }
@@ -187,13 +281,9 @@ pub fn unit(channel: Channel, term: Term) -> String {
 
 /// The units that people quote and the factors from the SI unit to them.
 fn quoted(channel: Channel, term: Term) -> &'static [(&'static str, f64)] {
-    /// (deg/s)/√Hz is 60 deg/√h.
-    const SQRT_HOUR: f64 = 60.0;
     const DEG: f64 = 1.0 / RAD_PER_DEG;
     const MG: f64 = 1e3 / STANDARD_GRAVITY_M_S2;
     const UG: f64 = 1e6 / STANDARD_GRAVITY_M_S2;
-    /// 1 gauss is 100 µT.
-    const UT: f64 = 100.0;
     match (channel.triad(), term) {
         (Some(Triad::Gyro), Term::N) => &[("deg/√h", DEG * SQRT_HOUR), ("deg/s/√Hz", DEG)],
         (Some(Triad::Gyro), Term::B) => &[("deg/h", DEG * SECONDS_PER_HOUR)],

@@ -18,7 +18,7 @@ pub enum Term {
     B,
     /// Rate random walk, (K/2πf)².
     K,
-    /// Quantization noise: white angle of variance Q² per sample, Q² dt (2πf)².
+    /// Quantization noise: white angle of variance Q² per sample at intervals dt, Q² dt (2πf)² at low frequencies.
     Q,
     /// Rate ramp: deterministic.
     R,

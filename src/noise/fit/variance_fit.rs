@@ -9,8 +9,10 @@
 //! Guerrier, Molinari, Stebler, IEEE SPL 23 (2016) 597, for what a line through the Allan variance costs; E. B. Wilson and
 //! M. M. Hilferty, PNAS 17 (1931) 684, for the cube root.
 
+use super::FittedCurve;
 use super::covariance::CovarianceForm;
 use super::least_squares::{non_negative, normal_inverse, unconstrained};
+use super::selection::{interval, upper_limit};
 use super::term::Term;
 use crate::noise::allan::AllanPoint;
 use nalgebra::{DMatrix, DVector};
@@ -24,8 +26,9 @@ const WORTH_ADDING_RAMP: f64 = 3.84;
 const WORTH_ADDING_QUANTIZATION: f64 = 9.55;
 /// Below this p-value of the residuals the model does not describe the data, and intervals are widened to the scatter.
 pub(super) const MISFIT: f64 = 1e-3;
-/// One-sided and two-sided 95 % of the normal distribution, in standard deviations.
-const ONE_SIDED_95: f64 = 1.644_854;
+/// A term found by so many deviations would be named in any record: nothing was selected.
+const BEYOND_DOUBT: f64 = 6.0;
+/// Two-sided 95 % of the normal distribution, in standard deviations.
 const TWO_SIDED_95: f64 = 1.959_964;
 const ITERATIONS: usize = 40;
 
@@ -247,51 +250,61 @@ impl VarianceFit {
         Some(estimator)
     }
 
-    /// 95 % intervals of the coefficients (not squared) of `model`; `widen`: factor on the standard deviations.
+    /// 95 % intervals of the coefficients (not squared) of `model` that hold among the records in which the term is named;
+    /// `widen`: factor on the standard deviations.
     pub(super) fn intervals(&self, model: &Model, widen: f64) -> Option<Vec<[f64; 2]>> {
         let covariance = self.sandwich(model)?;
-        let interval = |(index, (_, square)): (usize, &(Term, f64))| {
+        let interval_of = |(index, (term, square)): (usize, &(Term, f64))| {
             let coefficient = square.sqrt();
-            let deviation = covariance[(index, index)].sqrt() / (2.0 * coefficient) * widen;
-            [(coefficient - TWO_SIDED_95 * deviation).max(0.0), coefficient + TWO_SIDED_95 * deviation]
+            let root = self.root(model, *term, widen);
+            let selected = root(0.0)
+                .filter(|r_zero| *r_zero < BEYOND_DOUBT)
+                .and_then(|r_zero| interval(coefficient, r_zero, SIGNIFICANT.sqrt(), &root));
+            selected.map_or_else(
+                || {
+                    let deviation = covariance[(index, index)].sqrt() / (2.0 * coefficient) * widen;
+                    [(coefficient - TWO_SIDED_95 * deviation).max(0.0), coefficient + TWO_SIDED_95 * deviation]
+                },
+                |[low, high]| [low.min(coefficient), high.max(coefficient)],
+            )
         };
-        Some(model.squares.iter().enumerate().map(interval).collect())
+        Some(model.squares.iter().enumerate().map(interval_of).collect())
     }
 
-    /// The 95 % upper limit of a term that is not identified: the coefficient at which so little would be found in one
-    /// of twenty records only.
+    /// The 95 % upper limit of a term that is not identified.
     pub(super) fn upper_limit(&self, model: &Model, term: Term, widen: f64) -> Option<f64> {
+        let root = self.root(model, term, widen);
+        let alone = |point: &AllanPoint| (point.variance / term.allan_variance(point.m, self.dt_s)).sqrt();
+        let least = 1e-4 * self.points.iter().map(alone).fold(f64::INFINITY, f64::min);
+        upper_limit(least, root(0.0)?.max(0.0), SIGNIFICANT.sqrt(), &root)
+    }
+
+    /// How far the square that is found lies above that of c, in deviations of a model that has the term at c: weights and
+    /// covariance are that model's.
+    fn root(&self, model: &Model, term: Term, widen: f64) -> impl Fn(f64) -> Option<f64> {
         let others: Vec<(Term, f64)> = model.squares.iter().copied().filter(|(other, _)| *other != term).collect();
         let terms: Vec<Term> = others.iter().map(|(term, _)| *term).chain([term]).collect();
         let last = terms.len() - 1;
-        // Estimate and spread of the square, with the weights of a model that has the term at `square`.
-        let at = |square: f64| -> Option<(f64, f64)> {
-            let squares: Vec<(Term, f64)> = others.iter().copied().chain([(term, square)]).collect();
+        move |c: f64| {
+            let squares: Vec<(Term, f64)> = others.iter().copied().chain([(term, c * c)]).collect();
             let covariance = self.form.at(&squares);
             let supposed = Model { squares, covariance };
             let estimator = self.linear_estimator(&supposed, &terms)?;
-            let found = (&estimator * &self.variances)[last];
+            let found = (&estimator * &self.variances)[last].max(0.0);
             let spread = (&estimator * &supposed.covariance * estimator.transpose())[(last, last)].sqrt() * widen;
-            Some((found.max(0.0), spread)).filter(|(found, spread)| found.is_finite() && spread.is_finite())
-        };
-        let (found, spread) = at(0.0)?;
-        let mut high = found + ONE_SIDED_95 * spread;
-        let below = |square: f64| at(square).map(|(found, spread)| square - ONE_SIDED_95 * spread < found);
-        let mut low = 0.0;
-        for _ in 0..60 {
-            if !below(high)? {
-                break;
-            }
-            (low, high) = (high, high * 1.5);
+            Some((found - c * c) / spread).filter(|root| root.is_finite())
         }
-        if below(high)? {
-            return None;
-        }
-        for _ in 0..40 {
-            let middle = 0.5 * (low + high);
-            if below(middle)? { low = middle } else { high = middle }
-        }
-        Some(high.sqrt())
+    }
+
+    /// The model's Allan deviation and its parts.
+    pub(super) fn curve(&self, model: &Model) -> FittedCurve {
+        let longest = self.points.iter().map(|point| point.m).max().unwrap_or(1);
+        let dt_s = self.dt_s;
+        let parts = model.squares.iter().map(|(term, square)| {
+            let (term, square) = (*term, *square);
+            (term.letter(), Box::new(move |m| square * term.allan_variance(m, dt_s)) as Box<dyn Fn(usize) -> f64>)
+        });
+        FittedCurve::of(4.0 * longest as f64 * dt_s, dt_s, parts)
     }
 
     /// Whether the residuals of `model` are of the size that its covariance says.
