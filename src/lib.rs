@@ -22,7 +22,9 @@ pub mod observe;
 pub mod sample;
 pub mod units;
 
+pub mod datasheet;
 pub mod effects;
+pub mod export;
 pub mod noise;
 pub mod protocol;
 pub mod simulator;

@@ -7,8 +7,12 @@
 //! and says so.
 
 pub mod allan;
+mod contribution;
 pub mod fit;
+pub mod robust;
 pub mod statistics;
+pub mod whittle;
 
+pub use contribution::Contribution;
 pub use fit::{NoiseParameters, NoiseReport};
 pub use statistics::{Moments, Statistics};

@@ -1,0 +1,224 @@
+//! One capture's record of a channel: looked through by itself, cleaned, and summed, so that sums of several captures can be
+//! fitted together.
+
+use super::rest::Rest;
+use super::survey::Survey;
+use super::{
+    AllanMinimum, Disturbances, DynamicAllan, Examination, Levels, Part, Portion, TemperatureDependence, blocks_of,
+    drift, samples_of, temperature,
+};
+use crate::noise::allan::{AllanPoint, FixedPoint};
+use crate::noise::fit::{Flag, NoiseParameters};
+use crate::noise::whittle::{DstSums, fit};
+use crate::sample::Channel;
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+
+/// What is left of a channel of one capture once it was looked through: sums, no samples.
+#[derive(Debug, Clone)]
+pub struct Record {
+    found: Examination,
+    /// Sums of the noise alone; none where nothing was taken out and nobody needs them apart.
+    noise: Option<DstSums>,
+    /// The same without the temperature's part, where that is significant.
+    without_temperature: Option<DstSums>,
+    /// Octaves of the Allan variance.
+    points: Vec<AllanPoint>,
+    temperature: Option<TemperatureDependence>,
+    dynamic: Option<DynamicAllan>,
+}
+
+/// Whether a record's sums are needed even where nothing was taken out of it: to be added to those of other captures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Company {
+    /// Its parameters are its own.
+    Alone,
+    /// It is one of several.
+    Several,
+}
+
+impl Record {
+    /// Looks a channel of a capture through. `temperature`: empty where it was not recorded.
+    ///
+    /// `read` gives the samples of each of `blocks` portions of the record ([`blocks_of`]) in order of time; it is called once per
+    /// block where there is one, twice otherwise.
+    ///
+    /// # Errors
+    /// Those of `read`.
+    pub fn read<E>(
+        channel: Channel,
+        rate_hz: f64,
+        (samples, blocks): (u64, usize),
+        mut read: impl FnMut(usize) -> Result<Portion, E>,
+        temperature: &Levels,
+        company: Company,
+    ) -> Result<Self, E> {
+        let mut survey = Survey::new(rate_hz, samples);
+        let mut held = None;
+        for block in 0..blocks {
+            let portion = read(block)?;
+            survey.look(&portion);
+            held = (blocks == 1).then_some(portion);
+        }
+        let (found, levels) = survey.settle();
+        let mut rest_levels = levels.without(&found.times(true));
+        if let Some((drift, span_s)) = found.drift.as_ref().zip(found.span_s) {
+            drift::subtract(&mut rest_levels, levels.rate_hz(), drift, span_s);
+        }
+        let regression = temperature::regress(&rest_levels, levels.rate_hz(), temperature, &found.steps_s());
+        let course = regression.as_ref().filter(|(dependence, _)| dependence.significant);
+        let course = course.map(|(dependence, course)| (course, dependence.per_c));
+        let sums = company == Company::Several || !found.is_clean();
+        let mut rest = Rest::new(rate_hz, FixedPoint::for_channel(channel), &found, course, sums);
+        for block in 0..blocks {
+            let portion = match held.take() {
+                Some(portion) => portion,
+                None => read(block)?,
+            };
+            rest.push(block, portion);
+        }
+        let outcome = rest.finish();
+        Ok(Self {
+            noise: outcome.sums,
+            without_temperature: outcome.cool,
+            points: outcome.points,
+            temperature: regression.map(|(dependence, _)| dependence),
+            dynamic: outcome.dynamic,
+            found,
+        })
+    }
+
+    /// [`Self::read`] of samples that are in memory.
+    #[must_use]
+    pub fn of(channel: Channel, rate_hz: f64, mut parts: Vec<Part>, temperature: &Levels, company: Company) -> Self {
+        let samples: usize = parts.iter().map(|part| part.values.len()).sum();
+        let blocks = blocks_of(samples as u64);
+        let length = samples.div_ceil(blocks);
+        let read = |block: usize| {
+            Ok::<_, Infallible>(match blocks {
+                1 => Portion { parts: std::mem::take(&mut parts), continues: false },
+                _ => samples_of(&parts, &(block * length..(block + 1) * length), rate_hz),
+            })
+        };
+        let Ok(record) = Self::read(channel, rate_hz, (samples as u64, blocks), read, temperature, company);
+        record
+    }
+
+    /// The parameters of this record by itself without its disturbances, and what these were.
+    ///
+    /// `all`: the parameters of all samples. The parameters that come back carry the flags.
+    #[must_use]
+    pub fn alone(self, channel: Channel, rate_hz: f64, all: NoiseParameters) -> (NoiseParameters, Disturbances) {
+        let records = [self];
+        let (mut main, fitted) = parameters_together(channel, rate_hz, &records, all);
+        let [record] = records;
+        main.flags.extend(record.flags(channel));
+        let disturbances = Disturbances {
+            with_disturbances: fitted.with_disturbances,
+            k_without_temperature: fitted.k_without_temperature,
+            r_without_temperature: fitted.r_without_temperature,
+            ..record.disturbances(rate_hz)
+        };
+        (main, disturbances)
+    }
+
+    fn bands(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.found.excluded_bands_hz.iter().copied()
+    }
+
+    /// What was found, as flags of the document; times count from the capture's start.
+    #[must_use]
+    pub fn flags(&self, channel: Channel) -> Vec<Flag> {
+        let mut flags = self.found.flags(channel);
+        if let Some(dynamic) = self.dynamic.as_ref().filter(|dynamic| dynamic.stationary == Some(false)) {
+            let note = format!(
+                "blocks of {:.0} s differ more than chance at an averaging time of {:.3} s",
+                dynamic.block_s,
+                dynamic.worst_tau_s.unwrap_or_default()
+            );
+            flags.push(Flag::whole("non_stationary", note));
+        }
+        flags
+    }
+
+    /// What the document says of this capture by itself, besides its parameters.
+    #[must_use]
+    pub fn disturbances(&self, rate_hz: f64) -> Disturbances {
+        let found = &self.found;
+        Disturbances {
+            with_disturbances: None,
+            excluded_s: found.excluded_intervals.iter().fold(0.0, |sum, (from, to)| sum + to - from),
+            excluded_intervals_s: found.excluded_intervals.iter().map(|(from, to)| [*from, *to]).collect(),
+            excluded_bands_hz: self.bands().map(|(from, to)| [from, to]).collect(),
+            lines: found.lines.clone(),
+            drift: found.drift.clone(),
+            temperature: self.temperature.clone(),
+            k_without_temperature: None,
+            r_without_temperature: None,
+            dynamic: self.dynamic.clone(),
+            allan_minimum: AllanMinimum::of(&self.points, rate_hz),
+        }
+    }
+}
+
+/// The parameters of several captures of one sensor, each looked through by itself: the sums of their noise are
+/// added and fitted as one.
+///
+/// `all`: the parameters of all samples of all of them. What the disturbances say of times stands with each capture; here
+/// are the time left out altogether, the bands, and what follows from the sums.
+#[must_use]
+pub fn parameters_together(
+    channel: Channel,
+    rate_hz: f64,
+    records: &[Record],
+    all: NoiseParameters,
+) -> (NoiseParameters, Disturbances) {
+    let bands: Vec<[f64; 2]> = super::event::merged(records.iter().flat_map(Record::bands).collect())
+        .into_iter()
+        .map(|(from, to)| [from, to])
+        .collect();
+    let is_clean = records.iter().all(|record| record.found.is_clean());
+    let sum = |choose: fn(&Record) -> Option<&DstSums>| {
+        let mut sums = DstSums::new();
+        records.iter().filter_map(choose).for_each(|own| sums.merge(own));
+        fit(&sums, rate_hz, channel, &bands)
+    };
+    let mut main = if is_clean { all.clone() } else { sum(|record| record.noise.as_ref()) };
+    if !is_clean {
+        // What the sums themselves had to say stays said.
+        main.flags.extend(all.flags.iter().filter(|flag| flag.kind != "misfit").cloned());
+    }
+    let depends = records.iter().any(|record| record.without_temperature.is_some());
+    let without = depends.then(|| sum(|record| record.without_temperature.as_ref().or(record.noise.as_ref())));
+    let excluded = records.iter().flat_map(|record| &record.found.excluded_intervals);
+    let disturbances = Disturbances {
+        with_disturbances: (!is_clean).then_some(all),
+        excluded_s: excluded.fold(0.0, |sum, (from, to)| sum + to - from),
+        excluded_intervals_s: Vec::new(),
+        excluded_bands_hz: bands,
+        lines: Vec::new(),
+        drift: None,
+        temperature: None,
+        k_without_temperature: without.as_ref().map(|without| without.k.clone()),
+        r_without_temperature: without.map(|without| without.r),
+        dynamic: None,
+        allan_minimum: AllanMinimum::of(&pooled(records), rate_hz),
+    };
+    (main, disturbances)
+}
+
+/// The octaves of all records: variances weighted with the numbers of their terms.
+fn pooled(records: &[Record]) -> Vec<AllanPoint> {
+    let mut pooled: BTreeMap<usize, AllanPoint> = BTreeMap::new();
+    for point in records.iter().flat_map(|record| &record.points) {
+        pooled
+            .entry(point.m)
+            .and_modify(|sum| {
+                let terms = sum.terms + point.terms;
+                sum.variance += (point.variance - sum.variance) * point.terms as f64 / terms as f64;
+                (sum.terms, sum.segments) = (terms, sum.segments + point.segments);
+            })
+            .or_insert(*point);
+    }
+    pooled.into_values().collect()
+}

@@ -1,0 +1,205 @@
+//! The spectrum: Welch's averaged periodogram, its background, and how far chance may lift a bin above it.
+//!
+//! # Source
+//! P. D. Welch, IEEE Trans. Audio Electroacoustics AU-15 (1967) 70, for the estimate and the degrees of freedom that
+//! overlapping Hann windows leave (correlation of neighbours 1/6, so that K windows count as K / (1 + 2/36)).
+
+use super::Part;
+use super::scale::{median, spread_of_95};
+use realfft::RealFftPlanner;
+use std::f64::consts::PI;
+
+/// Windows that a spectrum should at least be averaged from.
+const LEAST_WINDOWS: usize = 16;
+const SHORTEST: usize = 256;
+const LONGEST: usize = 1 << 16;
+/// The record is divided into so many stretches of equal time, to see whether a line lasts.
+pub(super) const STRETCHES: usize = 4;
+/// Windows whose samples jump about this many times more than those of the usual window are left out.
+const WILD: f64 = 4.0;
+
+/// An averaged one-sided spectrum.
+#[derive(Debug, Clone)]
+pub(super) struct Spectrum {
+    /// Samples of a window.
+    pub(super) window: usize,
+    /// Distance of bins, Hz.
+    pub(super) step_hz: f64,
+    /// Power density per bin, U²/Hz; bin 0 is the mean, which was taken out, the last is half the rate.
+    pub(super) power: Vec<f64>,
+    /// The same for each quarter of the record; empty where it had no window.
+    pub(super) stretches: [Vec<f64>; STRETCHES],
+    /// Windows that count as independent.
+    pub(super) windows: f64,
+    /// What the density would be without lines: the running median.
+    pub(super) background: Vec<f64>,
+}
+
+impl Spectrum {
+    /// The spectrum of parts; `None` where none is long enough for [`LEAST_WINDOWS`] windows of 256 samples in all.
+    pub(super) fn of(parts: &[Part], rate_hz: f64) -> Option<Self> {
+        let longest = parts.iter().map(|part| part.values.len()).max()?;
+        let most = (longest / LEAST_WINDOWS).clamp(SHORTEST, LONGEST);
+        let window = 1 << most.ilog2();
+        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(window);
+        let hann: Vec<f64> = (0..window).map(|i| 0.5 - 0.5 * (2.0 * PI * i as f64 / window as f64).cos()).collect();
+        let norm = 2.0 / (rate_hz * hann.iter().map(|w| w * w).sum::<f64>());
+        let begin_s = parts.first()?.start_s;
+        let end_s = parts.last().map(|part| part.time_s(part.values.len(), rate_hz))?;
+        let places = places(parts, window);
+        let wild = wildness(parts, &places, window);
+        let mut sums = std::array::from_fn::<Vec<f64>, STRETCHES, _>(|_| vec![0.0; window / 2 + 1]);
+        let mut counts = [0usize; STRETCHES];
+        let (mut input, mut output, mut scratch) =
+            (fft.make_input_vec(), fft.make_output_vec(), fft.make_scratch_vec());
+        for ((part, from), wild) in places.iter().zip(wild) {
+            if wild {
+                continue;
+            }
+            let values = parts.get(*part)?.values.get(*from..from + window)?;
+            detrended(values, &hann, &mut input);
+            fft.process_with_scratch(&mut input, &mut output, &mut scratch).ok()?;
+            let middle_s = parts.get(*part)?.time_s(from + window / 2, rate_hz);
+            let share = (middle_s - begin_s) / (end_s - begin_s).max(f64::MIN_POSITIVE);
+            let stretch = ((share * STRETCHES as f64) as usize).min(STRETCHES - 1);
+            counts[stretch] += 1;
+            for (sum, value) in sums[stretch].iter_mut().zip(&output) {
+                *sum += value.norm_sqr() * norm;
+            }
+            // At half the rate both sides are one.
+            if let Some((sum, value)) = sums[stretch].last_mut().zip(output.last()) {
+                *sum -= 0.5 * value.norm_sqr() * norm;
+            }
+        }
+        let total: usize = counts.iter().sum();
+        if total < LEAST_WINDOWS {
+            return None;
+        }
+        let mut power = vec![0.0; window / 2 + 1];
+        for sum in &sums {
+            for (power, value) in power.iter_mut().zip(sum) {
+                *power += value / total as f64;
+            }
+        }
+        let mut stretches = sums;
+        for (stretch, count) in stretches.iter_mut().zip(counts) {
+            if count == 0 {
+                stretch.clear();
+            }
+            stretch.iter_mut().for_each(|value| *value /= count as f64);
+        }
+        let background = background(&power);
+        let windows = total as f64 / (1.0 + 2.0 / 36.0);
+        Some(Self { window, step_hz: rate_hz / window as f64, power, stretches, windows, background })
+    }
+
+    /// The first bin at which lines are looked for: below it the background cannot be told.
+    pub(super) const FIRST: usize = 8;
+}
+
+/// Windows of half overlap: part and first sample.
+fn places(parts: &[Part], window: usize) -> Vec<(usize, usize)> {
+    let of = |(index, part): (usize, &Part)| {
+        let last = part.values.len().checked_sub(window);
+        let count = last.map_or(0, |last| last / (window / 2) + 1);
+        (0..count).map(move |k| (index, k * window / 2))
+    };
+    parts.iter().enumerate().flat_map(of).collect()
+}
+
+/// Which windows hold a knock: steps from sample to sample far beyond those of the others.
+fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<bool> {
+    let roughness: Vec<f64> = places
+        .iter()
+        .map(|(part, from)| {
+            let values = parts.get(*part).and_then(|part| part.values.get(*from..from + window)).unwrap_or_default();
+            let squares: f64 = values.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum();
+            (squares / window as f64).max(f64::MIN_POSITIVE).ln()
+        })
+        .collect();
+    let centre = median(roughness.iter().copied()).unwrap_or(0.0);
+    let below = roughness.iter().map(|value| value.min(centre)).collect::<Vec<_>>();
+    // The spread of the calm half: knocks must not widen what they are measured by.
+    let spread = (2.0 * spread_of_95(below.iter().copied()).unwrap_or(0.0)).max((2.0 / window as f64).sqrt());
+    roughness.iter().map(|value| value - centre > WILD * spread + 0.1).collect()
+}
+
+/// Windowed samples less their straight line, so that a drift does not leak into every bin.
+fn detrended(values: &[f64], hann: &[f64], out: &mut [f64]) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let centre = (count - 1.0) / 2.0;
+    let (mut xy, mut xx) = (0.0, 0.0);
+    for (i, value) in values.iter().enumerate() {
+        let x = i as f64 - centre;
+        xy += x * (value - mean);
+        xx += x * x;
+    }
+    let slope = xy / xx.max(1.0);
+    for (i, ((out, value), weight)) in out.iter_mut().zip(values).zip(hann).enumerate() {
+        *out = (value - mean - slope * (i as f64 - centre)) * weight;
+    }
+}
+
+/// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.
+fn background(power: &[f64]) -> Vec<f64> {
+    let bins = power.len();
+    // Nothing but rounding lies below: ratios to it stay numbers.
+    let floor = (1e-12 * power.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
+    let widest = (bins / 20).max(24);
+    let mut at = Vec::new();
+    let mut bin = 1usize;
+    while bin < bins {
+        let reach = (bin / 2).clamp(2, widest);
+        let (from, to) = (bin.saturating_sub(reach).max(1), (bin + reach + 1).min(bins));
+        at.push((bin, median(power[from..to].iter().copied()).unwrap_or(0.0).max(floor).ln()));
+        bin += (reach / 8).max(1);
+    }
+    let mut filled = vec![0.0; bins];
+    let mut left = 0;
+    for (bin, value) in filled.iter_mut().enumerate() {
+        while left + 1 < at.len() && at[left + 1].0 <= bin {
+            left += 1;
+        }
+        let (here, next) = (at[left], at[(left + 1).min(at.len() - 1)]);
+        let share = if next.0 > here.0 { (bin as f64 - here.0 as f64) / (next.0 - here.0) as f64 } else { 0.0 };
+        *value = (here.1 + share.clamp(0.0, 1.0) * (next.1 - here.1)).exp();
+    }
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::synthetic::Noise;
+    use super::*;
+
+    #[test]
+    fn white_noise_has_a_flat_spectrum_of_its_density() {
+        let part = Part { start_s: 0.0, values: Noise::new(3).white(100_000, 0.5) };
+        let spectrum = Spectrum::of(&[part], 40.0).unwrap();
+        let density = 2.0 * 0.25 / 40.0;
+        let mean = spectrum.power[8..].iter().sum::<f64>() / (spectrum.power.len() - 8) as f64;
+        assert!((mean / density - 1.0).abs() < 0.02, "{mean} {density}");
+        assert!(spectrum.background[8..].iter().all(|level| (0.6..1.5).contains(&(level / density))));
+    }
+
+    #[test]
+    fn a_knock_is_left_out_and_a_drift_does_not_leak() {
+        let mut values = Noise::new(4).white(100_000, 1.0);
+        for (i, value) in values.iter_mut().enumerate() {
+            *value += i as f64 * 0.01 + if (5000..5040).contains(&i) { 400.0 * (i as f64 * 1.3).sin() } else { 0.0 };
+        }
+        let spectrum = Spectrum::of(&[Part { start_s: 0.0, values }], 40.0).unwrap();
+        let ratios: Vec<f64> = spectrum.power[8..].iter().map(|power| power / (2.0 / 40.0)).collect();
+        let most = ratios.iter().copied().fold(0.0, f64::max);
+        let least = ratios.iter().copied().fold(most, f64::min);
+        assert!(least > 0.2 && most < 3.0, "{least} {most}");
+    }
+
+    #[test]
+    fn too_little_has_no_spectrum() {
+        assert!(Spectrum::of(&[], 40.0).is_none());
+        let part = Part { start_s: 0.0, values: vec![1.0; 2000] };
+        assert!(Spectrum::of(&[part], 40.0).is_none());
+    }
+}
