@@ -11,10 +11,120 @@ pub const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
 pub const RAD_PER_DEG: f64 = std::f64::consts::PI / 180.0;
 /// Seconds in one hour.
 pub const SECONDS_PER_HOUR: f64 = 3600.0;
+/// √s in one √h: 1 (deg/s)/√Hz is 60 deg/√h.
+pub const SQRT_SECONDS_PER_SQRT_HOUR: f64 = 60.0;
+/// Tesla in one gauss.
+pub const TESLA_PER_GAUSS: f64 = 1e-4;
+/// Microtesla in one gauss.
+pub const MICROTESLA_PER_GAUSS: f64 = 100.0;
+/// Gauss in one tesla.
+pub const GAUSS_PER_TESLA: f64 = 1e4;
 /// Nanoseconds in one second.
 pub const NANOS_PER_SECOND: u64 = 1_000_000_000;
 /// Internal sampling rate of the VN-100's IMU in Hz (user manual UM001 rev 2.45, register 75: rate = 800 Hz / divisor).
 pub const IMU_RATE_HZ: f64 = 800.0;
+
+/// What a quantity measures. Quantities of different dimensions cannot be compared: that is their purpose.
+pub trait Dimension: Copy + std::fmt::Debug + PartialOrd {
+    /// The unit that values are held in: the one a VN-100 sends.
+    const UNIT: &'static str;
+}
+
+/// Angular rate, held in rad/s.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct AngularRate;
+/// Specific force, held in m/s².
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Acceleration;
+/// Magnetic field, held in gauss.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct MagneticField;
+
+impl Dimension for AngularRate {
+    const UNIT: &'static str = "rad/s";
+}
+impl Dimension for Acceleration {
+    const UNIT: &'static str = "m/s²";
+}
+impl Dimension for MagneticField {
+    const UNIT: &'static str = "gauss";
+}
+
+/// A size of dimension `D`, made only by naming its unit.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Quantity<D: Dimension> {
+    value: f64,
+    dimension: std::marker::PhantomData<D>,
+}
+
+/// A noise density of dimension `D`: per root hertz.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Density<D: Dimension>(Quantity<D>);
+
+impl<D: Dimension> Quantity<D> {
+    /// A value in the unit that `D` is held in.
+    #[must_use]
+    pub const fn held(value: f64) -> Self {
+        Self { value, dimension: std::marker::PhantomData }
+    }
+    /// The value in the unit that `D` is held in.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        self.value
+    }
+    /// This size per root hertz.
+    #[must_use]
+    pub fn per_root_hertz(self) -> Density<D> {
+        Density(self)
+    }
+    /// The size times a number.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self::held(self.value * factor)
+    }
+}
+
+impl<D: Dimension> Density<D> {
+    /// The value in the unit that `D` is held in, per root hertz.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        self.0.value
+    }
+    /// The density times a number.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self(self.0.times(factor))
+    }
+}
+
+impl Quantity<AngularRate> {
+    /// Degrees per second.
+    #[must_use]
+    pub fn deg_per_s(value: f64) -> Self {
+        Self::held(value * RAD_PER_DEG)
+    }
+    /// Degrees per hour.
+    #[must_use]
+    pub fn deg_per_h(value: f64) -> Self {
+        Self::deg_per_s(value / SECONDS_PER_HOUR)
+    }
+}
+
+impl Quantity<Acceleration> {
+    /// Thousandths of standard gravity.
+    #[must_use]
+    pub fn mg(value: f64) -> Self {
+        Self::held(value * 1e-3 * STANDARD_GRAVITY_M_S2)
+    }
+}
+
+impl Quantity<MagneticField> {
+    /// Millionths of a gauss.
+    #[must_use]
+    pub fn microgauss(value: f64) -> Self {
+        Self::held(value * 1e-6)
+    }
+}
 
 /// The period of `rate_hz` in nanoseconds (not rounded).
 #[must_use]
@@ -125,6 +235,22 @@ pub mod duration_text {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quoted_units_become_the_units_that_are_held() {
+        assert!((Quantity::deg_per_s(0.0035).value() - 6.109e-5).abs() < 1e-8);
+        assert!((Quantity::deg_per_h(10.0).value() - 4.848e-5).abs() < 1e-8);
+        assert!((Quantity::mg(0.14).per_root_hertz().value() - 1.373e-3).abs() < 1e-6);
+        assert!((Quantity::mg(0.04).value() - 3.923e-4).abs() < 1e-7);
+        assert!((Quantity::microgauss(140.0).value() - 1.4e-4).abs() < 1e-12);
+        // 140 µgauss are 14 nT.
+        assert!((Quantity::microgauss(140.0).value() * TESLA_PER_GAUSS - 1.4e-8).abs() < 1e-16);
+        assert!((MICROTESLA_PER_GAUSS - 1e6 * TESLA_PER_GAUSS).abs() < 1e-9);
+        assert!((GAUSS_PER_TESLA * TESLA_PER_GAUSS - 1.0).abs() < 1e-12);
+        assert!((SQRT_SECONDS_PER_SQRT_HOUR.powi(2) - SECONDS_PER_HOUR).abs() < 1e-9);
+        assert!(Quantity::deg_per_s(1.0) > Quantity::deg_per_h(3599.0));
+        // `Quantity::mg(1.0) > Quantity::deg_per_h(1.0)` does not compile.
+    }
 
     #[test]
     fn durations_are_read_as_the_contract_writes_them() {

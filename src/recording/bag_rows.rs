@@ -18,6 +18,7 @@ use super::stamps::RowStamps;
 use super::vn_text::{Message, line_decoder, read_message};
 use crate::protocol::Decoder;
 use crate::sample::{Channel, ChannelSet, DiscardCause, Sample, Triad};
+use crate::units::GAUSS_PER_TESLA;
 use std::collections::HashMap;
 
 /// What a row's stamps are called.
@@ -26,8 +27,6 @@ pub(super) const STAMP_NAMES: [&str; 2] = ["time of reception", "stamp in the me
 const CONNECTIONS_MAX: usize = 256;
 /// Other topics that are named.
 const NAMED_MAX: usize = 20;
-/// Gauss in one tesla.
-const GAUSS_PER_TESLA: f64 = 1e4;
 /// Kilopascal in one pascal.
 const KPA_PER_PA: f64 = 1e-3;
 

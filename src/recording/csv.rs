@@ -12,14 +12,12 @@ use super::input::Input;
 use super::rows::{Rejected, Row, Rows};
 use super::stamps::{RowStamps, parse_seconds};
 use crate::sample::{Channel, DiscardCause, Sample, Triad};
-use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
+use crate::units::{GAUSS_PER_TESLA, RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::io::BufRead;
 use std::path::{Path, PathBuf};
 
 /// Name of the column with stamps in seconds.
 const TIME: &str = "time_s";
-/// Gauss in one tesla.
-const GAUSS_PER_TESLA: f64 = 1e4;
 
 /// What a column gives.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,0 +1,109 @@
+//! Sampling: what the sensor's filter window and the choice of every n-th sample do to a white noise density.
+//!
+//! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
+//! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
+
+use crate::sample::Triad;
+use crate::units::IMU_RATE_HZ;
+use serde::{Deserialize, Serialize};
+
+/// Window lengths in internal samples; 0 and 1 are no averaging.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FilterWindows {
+    /// Magnetometer.
+    pub mag: u32,
+    /// Accelerometer.
+    pub accel: u32,
+    /// Gyroscope.
+    pub gyro: u32,
+}
+
+impl FilterWindows {
+    /// The factory's setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of a
+    /// unit's 800 Hz output).
+    pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
+}
+
+/// How a capture's samples came about.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Sampling {
+    /// Rate at which the sensor samples, Hz.
+    pub internal_rate_hz: f64,
+    /// Rate of the capture, Hz.
+    pub rate_hz: f64,
+    /// The windows of register 85.
+    pub filter_window: FilterWindows,
+    /// Whether the windows are the factory's because the capture does not tell them.
+    pub assumed: bool,
+}
+
+impl Sampling {
+    /// The sampling of a capture at `rate_hz`; windows as its register 85 tells them, else the factory's.
+    #[must_use]
+    pub fn new(rate_hz: f64, windows: Option<FilterWindows>) -> Self {
+        Self {
+            internal_rate_hz: IMU_RATE_HZ,
+            rate_hz,
+            filter_window: windows.unwrap_or(FilterWindows::FACTORY),
+            assumed: windows.is_none(),
+        }
+    }
+
+    /// Factor from the sensor's own white density to the one that shows in its output, at low frequencies.
+    ///
+    /// Σ |H(kR)|² over the images k of the output rate R, with H the average's response. For windows shorter than the
+    /// output period that is √(internal rate / (W R)).
+    #[must_use]
+    pub fn density_factor(&self, triad: Triad) -> f64 {
+        let window = match triad {
+            Triad::Gyro => self.filter_window.gyro,
+            Triad::Accel => self.filter_window.accel,
+            Triad::Mag => self.filter_window.mag,
+            Triad::Attitude => 1,
+        };
+        let window = f64::from(window.max(1));
+        let images = (self.internal_rate_hz / self.rate_hz).round().max(1.0) as u32;
+        let response = |image: u32| {
+            let u = std::f64::consts::PI * f64::from(image) / f64::from(images);
+            if image == 0 { 1.0 } else { (window * u).sin() / (window * u.sin()) }
+        };
+        (0..images).map(|image| response(image).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn factor(rate_hz: f64, window: u32) -> f64 {
+        let windows = FilterWindows { mag: 0, accel: window, gyro: window };
+        Sampling::new(rate_hz, Some(windows)).density_factor(Triad::Gyro)
+    }
+
+    #[test]
+    fn the_factory_window_at_forty_hertz_shows_more_than_twice_the_density() {
+        assert!((factor(40.0, 4) - 5f64.sqrt()).abs() < 1e-12);
+        for (rate, window, expected) in
+            [(40.0, 1, 4.472), (40.0, 5, 2.0), (200.0, 4, 1.0), (100.0, 4, 1.414), (40.0, 20, 1.0)]
+        {
+            assert!((factor(rate, window) - expected).abs() < 1e-3, "{rate} {window}: {}", factor(rate, window));
+        }
+        // A window longer than the output period leaves low frequencies as they are.
+        assert!((factor(800.0, 4) - 1.0).abs() < 1e-12);
+        assert!((factor(200.0, 8) - 1.0).abs() < 1e-12);
+        assert!((Sampling::new(40.0, None).density_factor(Triad::Mag) - 20f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_factor_is_that_of_simulated_white_noise() {
+        use rand::SeedableRng;
+        use rand_distr::{Distribution, StandardNormal};
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let white: Vec<f64> = (0..4_000_000).map(|_| StandardNormal.sample(&mut rng)).collect();
+        // Every 20th mean of 4: its variance times the output period against the internal one.
+        let means: Vec<f64> = white.chunks_exact(20).map(|chunk| chunk[..4].iter().sum::<f64>() / 4.0).collect();
+        let variance = means.iter().map(|mean: &f64| mean * mean).sum::<f64>() / means.len() as f64;
+        let seen = (variance / 40.0 * 800.0).sqrt();
+        assert!((seen / factor(40.0, 4) - 1.0).abs() < 0.01, "{seen}");
+    }
+}

@@ -1,0 +1,41 @@
+//! Covariances for `sensor_msgs/Imu` and `sensor_msgs/MagneticField`.
+//!
+//! # Source
+//! ROS REP 145 and the messages' own definitions: row-major 3×3 covariances of one sample, (rad/s)², (m/s²)², tesla².
+//! −1 in the first element means that the quantity is not provided.
+
+use super::{Axis, ImuNoise};
+use crate::units::TESLA_PER_GAUSS;
+use std::fmt::Write as _;
+
+pub(super) fn write(noise: &ImuNoise) -> String {
+    let mut text = format!("# {}\n", noise.origin());
+    let _ = writeln!(
+        text,
+        "# Variances of one sample at {} Hz (N^2 x rate), SI. A covariance holds white noise only: bias instability B, rate\n\
+         # random walk K and Gauss-Markov cannot be expressed here and belong into the filter's process noise.",
+        noise.rate_hz
+    );
+    covariance(&mut text, "linear_acceleration_covariance", "(m/s^2)^2", &noise.accel, noise.rate_hz);
+    covariance(&mut text, "angular_velocity_covariance", "(rad/s)^2", &noise.gyro, noise.rate_hz);
+    covariance(&mut text, "magnetic_field_covariance", "tesla^2", &noise.mag, noise.rate_hz * TESLA_PER_GAUSS.powi(2));
+    let walks = |axes: &[Axis; 3]| super::each(axes, |axis| axis.k, 1.0);
+    let _ = writeln!(
+        text,
+        "# process noise, K of x, y, z: accel {} m/s^3/sqrt(Hz); gyro {} rad/s^2/sqrt(Hz)",
+        walks(&noise.accel),
+        walks(&noise.gyro)
+    );
+    text
+}
+
+fn covariance(text: &mut String, key: &str, unit: &str, axes: &[Axis; 3], factor: f64) {
+    let variances: Option<Vec<f64>> = axes.iter().map(|axis| Some(axis.n.bound()?.powi(2) * factor)).collect();
+    let _ = match variances.as_deref() {
+        Some([x, y, z]) => {
+            let limits = super::limits(axes, |axis| axis.n);
+            writeln!(text, "{key}: [{x:.6e}, 0.0, 0.0, 0.0, {y:.6e}, 0.0, 0.0, 0.0, {z:.6e}]  # {unit}{limits}")
+        }
+        _ => writeln!(text, "{key}: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]  # not known for all axes"),
+    };
+}

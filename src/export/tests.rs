@@ -1,0 +1,150 @@
+//! Golden texts of every target, from parameters of round numbers.
+
+use super::*;
+
+fn axis(n: f64, b: f64, k: Known) -> Axis {
+    Axis { n: Known::Value(n), b: Known::Value(b), k, gauss_markov: None }
+}
+
+fn noise() -> ImuNoise {
+    let gyro = axis(1e-4, 2e-5, Known::Value(4e-7));
+    ImuNoise {
+        name: "night".into(),
+        rate_hz: 40.0,
+        duration_s: 18000.0,
+        accel: [
+            axis(2e-3, 1e-4, Known::Value(1e-6)),
+            axis(1.9e-3, 1e-4, Known::Below(3e-6)),
+            axis(2.8e-3, 1e-4, Known::Nothing),
+        ],
+        gyro: [gyro, gyro, Axis { gauss_markov: Some((1e-5, 200.0)), ..gyro }],
+        mag: [Axis::UNKNOWN; 3],
+    }
+}
+
+#[test]
+fn kalibr_has_the_worst_axis_in_continuous_time() {
+    let text = Target::Kalibr.write(&noise());
+    for line in [
+        "accelerometer_noise_density: 2.800000e-3  # m/s^2/sqrt(Hz); 2.0000e-3, 1.9000e-3, 2.8000e-3\n",
+        "accelerometer_random_walk: 3.000000e-6  # m/s^3/sqrt(Hz); 1.0000e-6, < 3.0000e-6, unknown\n",
+        "gyroscope_noise_density: 1.000000e-4  # rad/s/sqrt(Hz); 1.0000e-4, 1.0000e-4, 1.0000e-4\n",
+        "gyroscope_random_walk: 4.000000e-7  # rad/s^2/sqrt(Hz); 4.0000e-7, 4.0000e-7, 4.0000e-7\n",
+        "update_rate: 40.0  # Hz\n",
+    ] {
+        assert!(text.contains(line), "{line}\nin\n{text}");
+    }
+    let nothing = ImuNoise { gyro: [Axis::UNKNOWN; 3], ..noise() };
+    assert!(Target::Kalibr.write(&nothing).contains("# gyroscope_noise_density: unknown"));
+}
+
+#[test]
+fn ros_has_variances_of_one_sample() {
+    let text = Target::Ros.write(&noise());
+    assert!(
+        text.contains(
+            "angular_velocity_covariance: [4.000000e-7, 0.0, 0.0, 0.0, 4.000000e-7, 0.0, 0.0, 0.0, 4.000000e-7]"
+        ),
+        "{text}"
+    );
+    assert!(text.contains("linear_acceleration_covariance: [1.600000e-4,"), "{text}");
+    assert!(text.contains("magnetic_field_covariance: [-1.0,"), "{text}");
+}
+
+#[test]
+fn gazebo_has_the_sample_deviation_and_a_walking_bias() {
+    let text = Target::Gazebo.write(&noise());
+    assert!(text.contains("<stddev>6.324555e-4</stddev>"), "{text}");
+    assert!(
+        text.contains(
+            "<dynamic_bias_stddev>4.000000e-7</dynamic_bias_stddev><dynamic_bias_correlation_time>3600000.0<"
+        ),
+        "{text}"
+    );
+    // 1e-5 √(2/200)
+    assert!(
+        text.contains("<dynamic_bias_stddev>1.000000e-6</dynamic_bias_stddev><dynamic_bias_correlation_time>200.0<"),
+        "{text}"
+    );
+    assert_eq!(text.matches("<noise").count(), text.matches("</noise>").count());
+    assert_eq!(text.matches("dynamic_bias_stddev>").count(), 2 * 4, "limits are no bias");
+}
+
+#[test]
+fn gnss_ins_sim_has_hours_and_degrees() {
+    let text = Target::GnssInsSim.write(&noise());
+    // 1e-4 rad/s/√Hz is 0.34377 deg/√h; K 4e-7 over Tc = 180000 s has sigma 1.2e-4 rad/s, 24.752 deg/h.
+    assert!(text.contains("'gyro_arw': np.array([3.437747e-1, 3.437747e-1, 3.437747e-1]),  # deg/rt-hr"), "{text}");
+    assert!(text.contains("'gyro_b_stability': np.array([2.475178e1, 2.475178e1, 2.062648e0]),  # deg/hr"), "{text}");
+    assert!(text.contains("'gyro_b_corr': np.array([1.800000e5, 1.800000e5, 2.000000e2])"), "{text}");
+    assert!(text.contains("'accel_vrw': np.array([1.200000e-1, 1.140000e-1, 1.680000e-1])"), "{text}");
+}
+
+#[test]
+fn matlab_is_json_with_the_names_of_its_parameter_objects() {
+    let value: serde_json::Value = serde_json::from_str(&Target::Matlab.write(&noise())).unwrap();
+    let part = &value["VN100"];
+    assert_eq!(part["Gyroscope"]["NoiseDensity"], serde_json::json!([1e-4, 1e-4, 1e-4]));
+    assert_eq!(part["Accelerometer"]["RandomWalk"], serde_json::json!([1e-6, 0.0, 0.0]));
+    assert_eq!(part["Accelerometer"]["NoiseType"], "single-sided");
+    assert!(part.get("Magnetometer").is_none());
+}
+
+#[test]
+fn every_target_is_found_by_its_name_and_survives_knowing_nothing() {
+    let nothing = ImuNoise { accel: [Axis::UNKNOWN; 3], gyro: [Axis::UNKNOWN; 3], ..noise() };
+    for target in Target::ALL {
+        assert_eq!(Target::from_name(target.name()), Some(target));
+        let text = target.write(&nothing);
+        assert!(no_number(&text).is_none(), "{:?} in {text}", no_number(&text));
+    }
+    assert_eq!(Target::from_name("json"), None);
+}
+
+/// The first word that is a float and no number.
+fn no_number(text: &str) -> Option<&str> {
+    let mut words = text.split(|c: char| !c.is_ascii_alphanumeric());
+    words.find(|word| ["nan", "inf", "infinity"].iter().any(|name| word.eq_ignore_ascii_case(name)))
+}
+
+#[test]
+fn what_is_no_number_is_found_wherever_it_stands() {
+    for text in ["[inf, 0.0]", "[0.0, inf]", "<a>-inf</a>", "x: NaN # x", "np.array([1e0, NaN])"] {
+        assert!(no_number(text).is_some(), "{text}");
+    }
+    assert_eq!(no_number("information of 1.0e3 nanoseconds"), None);
+}
+
+#[test]
+fn a_limit_of_n_is_not_written_as_if_it_were_measured() {
+    let limited = |axis: Axis| Axis { n: Known::Below(1e-4), ..axis };
+    let [x, y, z] = noise().gyro;
+    let mag = [x, limited(y), z];
+    let noise = ImuNoise { gyro: [limited(x), y, limited(z)], mag, ..noise() };
+    for (target, expected) in [
+        (
+            Target::Ros,
+            &[
+                "0.0, 4.000000e-7]  # (rad/s)^2; x, z: not identified, from the 95 % upper limit\n",
+                "# tesla^2; y: not identified, from the 95 % upper limit\n",
+                "# (m/s^2)^2\n",
+            ][..],
+        ),
+        (
+            Target::Gazebo,
+            &[
+                "<z><noise type=\"gaussian\">\n        <!-- N is not identified: stddev is that of its 95 % upper limit -->\n        \
+                 <mean>0.0</mean><stddev>6.324555e-4</stddev>",
+                "<y><noise type=\"gaussian\">\n        <mean>",
+            ],
+        ),
+        (Target::GnssInsSim, &["# deg/rt-hr; x, z: not identified, from the 95 % upper limit\n", "# m/s/rt-hr\n"]),
+        (Target::Kalibr, &["< 1.0000e-4, 1.0000e-4, < 1.0000e-4"]),
+    ] {
+        let text = target.write(&noise);
+        for part in expected {
+            assert!(text.contains(part), "{target:?}: {part}\nin\n{text}");
+        }
+    }
+    assert_eq!(Target::Gazebo.write(&noise).matches("95 % upper limit").count(), 3);
+}
