@@ -23,6 +23,12 @@ pub enum JobError {
         /// What is wrong with them.
         reason: String,
     },
+    /// Captures that are not of one sensor at one setting, or cannot be analysed together for another reason.
+    #[error("captures cannot be analysed together: {reason}")]
+    Together {
+        /// What differs, and between which.
+        reason: String,
+    },
     /// The capture has nothing to compute from.
     #[error("{reason}")]
     InsufficientData {
@@ -44,6 +50,12 @@ pub enum JobError {
     /// The result could not be written as JSON.
     #[error("the result could not be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// The job was called off while its document was made.
+    #[error("the job was called off")]
+    CalledOff,
+    /// The job was told to wait for the next start while its document was made.
+    #[error("the job waits for the next start")]
+    Stopped,
     /// A worker thread could not be started.
     #[error("a worker thread could not be started: {0}")]
     Thread(std::io::Error),

@@ -1,17 +1,25 @@
-//! What a job does with the samples: one of two folds, driven alike.
+//! What a job does with the samples: one of four folds, driven alike.
 
+use super::curves::Curves;
 use super::distribution::Distribution;
 use super::plan::Plan;
+use super::runner::{FOLDED, FOLDED_SHORT};
+use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobKind, JobParameters};
+use super::{JobError, JobKind, JobParameters, together};
+use crate::noise::allan::Estimator;
 use crate::sample::Channel;
-use crate::store::{Chunk, JobRow, Reader};
+use crate::store::{Chunk, JobRow, Reader, StoreError};
 
 /// A computation in the making.
 #[derive(Debug)]
 pub(super) enum Fold {
-    /// Allan sums, for `allan` and `noise`.
+    /// Allan sums, for `allan`.
     Sums(Box<Summation>),
+    /// Deviation curves of stretches in memory, for `allan` with another estimator.
+    Curves(Box<Curves>),
+    /// Spectral sums, for `noise`.
+    Spectra(Box<Spectra>),
     /// Moments and histograms, for `statistics`.
     Distribution(Distribution),
 }
@@ -25,18 +33,39 @@ impl Fold {
         parameters: &JobParameters,
     ) -> Result<(Self, u64), JobError> {
         let checkpoint = reader.checkpoint(job.id)?;
-        let next_seq = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.next_seq.min(job.end_seq));
+        let next_seq = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.next_seq);
         let state = checkpoint.as_ref().map(|checkpoint| checkpoint.state.as_slice());
         let damaged = || JobError::Checkpoint { job: job.id };
+        let plan = || -> Result<Plan, JobError> {
+            let wanted = parameters.channels.clone().unwrap_or_else(|| Channel::ANALYSED.to_vec());
+            let captures = together::captures(reader, job.capture, job.end_seq, &parameters.with)?;
+            together::plan(reader, &captures, &wanted)
+        };
         let fold = match kind {
-            JobKind::Allan | JobKind::Noise => {
-                let wanted = parameters.channels.clone().unwrap_or_else(|| Channel::ANALYSED.to_vec());
-                let plan = Plan::read(reader, job.capture, job.end_seq, &wanted)?;
+            JobKind::Allan if parameters.estimator != Estimator::Oadev => {
+                let plan = plan()?;
+                let next_seq = next_seq.min(plan.end_seq);
+                Self::Curves(Box::new(match state {
+                    Some(state) => Curves::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?,
+                    None => Curves::new(plan, parameters)?,
+                }))
+            }
+            JobKind::Allan => {
+                let plan = plan()?;
+                let next_seq = next_seq.min(plan.end_seq);
                 Self::Sums(Box::new(match state {
                     Some(state) => {
                         Summation::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?
                     }
                     None => Summation::new(plan, parameters)?,
+                }))
+            }
+            JobKind::Noise => {
+                let plan = plan()?;
+                let next_seq = next_seq.min(plan.end_seq);
+                Self::Spectra(Box::new(match state {
+                    Some(state) => Spectra::restore(plan, state, next_seq, reader)?.ok_or_else(damaged)?,
+                    None => Spectra::new(plan),
                 }))
             }
             JobKind::Statistics => {
@@ -53,13 +82,48 @@ impl Fold {
                 })
             }
         };
-        Ok((fold, next_seq))
+        let end_seq = fold.end_seq(job);
+        Ok((fold, next_seq.min(end_seq)))
+    }
+
+    fn plan(&self) -> Option<&Plan> {
+        match self {
+            Self::Sums(summation) => Some(summation.plan()),
+            Self::Curves(curves) => Some(curves.plan()),
+            Self::Spectra(spectra) => Some(spectra.plan()),
+            Self::Distribution(_) => None,
+        }
+    }
+
+    /// How many samples a pass has.
+    pub(super) fn end_seq(&self, job: &JobRow) -> u64 {
+        self.plan().map_or(job.end_seq, |plan| plan.end_seq)
+    }
+
+    /// The next samples of this pass, at most `limit`.
+    pub(super) fn read_chunk(
+        &self,
+        reader: &Reader,
+        job: &JobRow,
+        next_seq: u64,
+        limit: usize,
+    ) -> Result<Chunk, StoreError> {
+        let chunk = match self.plan() {
+            Some(plan) => plan.read_chunk(reader, next_seq, limit, self.pass_channels())?,
+            None => reader.read_chunk(job.capture, next_seq, limit, self.pass_channels())?,
+        };
+        if chunk.is_empty() {
+            return Err(StoreError::NoSuchCapture { asked: job.capture.to_string() });
+        }
+        Ok(chunk)
     }
 
     /// The channels to be read in this pass.
     pub(super) fn pass_channels(&self) -> &[Channel] {
         match self {
             Self::Sums(summation) => summation.pass_channels(),
+            Self::Curves(curves) => curves.pass_channels(),
+            Self::Spectra(spectra) => spectra.pass_channels(),
             Self::Distribution(distribution) => distribution.channels(),
         }
     }
@@ -68,7 +132,17 @@ impl Fold {
     pub(super) fn take(&mut self, chunk: &Chunk) {
         match self {
             Self::Sums(summation) => summation.take(chunk),
+            Self::Curves(curves) => curves.take(chunk),
+            Self::Spectra(spectra) => spectra.take(chunk),
             Self::Distribution(distribution) => distribution.take(chunk),
+        }
+    }
+
+    /// Does a piece of what is to be computed once a pass has all its samples; false where nothing is left.
+    pub(super) fn work(&mut self) -> bool {
+        match self {
+            Self::Curves(curves) => curves.work(),
+            Self::Sums(_) | Self::Spectra(_) | Self::Distribution(_) => false,
         }
     }
 
@@ -76,6 +150,8 @@ impl Fold {
     pub(super) fn end_pass(&mut self) -> bool {
         match self {
             Self::Sums(summation) => summation.end_pass(),
+            Self::Curves(curves) => curves.end_pass(),
+            Self::Spectra(spectra) => spectra.end_pass(),
             Self::Distribution(_) => false,
         }
     }
@@ -84,16 +160,23 @@ impl Fold {
     pub(super) fn progress(&self, next_seq: u64, end_seq: u64) -> f64 {
         match self {
             Self::Sums(summation) => summation.progress(next_seq),
+            Self::Curves(curves) => curves.progress(next_seq),
+            Self::Spectra(spectra) => {
+                let folded = if spectra.is_long() { FOLDED } else { FOLDED_SHORT };
+                folded * spectra.progress(next_seq)
+            }
             Self::Distribution(_) => next_seq as f64 / end_seq.max(1) as f64,
         }
     }
 
     /// What the checkpoint keeps.
-    pub(super) fn save(&mut self) -> Vec<u8> {
-        match self {
+    pub(super) fn save(&mut self) -> Result<Vec<u8>, JobError> {
+        Ok(match self {
             Self::Sums(summation) => summation.save(),
+            Self::Curves(curves) => curves.save()?,
+            Self::Spectra(spectra) => spectra.save(),
             Self::Distribution(distribution) => distribution.save(),
-        }
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Kinds of jobs and their parameters.
 
-use super::JobError;
-use crate::noise::allan::TauSpacing;
+use super::{CAPTURES_MAX, JobError};
+use crate::noise::allan::{Estimator, TauSpacing};
 use crate::sample::Channel;
 use serde::{Deserialize, Serialize};
 
@@ -51,9 +51,22 @@ impl JobKind {
         let refuse = |reason| JobError::Parameters { kind: self.name(), reason };
         let given = if given.is_null() { serde_json::json!({}) } else { given.clone() };
         let mut parameters: JobParameters = serde_json::from_value(given).map_err(|error| refuse(error.to_string()))?;
-        if !matches!(parameters.taus, TauSpacing::Octave | TauSpacing::Log) {
-            return Err(refuse("`taus` is `octave` or `log`; every one is `vn100d allan --taus all`".to_owned()));
+        let allan = self == Self::Allan;
+        if parameters.taus == TauSpacing::Custom || (parameters.taus == TauSpacing::All && !allan) {
+            let all = if allan { ", `all`" } else { "" };
+            return Err(refuse(format!("`taus` is `octave`, `log`{all}")));
         }
+        if parameters.estimator != Estimator::default() && !allan {
+            return Err(refuse("only `allan` has an `estimator`".to_owned()));
+        }
+        if !parameters.with.is_empty() && self == Self::Statistics {
+            return Err(refuse("only `allan` and `noise` take captures `with` another".to_owned()));
+        }
+        if parameters.with.len() >= CAPTURES_MAX {
+            return Err(refuse(format!("at most {} captures `with` another", CAPTURES_MAX - 1)));
+        }
+        // Sums have no order.
+        parameters.with.sort_unstable();
         if let Some(channels) = &mut parameters.channels {
             channels.sort_unstable();
             channels.dedup();
@@ -65,16 +78,27 @@ impl JobKind {
     }
 }
 
-/// Parameters of a job; the same for all kinds so far.
+/// Parameters of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobParameters {
-    /// Averaging times: `log` (twenty to the decade) or `octave`; without effect on statistics.
+    /// Averaging times: `log` (twenty to the decade), `octave`, or of `allan` `all`; without effect on noise and statistics.
     #[serde(default)]
     pub taus: TauSpacing,
+    /// Of `allan`: which deviation. All but `oadev` hold a channel's samples in memory.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub estimator: Estimator,
+    /// Of `allan` and `noise`: ids of further captures of the same sensor, to be analysed with this one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub with: Vec<i64>,
     /// Which channels; where absent those whose noise is analysed, for statistics all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Channel>>,
+}
+
+/// What a job had before there was a choice is not written: it stays the same job.
+fn is_default(estimator: &Estimator) -> bool {
+    *estimator == Estimator::default()
 }
 
 #[cfg(test)]
@@ -86,6 +110,9 @@ mod tests {
         let text =
             |given: serde_json::Value| serde_json::to_string(&JobKind::Allan.parameters(&given).unwrap()).unwrap();
         assert_eq!(text(serde_json::Value::Null), text(serde_json::json!({"taus": "log"})));
+        assert_eq!(text(serde_json::Value::Null), r#"{"taus":"log"}"#, "as it was before there was an estimator");
+        assert_eq!(text(serde_json::Value::Null), text(serde_json::json!({"estimator": "oadev", "with": []})));
+        assert_eq!(text(serde_json::json!({"with": [3, 2]})), text(serde_json::json!({"with": [2, 3]})));
         assert_eq!(
             text(serde_json::json!({"channels": ["gyro_z", "gyro_x"]})),
             text(serde_json::json!({"channels": ["gyro_x", "gyro_z", "gyro_x"]})),
@@ -96,7 +123,9 @@ mod tests {
     fn what_is_not_a_parameter_is_refused_by_name() {
         for given in [
             serde_json::json!({"tau": "log"}),
-            serde_json::json!({"taus": "all"}),
+            serde_json::json!({"taus": "custom"}),
+            serde_json::json!({"estimator": "avar"}),
+            serde_json::json!({"with": 2}),
             serde_json::json!({"channels": []}),
             serde_json::json!({"channels": ["gyro"]}),
             serde_json::json!([1]),
@@ -105,6 +134,14 @@ mod tests {
             let error = JobKind::Allan.parameters(&given).unwrap_err();
             assert!(matches!(error, JobError::Parameters { kind: "allan", .. }), "{given}: {error}");
         }
+        for given in [
+            serde_json::json!({"taus": "all"}),
+            serde_json::json!({"estimator": "mdev"}),
+            serde_json::json!({"with": vec![2; CAPTURES_MAX]}),
+        ] {
+            assert!(JobKind::Noise.parameters(&given).is_err(), "{given}");
+        }
+        assert!(JobKind::Statistics.parameters(&serde_json::json!({"with": [2]})).is_err());
         assert!(JobKind::from_name("alan").unwrap_err().to_string().contains("allan"));
     }
 }

@@ -8,24 +8,30 @@
 //!
 //! [`Live`] answers for a capture that still runs.
 
+mod curves;
 mod distribution;
 mod error;
+mod examine;
 mod fold;
 mod kind;
 mod live;
 mod plan;
 mod report;
 mod runner;
+mod spectra;
 mod sums;
 #[cfg(test)]
 mod tests;
+mod together;
 mod worker;
 
 pub use error::JobError;
+pub use examine::parts;
 pub use kind::{JobKind, JobParameters};
 pub use live::{CATCH_UP, Live, LivePoints, SoFar};
-pub use plan::Plan;
+pub use plan::{Plan, Slice};
 pub use report::StatisticsReport;
 pub use runner::CHUNK;
 pub use sums::MEMORY;
+pub use together::{CAPTURES_MAX, Setting, one_sensor};
 pub use worker::{Jobs, JobsOptions, leave_for_daemon, step_back};

@@ -1,17 +1,20 @@
-//! The plan of a job: which samples it takes in. It follows from the capture and the job's `end_seq` alone, so that a job
+//! The plan of a job: which samples it takes in. It follows from the captures and the job's `end_seq` alone, so that a job
 //! that goes on after a kill has the plan it began with.
+//!
+//! Several captures of one sensor are read one after the other, as if they were one: sample and segment numbers of the later
+//! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
 use super::JobError;
 use crate::sample::Channel;
-use crate::store::{Chunk, PageRequest, Reader};
+use crate::store::{Chunk, PageRequest, Reader, StoreError};
 use std::ops::Range;
 
 /// Which samples a computation takes in. A capture may have a million segments: each takes 16 bytes here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// The capture.
-    pub capture_id: i64,
-    /// Samples with `seq` below this.
+    /// The captures, in the order they are read.
+    pub slices: Vec<Slice>,
+    /// Samples with a number below this: all there are.
     pub end_seq: u64,
     /// The rate that most of them have, Hz. Segments of another rate are left out: nothing mixes two rates.
     pub rate_hz: f64,
@@ -25,8 +28,17 @@ pub struct Plan {
     pub taken: u64,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
-    /// Which of the rates met is [`Self::rate_hz`].
-    rate: u32,
+}
+
+/// One capture's share of a plan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Slice {
+    /// The capture.
+    pub capture_id: i64,
+    /// The plan's numbers of its samples.
+    pub samples: Range<u64>,
+    /// What is added to its segments' numbers.
+    first_number: u32,
 }
 
 /// A segment: it ends where the next one begins.
@@ -34,8 +46,8 @@ pub struct Plan {
 struct Stretch {
     first_seq: u64,
     number: u32,
-    /// Index of its rate among those met.
-    rate: u32,
+    /// Whether its rate is that of most samples.
+    taken: bool,
 }
 
 /// What is known of all segments of one rate.
@@ -61,29 +73,85 @@ impl Plan {
             (one.samples.cmp(&other.samples)).then(one.rate_hz.total_cmp(&other.rate_hz))
         });
         let found = most.filter(|(_, most)| most.samples > 0 && !most.channels.is_empty());
-        let Some((rate, most)) = found else {
+        let Some((most_rate, most)) = found else {
             let names: Vec<&str> = wanted.iter().map(|channel| channel.name()).collect();
             let reason = format!("capture {capture_id} has no samples of {} yet", names.join(", "));
             return Err(JobError::InsufficientData { reason });
         };
+        let stretch = |(first_seq, number, rate)| Stretch { first_seq, number, taken: rate == most_rate };
         Ok(Self {
-            capture_id,
+            slices: vec![Slice { capture_id, samples: 0..end_seq, first_number: 0 }],
             end_seq,
             rate_hz: most.rate_hz,
             channels: most.channels.clone(),
             longest: most.longest,
             other_rate: total - most.samples,
             taken: most.segments,
-            rate: rate as u32,
-            segments,
+            segments: segments.into_iter().map(stretch).collect(),
         })
+    }
+
+    /// The same with another capture's samples after its own, of the channels that both have.
+    ///
+    /// # Errors
+    /// [`JobError::Together`] where they have no channel in common or more segments than can be numbered. Whether the two
+    /// are of one sensor at one rate is [`one_sensor`](super::one_sensor)'s to say.
+    pub fn followed_by(mut self, other: Self) -> Result<Self, JobError> {
+        let last = self.segments.last().map_or(0, |last| last.number);
+        let too_many = || JobError::Together { reason: "they have too many segments: take fewer captures".to_owned() };
+        let renumber = |number: u32| number.checked_add(last).ok_or_else(too_many);
+        for slice in other.slices {
+            self.slices.push(Slice {
+                samples: slice.samples.start + self.end_seq..slice.samples.end + self.end_seq,
+                first_number: renumber(slice.first_number)?,
+                ..slice
+            });
+        }
+        for stretch in other.segments {
+            let (first_seq, number) = (stretch.first_seq + self.end_seq, renumber(stretch.number)?);
+            self.segments.push(Stretch { first_seq, number, ..stretch });
+        }
+        self.channels.retain(|channel| other.channels.contains(channel));
+        if self.channels.is_empty() {
+            return Err(JobError::Together { reason: "they have no channel in common".to_owned() });
+        }
+        self.end_seq += other.end_seq;
+        self.longest = self.longest.max(other.longest);
+        self.other_rate += other.other_rate;
+        self.taken += other.taken;
+        Ok(self)
+    }
+
+    /// The next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at the end.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`] where the capture's samples are gone, or what the database says.
+    pub fn read_chunk(
+        &self,
+        reader: &Reader,
+        seq: u64,
+        limit: usize,
+        channels: &[Channel],
+    ) -> Result<Chunk, StoreError> {
+        let slice = self.slices.iter().find(|slice| slice.samples.contains(&seq)).or(self.slices.last());
+        let gone = |id: i64| StoreError::NoSuchCapture { asked: id.to_string() };
+        let slice = slice.ok_or_else(|| gone(0))?;
+        let left = usize::try_from(slice.samples.end.saturating_sub(seq)).unwrap_or(usize::MAX);
+        let own = seq.saturating_sub(slice.samples.start);
+        let mut chunk = reader.read_chunk(slice.capture_id, own, limit.min(left), channels)?;
+        if chunk.is_empty() && left > 0 && limit > 0 {
+            return Err(gone(slice.capture_id));
+        }
+        chunk.first_seq += slice.samples.start;
+        chunk.segment.iter_mut().for_each(|number| *number += slice.first_number);
+        Ok(chunk)
     }
 
     /// The `seq` range of a segment that is taken in.
     #[must_use]
     pub fn segment(&self, number: u32) -> Option<Range<u64>> {
         let index = self.segments.binary_search_by_key(&number, |segment| segment.number).ok()?;
-        let segment = self.segments.get(index).filter(|segment| segment.rate == self.rate)?;
+        let segment = self.segments.get(index).filter(|segment| segment.taken)?;
         let end = self.segments.get(index + 1).map_or(self.end_seq, |next| next.first_seq);
         (segment.first_seq < end).then_some(segment.first_seq..end)
     }
@@ -103,14 +171,17 @@ impl Plan {
     }
 }
 
+/// A segment's first sample, its number, and which of the rates met it has.
+type Met = (u64, u32, usize);
+
 /// All segments that begin below `end_seq`, and what is known of each rate.
 fn all_segments(
     reader: &Reader,
     capture_id: i64,
     end_seq: u64,
     wanted: &[Channel],
-) -> Result<(Vec<Stretch>, Vec<OfRate>), JobError> {
-    let (mut segments, mut rates): (Vec<Stretch>, Vec<OfRate>) = (Vec::new(), Vec::new());
+) -> Result<(Vec<Met>, Vec<OfRate>), JobError> {
+    let (mut segments, mut rates): (Vec<Met>, Vec<OfRate>) = (Vec::new(), Vec::new());
     let mut open: Vec<Channel> = Vec::new();
     let mut page = PageRequest::first();
     'pages: loop {
@@ -124,7 +195,7 @@ fn all_segments(
                 rates.push(OfRate { rate_hz: row.rate_hz, ..OfRate::default() });
                 rates.len() - 1
             });
-            segments.push(Stretch { first_seq: row.first_seq, number: row.segment, rate: rate as u32 });
+            segments.push((row.first_seq, row.segment, rate));
             open = row.channels;
             open.retain(|channel| wanted.contains(channel));
         }
@@ -138,10 +209,10 @@ fn all_segments(
 }
 
 /// The last segment ends here. Its own counter is not asked: it may have grown since the job was submitted.
-fn close(segments: &[Stretch], rates: &mut [OfRate], end: u64, channels: &[Channel]) {
-    let Some(last) = segments.last() else { return };
-    let samples = end.saturating_sub(last.first_seq);
-    if let Some(rate) = rates.get_mut(last.rate as usize).filter(|_| samples > 0) {
+fn close(segments: &[Met], rates: &mut [OfRate], end: u64, channels: &[Channel]) {
+    let Some((first_seq, _, rate)) = segments.last() else { return };
+    let samples = end.saturating_sub(*first_seq);
+    if let Some(rate) = rates.get_mut(*rate).filter(|_| samples > 0) {
         rate.samples += samples;
         rate.longest = rate.longest.max(samples);
         rate.segments += 1;

@@ -1,11 +1,13 @@
 //! Reports: from sums and moments to the documents of the contract, section 7.
 
 use super::JobError;
+use super::examine::examine;
 use super::plan::Plan;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit};
 use crate::noise::statistics::Statistics;
-use crate::noise::{NoiseParameters, NoiseReport};
+use crate::noise::whittle::{self, DstSums};
+use crate::noise::{Contribution, NoiseParameters, NoiseReport};
 use crate::sample::Channel;
 use crate::store::Reader;
 use serde::{Deserialize, Serialize};
@@ -43,9 +45,45 @@ pub(super) struct Extent {
     pub(super) samples: u64,
     pub(super) missing: u64,
     pub(super) complete: bool,
+    /// Of several captures what each gives.
+    pub(super) captures: Vec<Contribution>,
 }
 
 impl Extent {
+    /// That of all captures of a plan together.
+    pub(super) fn of_plan(reader: &Reader, plan: &Plan) -> Result<Self, JobError> {
+        let mut whole: Option<Self> = None;
+        for slice in &plan.slices {
+            let mut extent = Self::read(reader, slice.capture_id, slice.samples.end - slice.samples.start)?;
+            if plan.slices.len() > 1 {
+                extent.captures.push(Contribution {
+                    capture: extent.capture.clone(),
+                    duration_s: extent.duration_s,
+                    samples: extent.samples,
+                    missing: extent.missing,
+                    ..Contribution::default()
+                });
+            }
+            whole = Some(match whole {
+                None => extent,
+                Some(whole) => whole.and(extent),
+            });
+        }
+        whole.ok_or_else(|| JobError::InsufficientData { reason: "there is no capture".to_owned() })
+    }
+
+    fn and(mut self, other: Self) -> Self {
+        self.captures.extend(other.captures);
+        Self {
+            capture: format!("{} + {}", self.capture, other.capture),
+            duration_s: self.duration_s + other.duration_s,
+            samples: self.samples + other.samples,
+            missing: self.missing + other.missing,
+            complete: self.complete && other.complete,
+            captures: self.captures,
+        }
+    }
+
     /// The capture's samples below `end_seq`; `rate_hz` turns them into time where that is not all of an ended capture.
     pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, JobError> {
         let capture = reader.capture(capture_id)?;
@@ -56,26 +94,41 @@ impl Extent {
                 samples: capture.samples,
                 missing: capture.missing,
                 complete: true,
+                captures: Vec::new(),
             });
         }
         let missing = reader.missing_before(capture_id, end_seq)?;
         let duration_s = capture.rate_hz.map_or(0.0, |rate_hz| (end_seq + missing) as f64 / rate_hz);
-        Ok(Self { capture: capture.name, duration_s, samples: end_seq, missing, complete: false })
+        Ok(Self { capture: capture.name, duration_s, samples: end_seq, missing, complete: false, captures: Vec::new() })
     }
 }
 
 /// Deviation curves of exact sums.
 pub(super) fn allan(plan: &Plan, sums: &[(Channel, AllanSums)], extent: &Extent) -> AllanReport {
-    let curves =
-        sums.iter().map(|(channel, sums)| (*channel, AllanCurve::from_sums(sums, plan.rate_hz, channel.unit())));
-    let mut report = AllanReport::new(Estimator::Oadev, plan.rate_hz, extent.complete, curves);
-    report.samples = Some(extent.samples);
-    report.warnings = warnings(plan, extent);
+    let curve =
+        |(channel, sums): &(Channel, AllanSums)| (*channel, AllanCurve::from_sums(sums, plan.rate_hz, channel.unit()));
+    let mut report = curves(plan, Estimator::Oadev, sums.iter().map(curve), extent);
+    report.warnings.extend(report.stride_warning());
     for (channel, sums) in sums {
         report
             .warnings
-            .extend(out_of_range(*channel, sums.out_of_range()).map(|flag| format!("{channel}: {}", flag.note)));
+            .extend(Flag::out_of_range(*channel, sums.out_of_range()).map(|flag| format!("{channel}: {}", flag.note)));
     }
+    report
+}
+
+/// Deviation curves of an estimator.
+pub(super) fn curves(
+    plan: &Plan,
+    estimator: Estimator,
+    curves: impl IntoIterator<Item = (Channel, AllanCurve)>,
+    extent: &Extent,
+) -> AllanReport {
+    let mut report = AllanReport::new(estimator, plan.rate_hz, extent.complete, curves);
+    report.samples = Some(extent.samples);
+    report.missing = Some(extent.missing);
+    report.captures.clone_from(&extent.captures);
+    report.warnings = warnings(plan, extent);
     report
 }
 
@@ -88,19 +141,39 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
             plan.taken, extent.missing
         ));
     }
-    warnings.extend(other_rate(plan.rate_hz, plan.other_rate).map(|flag| flag.note));
+    warnings.extend(Flag::other_rate(plan.rate_hz, plan.other_rate).map(|flag| flag.note));
     warnings
 }
 
-/// Noise parameters of exact sums.
-pub(super) fn noise(plan: &Plan, sums: &[(Channel, AllanSums)], extent: Extent) -> NoiseReport {
-    let channels = sums.iter().map(|(channel, sums)| {
-        let mut parameters = fit(&sums.points(), plan.rate_hz, *channel);
-        parameters.flags.extend(out_of_range(*channel, sums.out_of_range()));
-        parameters.flags.extend(other_rate(plan.rate_hz, plan.other_rate));
+/// Noise parameters of spectral sums, with and without what disturbed them; `go_on` as [`examine`] has it.
+pub(super) fn noise(
+    reader: &Reader,
+    plan: &Plan,
+    sums: &[(Channel, DstSums)],
+    extent: Extent,
+    go_on: impl FnMut(f64) -> Result<(), JobError>,
+) -> Result<NoiseReport, JobError> {
+    let fitted = sums.iter().map(|(channel, sums)| {
+        let mut parameters = whittle::fit(sums, plan.rate_hz, *channel, &[]);
+        parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
+        parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
         (*channel, parameters)
     });
-    noise_report(extent, plan.rate_hz, channels.collect())
+    let mut channels: BTreeMap<Channel, NoiseParameters> = fitted.collect();
+    let mut disturbances = BTreeMap::new();
+    let mut extent = extent;
+    let found = examine(reader, plan, &channels, go_on)?;
+    for (channel, (parameters, disturbance)) in found.channels {
+        channels.insert(channel, parameters);
+        disturbances.insert(channel, disturbance);
+    }
+    for (contribution, of_capture) in extent.captures.iter_mut().zip(found.captures) {
+        for (channel, (flags, disturbances)) in of_capture {
+            contribution.flags.insert(channel, flags);
+            contribution.disturbances.insert(channel, disturbances);
+        }
+    }
+    Ok(NoiseReport { disturbances, ..noise_report(extent, plan.rate_hz, channels) })
 }
 
 /// Noise parameters of octaves of a capture that still runs.
@@ -112,7 +185,7 @@ pub(super) fn noise_of_points(
 ) -> NoiseReport {
     let channels = points.iter().map(|(channel, octaves)| {
         let mut parameters = fit(octaves, rate_hz, *channel);
-        parameters.flags.extend(other_rate(rate_hz, other));
+        parameters.flags.extend(Flag::other_rate(rate_hz, other));
         (*channel, parameters)
     });
     noise_report(extent, rate_hz, channels.collect())
@@ -122,12 +195,14 @@ fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseP
     NoiseReport {
         format: NoiseReport::FORMAT.to_owned(),
         capture: extent.capture,
+        captures: extent.captures,
         rate_hz,
         duration_s: extent.duration_s,
         samples: extent.samples,
         missing: extent.missing,
         complete: extent.complete,
         channels,
+        disturbances: BTreeMap::new(),
         datasheet: None,
     }
 }
@@ -143,14 +218,4 @@ pub(super) fn statistics(channels: BTreeMap<Channel, Statistics>, extent: Extent
         complete: extent.complete,
         channels,
     }
-}
-
-fn out_of_range(channel: Channel, samples: u64) -> Option<Flag> {
-    let note = || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
-    (samples > 0).then(|| Flag::whole("out_of_range", note()))
-}
-
-fn other_rate(rate_hz: f64, samples: u64) -> Option<Flag> {
-    let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
-    (samples > 0).then(|| Flag::whole("other_rate", note()))
 }

@@ -7,11 +7,15 @@
 use super::fold::Fold;
 use super::report::{self, Extent};
 use super::{JobError, JobKind};
-use crate::store::{JobCheckpoint, JobRow, Reader, Store, StoreError};
+use crate::store::{JobCheckpoint, JobRow, Reader, Store};
 use std::time::{Duration, Instant};
 
 /// Samples of one chunk.
 pub const CHUNK: usize = 65_536;
+/// How far a job over a long capture is when its fold is done and disturbances are still to be looked for.
+pub(super) const FOLDED: f64 = 0.4;
+/// The same where these are looked for in one go.
+pub(super) const FOLDED_SHORT: f64 = 0.9;
 /// The share of its time that a job leaves to others after each chunk.
 const REST: u32 = 10;
 
@@ -37,52 +41,100 @@ pub(super) fn run(
     let kind = JobKind::from_name(&job.kind)?;
     let parameters = kind.parameters(&job.params)?;
     let (mut fold, mut next_seq) = Fold::begin(reader, job, kind, &parameters)?;
+    let end_seq = fold.end_seq(job);
     loop {
-        while next_seq < job.end_seq {
+        while next_seq < end_seq {
             let begun = Instant::now();
             crate::observe::provoke::provoke(crate::observe::provoke::Point::Job);
-            let limit = chunk_samples.min(usize::try_from(job.end_seq - next_seq).unwrap_or(usize::MAX));
-            let chunk = reader.read_chunk(job.capture, next_seq, limit, fold.pass_channels())?;
-            if chunk.is_empty() {
-                return Err(StoreError::NoSuchCapture { asked: job.capture.to_string() }.into());
-            }
+            let limit = chunk_samples.min(usize::try_from(end_seq - next_seq).unwrap_or(usize::MAX));
+            let chunk = fold.read_chunk(reader, job, next_seq, limit)?;
             fold.take(&chunk);
             next_seq = chunk.next_seq();
-            let checkpoint = JobCheckpoint { next_seq, state: fold.save() };
-            if !store.checkpoint_job(job.id, checkpoint, fold.progress(next_seq, job.end_seq))? {
-                return Ok(Outcome::Cancelled);
-            }
-            if !keep_on() {
-                store.release_job(job.id)?;
-                return Ok(Outcome::Stopped);
+            if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
+                return Ok(outcome);
             }
             rest(begun.elapsed() / REST);
+        }
+        while fold.work() {
+            if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
+                return Ok(outcome);
+            }
         }
         if !fold.end_pass() {
             break;
         }
         next_seq = 0;
     }
-    let body = document(reader, job, kind, fold)?;
+    let mut checkpoint = reader.checkpoint(job.id)?;
+    let go_on = |done: f64| {
+        // The same state again: it tells how far the job is, and whether it is still wanted.
+        if let Some(same) = checkpoint.take() {
+            checkpoint = Some(same.clone());
+            if !store.checkpoint_job(job.id, same, FOLDED + (1.0 - FOLDED) * done)? {
+                return Err(JobError::CalledOff);
+            }
+        }
+        if keep_on() { Ok(()) } else { Err(JobError::Stopped) }
+    };
+    let body = match document(reader, job, fold, go_on) {
+        Err(JobError::CalledOff) => return Ok(Outcome::Cancelled),
+        Err(JobError::Stopped) => {
+            store.release_job(job.id)?;
+            return Ok(Outcome::Stopped);
+        }
+        body => body?,
+    };
     Ok(store.finish_job(job.id, body)?.map_or(Outcome::Cancelled, Outcome::Done))
+}
+
+/// Keeps where the job is; answers how it ends where it is not to go on.
+fn keep(
+    store: &Store,
+    job: &JobRow,
+    fold: &mut Fold,
+    next_seq: u64,
+    end_seq: u64,
+    keep_on: &mut impl FnMut() -> bool,
+) -> Result<Option<Outcome>, JobError> {
+    let checkpoint = JobCheckpoint { next_seq, state: fold.save()? };
+    if !store.checkpoint_job(job.id, checkpoint, fold.progress(next_seq, end_seq))? {
+        return Ok(Some(Outcome::Cancelled));
+    }
+    if !keep_on() {
+        store.release_job(job.id)?;
+        return Ok(Some(Outcome::Stopped));
+    }
+    Ok(None)
 }
 
 fn rest(time: Duration) {
     std::thread::sleep(time.min(Duration::from_millis(100)));
 }
 
-fn document(reader: &Reader, job: &JobRow, kind: JobKind, fold: Fold) -> Result<String, JobError> {
-    let extent = Extent::read(reader, job.capture, job.end_seq)?;
+fn document(
+    reader: &Reader,
+    job: &JobRow,
+    fold: Fold,
+    go_on: impl FnMut(f64) -> Result<(), JobError>,
+) -> Result<String, JobError> {
     Ok(match fold {
         Fold::Sums(summation) => {
             let (plan, sums) = summation.finish();
-            if kind == JobKind::Noise {
-                serde_json::to_string(&report::noise(&plan, &sums, extent))?
-            } else {
-                serde_json::to_string(&report::allan(&plan, &sums, &extent))?
-            }
+            let extent = Extent::of_plan(reader, &plan)?;
+            serde_json::to_string(&report::allan(&plan, &sums, &extent))?
+        }
+        Fold::Curves(curves) => {
+            let (plan, estimator, curves) = curves.finish();
+            let extent = Extent::of_plan(reader, &plan)?;
+            serde_json::to_string(&report::curves(&plan, estimator, curves, &extent))?
+        }
+        Fold::Spectra(spectra) => {
+            let (plan, sums) = spectra.finish();
+            let extent = Extent::of_plan(reader, &plan)?;
+            serde_json::to_string(&report::noise(reader, &plan, &sums, extent, go_on)?)?
         }
         Fold::Distribution(distribution) => {
+            let extent = Extent::read(reader, job.capture, job.end_seq)?;
             serde_json::to_string(&report::statistics(distribution.statistics(), extent))?
         }
     })

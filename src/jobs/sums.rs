@@ -1,7 +1,7 @@
 //! Exact Allan sums of a capture's channels, chunk by chunk: what `allan` and `noise` jobs are made of.
 //!
 //! Channels are taken in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] whatever the
-//! length: a channel needs 2.5 phases of 8 bytes per sample of its longest averaging time.
+//! length: a channel needs 2.5 phases of 8 bytes per sample of its longest averaging time with full overlap.
 
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
@@ -13,7 +13,7 @@ use crate::store::{Chunk, Reader};
 /// Bytes that the phases of one pass may take.
 pub const MEMORY: usize = 48 << 20;
 /// Version of the checkpoint.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// The sums in the making.
 #[derive(Debug)]
@@ -33,9 +33,8 @@ pub(super) struct Summation {
 impl Summation {
     /// Nothing taken in yet.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
-        let grid = TauGrid::new(parameters.taus, plan.longest)?;
-        let bytes = grid.max_factor() * 20;
-        let group = (MEMORY / bytes.max(1)).clamp(1, plan.channels.len());
+        let grid = super::curves::grid(parameters, &plan)?;
+        let group = (MEMORY / Overlapping::bytes(&grid, plan.longest).max(1)).clamp(1, plan.channels.len());
         let mut summation = Self { plan, grid, group, done: Vec::new(), current: Vec::new(), open: None };
         summation.begin_pass();
         Ok(summation)
@@ -54,30 +53,32 @@ impl Summation {
 
     fn restored(mut self, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
         let Some((done, current)) = decode(state) else { return Ok(None) };
-        let (Some(finished), Some(running)) = (self.decode_sums(&done), self.decode_sums(&current)) else {
-            return Ok(None);
-        };
+        let Some(finished) = self.decode_sums(&done) else { return Ok(None) };
         self.done = finished;
         let channels = self.pass_channels().to_vec();
-        if channels.is_empty() || channels.len() != running.len() {
+        if channels.is_empty() || channels.len() != current.len() {
             return Ok(None);
         }
         let halo = self.halo(next_seq, reader)?;
-        let mut current = Vec::new();
-        for (channel, sums) in channels.iter().zip(running) {
+        let mut running = Vec::new();
+        for (channel, saved) in channels.iter().zip(current) {
             let values = match &halo {
                 Some((_, from)) => {
                     let limit = usize::try_from(next_seq - from).unwrap_or(usize::MAX);
-                    let chunk = reader.read_chunk(self.plan.capture_id, *from, limit, &[*channel])?;
+                    let chunk = self.plan.read_chunk(reader, *from, limit, &[*channel])?;
                     chunk.columns.into_iter().next().unwrap_or_default()
                 }
                 None => Vec::new(),
             };
             // What precedes an absent value belongs to a stretch that has ended.
             let since = values.iter().rposition(|value| value.is_nan()).map_or(0, |index| index + 1);
-            current.push(Overlapping::resume(sums, values.get(since..).unwrap_or_default()));
+            let restored = Overlapping::restore(&saved, values.get(since..).unwrap_or_default());
+            let Some(estimator) = restored.ok().filter(|estimator| *estimator.grid() == self.grid) else {
+                return Ok(None);
+            };
+            running.push(estimator);
         }
-        self.current = current;
+        self.current = running;
         self.open = halo.map(|(number, _)| number);
         Ok(Some(self))
     }
@@ -91,10 +92,15 @@ impl Summation {
     /// The segment that the sample before `next_seq` belongs to, and from where on it is needed again.
     fn halo(&self, next_seq: u64, reader: &Reader) -> Result<Option<(u32, u64)>, JobError> {
         let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
-        let chunk = reader.read_chunk(self.plan.capture_id, last, 1, &[])?;
+        let chunk = self.plan.read_chunk(reader, last, 1, &[])?;
         let Some(number) = chunk.segment.first().copied() else { return Ok(None) };
         let Some(range) = self.plan.segment(number) else { return Ok(None) };
         Ok(Some((number, range.start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
+    }
+
+    /// The plan.
+    pub(super) fn plan(&self) -> &Plan {
+        &self.plan
     }
 
     /// The channels of this pass.
@@ -143,7 +149,7 @@ impl Summation {
     /// Everything that [`Self::restore`] needs besides the samples.
     pub(super) fn save(&mut self) -> Vec<u8> {
         let done: Vec<Vec<u8>> = self.done.iter().map(AllanSums::to_bytes).collect();
-        let current: Vec<Vec<u8>> = self.current.iter_mut().map(|estimator| estimator.sums().to_bytes()).collect();
+        let current: Vec<Vec<u8>> = self.current.iter_mut().map(Overlapping::save).collect();
         let mut bytes = vec![VERSION];
         bytes.extend(join(&done));
         bytes.extend(join(&current));

@@ -2,6 +2,10 @@
 
 use super::runner::{Outcome, run};
 use super::*;
+use crate::noise::NoiseReport;
+use crate::noise::allan::{AllanCurve, AllanReport, FixedPoint, Phases, TauGrid};
+use crate::noise::robust::{Part, spectral_sums};
+use crate::noise::whittle::{self, DstSums};
 use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::store::{CaptureState, JobState, NewCapture, NewJob, Reader, Store, StoreOptions};
 use std::time::{Duration, Instant};
@@ -131,6 +135,185 @@ fn a_job_killed_at_every_chunk_comes_to_the_same_bytes() {
 }
 
 #[test]
+fn curves_of_whole_stretches_are_those_of_the_definition_through_kills_at_every_chunk_and_channel() {
+    for estimator in ["adev", "mdev", "hdev", "ohdev", "totdev"] {
+        let world = World::new();
+        let wish = serde_json::json!({"estimator": estimator, "taus": "octave"});
+        let job = world.queue(JobKind::Allan, wish.clone());
+        let whole = world.work(job, 100_000, [usize::MAX]);
+        let report: AllanReport = serde_json::from_str(&whole).unwrap();
+        assert_eq!((report.estimator.name(), report.samples, report.missing), (estimator, Some(TOTAL), Some(7)));
+        let stretches: [std::ops::Range<u64>; 4] = [0..1500, 1500..3700, 4400..4600, 4610..5500];
+        let of = |channel| stretches.clone().map(|stretch| stretch.map(|seq| value(seq, channel)).collect::<Vec<_>>());
+        let phases = of(Channel::GyroX).map(|values| Phases::integrate(&values).unwrap());
+        let grid = TauGrid::octave(2200).unwrap();
+        let expected = AllanCurve::from_phases(&phases, report.estimator, &grid, 40.0, "rad/s");
+        assert_eq!(report.channels[&Channel::GyroX], expected, "{estimator}");
+        assert_eq!(report.channels.len(), 3);
+        for chunk in [500, 4096] {
+            let world = World::new();
+            let job = world.queue(JobKind::Allan, wish.clone());
+            let result = world.work(job, chunk, std::iter::repeat_n(1, 1000));
+            assert_eq!(result, whole, "{estimator} in chunks of {chunk}");
+        }
+    }
+}
+
+#[test]
+fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
+    let world = World::new();
+    let plan = Plan::read(&world.reader(), world.capture, TOTAL, &Channel::ANALYSED).unwrap();
+    let refused = |change: fn(&mut Plan), wish: serde_json::Value| {
+        let mut plan = plan.clone();
+        change(&mut plan);
+        let parameters = JobKind::Allan.parameters(&wish).unwrap();
+        curves::Curves::new(plan, &parameters).map(|_| ()).map_err(|error| error.to_string())
+    };
+    let (mdev, all) =
+        (serde_json::json!({"estimator": "mdev"}), serde_json::json!({"estimator": "mdev", "taus": "all"}));
+    refused(|_| (), mdev.clone()).unwrap();
+    refused(|_| (), all.clone()).unwrap();
+    refused(|plan| plan.end_seq = curves::MOST, mdev.clone()).unwrap();
+    let long = refused(|plan| plan.end_seq = curves::MOST + 1, mdev).unwrap_err();
+    assert!(long.contains("4000001 samples") && long.contains("take the estimator `oadev`"), "{long}");
+    for change in [|plan: &mut Plan| plan.longest = 100_000, |plan: &mut Plan| plan.end_seq = 3_900_000] {
+        let many = refused(change, all.clone()).unwrap_err();
+        assert!(many.contains("averaging times") && many.contains("take `taus` `log` or `octave`"), "{many}");
+    }
+    let parameters = JobKind::Allan.parameters(&serde_json::json!({"taus": "all"})).unwrap();
+    let mut too_long = plan.clone();
+    too_long.longest = 100_000;
+    assert!(sums::Summation::new(too_long, &parameters).is_err(), "of the exact sums too");
+}
+
+/// Several captures beside the world's first.
+impl World {
+    fn add(&self, name: &str, sensor: &serde_json::Value, rate_hz: f64, range: std::ops::Range<u64>) -> i64 {
+        let named = NewCapture {
+            name: Some(name.to_owned()),
+            sensor: Some(sensor.clone()),
+            ..NewCapture::new("test", CaptureState::Complete)
+        };
+        let id = self.store.create_capture(named).unwrap();
+        let records = self.store.records();
+        records.blocking_send(id, segment(1, 0, rate_hz)).unwrap();
+        for (seq, from) in (0..).zip(range) {
+            let Record::Sample { mut sample, .. } = sample(1, seq) else { panic!("no sample") };
+            for channel in [Channel::AccelX, Channel::GyroX, Channel::GyroY] {
+                sample.set(channel, value(from, channel));
+            }
+            records.blocking_send(id, Record::Sample { seq, segment: 1, sample }).unwrap();
+        }
+        self.store.flush_blocking().unwrap();
+        id
+    }
+    fn work_on(&self, kind: JobKind, capture_id: i64, params: serde_json::Value, chunk: usize) -> serde_json::Value {
+        let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
+        let job = NewJob { kind: kind.name().to_owned(), capture_id, params };
+        let job = self.store.submit_job(job, u64::MAX).unwrap().0.id;
+        serde_json::from_str(&self.work(job, chunk, std::iter::repeat_n(2, 1000))).unwrap()
+    }
+}
+
+#[test]
+fn captures_of_one_sensor_give_what_their_stretches_would_in_one() {
+    let world = World::new();
+    let sensor = serde_json::json!({"model": "VN-100", "serial_number": "0100012345"});
+    // The capture's first two segments and its last, as captures of their own.
+    let nights = [("first", 0..1500), ("second", 1500..3700), ("third", 4610..5500)];
+    let ids = nights.map(|(name, range)| world.add(name, &sensor, 40.0, range));
+    let with = serde_json::json!({"with": [ids[2], ids[1]]});
+    let reader = world.reader();
+    let sums = |captures: &[(i64, u64)]| {
+        let plan = together::plan(&reader, captures, &[Channel::AccelX]).unwrap();
+        let parameters = JobKind::Allan.parameters(&serde_json::Value::Null).unwrap();
+        let mut summation = sums::Summation::new(plan.clone(), &parameters).unwrap();
+        let mut next = 0;
+        while next < plan.end_seq {
+            let chunk = plan.read_chunk(&reader, next, 613, &[Channel::AccelX]).unwrap();
+            summation.take(&chunk);
+            next = chunk.next_seq();
+        }
+        assert!(!summation.end_pass());
+        summation.finish().1.remove(0).1
+    };
+    let whole = sums(&[(ids[0], 1500), (ids[1], 2200), (ids[2], 890)]);
+    assert_eq!((whole.samples(), whole.segments()[0], whole.terms()[0]), (4590, 3, 1499 + 2199 + 889));
+    assert_eq!(whole, sums(&[(ids[2], 890), (ids[0], 1500), (ids[1], 2200)]), "sums have no order");
+
+    for estimator in ["oadev", "mdev"] {
+        let mut wish = with.clone();
+        wish["estimator"] = estimator.into();
+        let report = world.work_on(JobKind::Allan, ids[0], wish, 700);
+        assert_eq!((&report["samples"], &report["missing"]), (&4590.into(), &0.into()), "{estimator}");
+        let names: Vec<&str> =
+            report["captures"].as_array().unwrap().iter().map(|of| of["capture"].as_str().unwrap()).collect();
+        assert_eq!(names, ["first", "second", "third"]);
+        assert_eq!(report["captures"][1]["samples"], 2200);
+        assert_eq!(report["channels"]["accel_x"]["n"][0], 1499 + 2199 + 889);
+    }
+
+    let noise: NoiseReport = serde_json::from_value(world.work_on(JobKind::Noise, ids[0], with, 700)).unwrap();
+    assert_eq!((noise.capture.as_str(), noise.samples, noise.missing), ("first + second + third", 4590, 0));
+    assert!((noise.duration_s - 4590.0 / 40.0).abs() < 0.1, "{}", noise.duration_s);
+    assert!(noise.captures.iter().all(|of| of.disturbances.len() == 3 && of.flags.len() == 3));
+    // The same stretches one after the other in one capture: the sums of their spectra are the same.
+    let mut merged = DstSums::new();
+    for range in [0..1500, 1500..3700, 4610..5500] {
+        let values = range.map(|seq| value(seq, Channel::AccelX)).collect();
+        let part = Part { start_s: 0.0, values };
+        merged.merge(&spectral_sums(&[part], FixedPoint::for_channel(Channel::AccelX)));
+    }
+    let expected = whittle::fit(&merged, 40.0, Channel::AccelX, &[]);
+    let found = &noise.channels[&Channel::AccelX];
+    let close = |one: Option<[f64; 2]>, other: Option<[f64; 2]>| {
+        one.unwrap().iter().zip(other.unwrap()).all(|(one, other)| (one / other - 1.0).abs() < 1e-9)
+    };
+    assert!(close(found.n.ci95, expected.n.ci95), "{:?} {:?}", found.n, expected.n);
+    assert_eq!(found.b.upper_limit95.is_some(), expected.b.upper_limit95.is_some());
+    let width = |report: &NoiseReport| {
+        let [low, high] = report.channels[&Channel::AccelX].n.ci95.unwrap();
+        high - low
+    };
+    let alone = world.work_on(JobKind::Noise, ids[0], serde_json::Value::Null, 700);
+    let alone: NoiseReport = serde_json::from_value(alone).unwrap();
+    assert!(alone.captures.is_empty());
+    // Three times the samples: the interval of N shrinks with their root.
+    assert!(width(&noise) < 0.7 * width(&alone), "{} {}", width(&noise), width(&alone));
+}
+
+#[test]
+fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
+    let world = World::new();
+    let sensor = |serial: &str| serde_json::json!({"model": "VN-100", "serial_number": serial});
+    let one = world.add("one", &sensor("7"), 40.0, 0..300);
+    let other = world.add("other", &sensor("8"), 40.0, 0..300);
+    let fast = world.add("fast", &sensor("7"), 100.0, 0..300);
+    let running = world.store.create_capture(NewCapture::new("test", CaptureState::Capturing)).unwrap();
+    let jobs = Jobs::start(&world.store, JobsOptions::default()).unwrap();
+    let submit = |with: &[i64]| jobs.submit(JobKind::Noise, one, &serde_json::json!({ "with": with }));
+    for (with, words) in [
+        (vec![other], "`one` and `other` differ: serial number 7 and 8"),
+        (vec![fast], "`one` and `fast` differ: rate in Hz 40 and 100"),
+        (vec![one], "given twice"),
+        (vec![world.capture, world.capture], "given twice"),
+        (vec![running], "still runs"),
+    ] {
+        let error = submit(&with).unwrap_err();
+        assert!(matches!(error, JobError::Together { .. }), "{with:?}: {error}");
+        assert!(error.to_string().contains(words), "{with:?}: {error}");
+    }
+    assert!(matches!(submit(&[999]).unwrap_err(), JobError::Store(_)));
+    assert!(world.reader().jobs(None, None, &crate::store::PageRequest::first()).unwrap().rows.is_empty());
+    // One that does not tell its sensor may be of it.
+    let (job, is_new) = submit(&[world.capture]).unwrap();
+    assert!(is_new);
+    let (again, is_new) = submit(&[world.capture]).unwrap();
+    assert_eq!((again.id, is_new), (job.id, false));
+    jobs.stop();
+}
+
+#[test]
 fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
     let world = World::new();
     let parameters = JobKind::Allan.parameters(&serde_json::Value::Null).unwrap();
@@ -161,6 +344,40 @@ fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
     };
     let whole = sums(3, false);
     assert_eq!(whole.len(), 3);
+    for group in 1..=3 {
+        assert_eq!(sums(group, false), whole, "{group} at a time");
+        assert_eq!(sums(group, true), whole, "{group} at a time, killed");
+    }
+}
+
+#[test]
+fn spectra_by_groups_and_through_kills_are_the_same_bits() {
+    let world = World::new();
+    let reader = world.reader();
+    let plan = Plan::read(&reader, world.capture, TOTAL, &Channel::ANALYSED).unwrap();
+    let sums = |group: usize, kill: bool| {
+        let mut spectra = spectra::Spectra::new(plan.clone());
+        spectra.set_group(group);
+        loop {
+            let mut next = 0;
+            while next < TOTAL {
+                let chunk = reader.read_chunk(world.capture, next, 613, spectra.pass_channels()).unwrap();
+                spectra.take(&chunk);
+                next = chunk.next_seq();
+                if kill {
+                    let state = spectra.save();
+                    spectra =
+                        spectra::Spectra::restore_grouped(plan.clone(), &state, next, &reader, group).unwrap().unwrap();
+                }
+            }
+            if !spectra.end_pass() {
+                break;
+            }
+        }
+        spectra.finish().1
+    };
+    let whole = sums(3, false);
+    assert_eq!(whole.iter().map(|(_, sums)| sums.samples()).collect::<Vec<_>>(), [4800, 4790, 4800]);
     for group in 1..=3 {
         assert_eq!(sums(group, false), whole, "{group} at a time");
         assert_eq!(sums(group, true), whole, "{group} at a time, killed");

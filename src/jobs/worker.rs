@@ -1,8 +1,9 @@
 //! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
-use super::{JobError, JobKind};
+use super::{JobError, JobKind, JobParameters, together};
 use crate::observe::JobsStatus;
+use crate::sample::Channel;
 use crate::store::{JobRow, JobState, NewJob, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -114,7 +115,11 @@ impl Jobs {
         parameters: &serde_json::Value,
         queue_max: u64,
     ) -> Result<(JobRow, bool), JobError> {
-        let params = serde_json::to_value(kind.parameters(parameters)?)?;
+        let parameters = kind.parameters(parameters)?;
+        if !parameters.with.is_empty() {
+            self.check_together(capture_id, &parameters)?;
+        }
+        let params = serde_json::to_value(parameters)?;
         let new = NewJob { kind: kind.name().to_owned(), capture_id, params };
         let submitted = self.inner.store.submit_job(new, queue_max)?;
         if submitted.1 {
@@ -122,6 +127,15 @@ impl Jobs {
         }
         self.wake();
         Ok(submitted)
+    }
+
+    /// Whoever asks for captures that do not belong together hears it at once, not from the job.
+    fn check_together(&self, capture_id: i64, parameters: &JobParameters) -> Result<(), JobError> {
+        let reader = self.inner.readers.get()?;
+        let end_seq = reader.capture(capture_id)?.samples;
+        let captures = together::captures(&reader, capture_id, end_seq, &parameters.with)?;
+        let wanted = parameters.channels.clone().unwrap_or_else(|| Channel::ANALYSED.to_vec());
+        together::plan(&reader, &captures, &wanted).map(|_| ())
     }
 
     /// Queues all that a complete or imported capture gets without being asked: one job of every kind, however many wait.

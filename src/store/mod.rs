@@ -64,7 +64,7 @@ pub use retention::RetentionRow;
 pub use samples::{Chunk, SeqRange, Times};
 pub use schema::{APPLICATION_ID, schema_version};
 pub use times::UtcNs;
-pub use trail::{ConfigurationRow, EventRow, GapRow, SegmentRow};
+pub use trail::{ConfigurationRow, EventRow, GapRow, Missing, SegmentRow};
 pub use writer::{COMMIT_AFTER, COMMIT_RECORDS};
 
 use crate::clock::{Clock, SystemClock};

@@ -81,6 +81,30 @@ pub struct ConfigurationRow {
     pub registers: serde_json::Value,
 }
 
+/// How many samples are missing before each: by the first sample behind a gap the sum of all gaps up to it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Missing(Vec<(u64, u64)>);
+
+impl Missing {
+    /// Of gaps in order: the first sample behind each, and how many it lacks.
+    #[must_use]
+    pub fn of(gaps: impl IntoIterator<Item = (u64, u64)>) -> Self {
+        let mut sum = 0;
+        let summed = |(before_seq, missing)| {
+            sum += missing;
+            (before_seq, sum)
+        };
+        Self(gaps.into_iter().map(summed).collect())
+    }
+
+    /// Samples missing before the sample `seq`, over all gaps that lie before it or end at it.
+    #[must_use]
+    pub fn up_to(&self, seq: u64) -> u64 {
+        let gaps = self.0.partition_point(|(before_seq, _)| *before_seq <= seq);
+        gaps.checked_sub(1).and_then(|last| self.0.get(last)).map_or(0, |(_, sum)| *sum)
+    }
+}
+
 impl Reader {
     /// A capture's segments in order.
     ///
@@ -155,6 +179,18 @@ impl Reader {
         let missing: i64 =
             self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], |row| row.get(0))?;
         Ok(missing as u64)
+    }
+
+    /// The same for any sample, read once: 16 bytes a gap.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn missing(&self, capture_id: i64) -> Result<Missing, StoreError> {
+        let sql = "SELECT before_seq, missing FROM gap WHERE capture_id = ?1 ORDER BY before_seq";
+        let mut statement = self.connection.prepare_cached(sql)?;
+        let gap = |row: &Row<'_>| Ok((row.get::<_, i64>(0)? as u64, row.get::<_, i64>(1)? as u64));
+        let gaps: Vec<(u64, u64)> = statement.query_map([capture_id], gap)?.collect::<Result<_, _>>()?;
+        Ok(Missing::of(gaps))
     }
 
     /// A capture's gaps in the order they were recorded.

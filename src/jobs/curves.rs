@@ -1,0 +1,193 @@
+//! Deviation curves of whole stretches in memory: what `allan` jobs of the other estimators are made of.
+//!
+//! These estimators do not add chunk by chunk: a channel's stretches are gathered, integrated, and every averaging time
+//! costs one walk over them. Channels are taken in groups, one pass over the samples per group, so that memory stays below
+//! [`MEMORY`] and one channel more; [`MOST`] bounds that one. A checkpoint keeps the curves that are done; the samples of
+//! the others are read again.
+
+use super::fold::{join, split};
+use super::plan::{Plan, feed};
+use super::{JobError, JobParameters};
+use crate::noise::allan::{AllanCurve, Estimator, Phases, TauGrid, TauSpacing};
+use crate::sample::Channel;
+use crate::store::{Chunk, Reader};
+use std::collections::VecDeque;
+
+/// Samples up to which a channel is held in memory: 32 MB, and as much again for its phases.
+pub(super) const MOST: u64 = 4_000_000;
+/// Averaging times of all channels together that one result may hold: some 5 MB of JSON.
+const MOST_POINTS: usize = 40_000;
+/// Steps over samples that every averaging time of a channel may cost: some seconds.
+const MOST_STEPS: u64 = 2_000_000_000;
+/// Bytes that the samples of one pass may take.
+const MEMORY: usize = 64 << 20;
+/// Samples read at a time when a pass is taken up again.
+const CHUNK: usize = 65_536;
+/// Version of the checkpoint.
+const VERSION: u8 = 1;
+
+/// The curves in the making.
+#[derive(Debug)]
+pub(super) struct Curves {
+    plan: Plan,
+    grid: TauGrid,
+    estimator: Estimator,
+    /// Channels of one pass.
+    group: usize,
+    /// Curves of the channels that are done, in the plan's order.
+    done: Vec<AllanCurve>,
+    /// Stretches of the channels of this pass.
+    current: VecDeque<Vec<Vec<f64>>>,
+    /// The segment that the last sample taken in belongs to.
+    open: Option<u32>,
+}
+
+impl Curves {
+    /// Nothing taken in yet.
+    pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
+        let estimator = parameters.estimator;
+        if plan.end_seq > MOST {
+            let reason = format!(
+                "{} samples are too many: {} holds a record in memory, up to {MOST} samples in a job; take the estimator \
+                 `oadev`, which has no such bound, or `vn100d allan --estimator {}`, which takes the memory it needs",
+                plan.end_seq,
+                estimator.name(),
+                estimator.name()
+            );
+            return Err(JobError::InsufficientData { reason });
+        }
+        let grid = grid(parameters, &plan)?;
+        let bytes = usize::try_from(plan.end_seq).unwrap_or(usize::MAX).saturating_mul(8);
+        let group = (MEMORY / bytes.max(1)).clamp(1, plan.channels.len().max(1));
+        let mut curves = Self { plan, grid, estimator, group, done: Vec::new(), current: VecDeque::new(), open: None };
+        curves.begin_pass();
+        Ok(curves)
+    }
+
+    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
+    pub(super) fn restore(
+        plan: Plan,
+        parameters: &JobParameters,
+        state: &[u8],
+        next_seq: u64,
+        reader: &Reader,
+    ) -> Result<Option<Self>, JobError> {
+        let mut curves = Self::new(plan, parameters)?;
+        let Some(done) = decode(state).filter(|done| done.len() <= curves.plan.channels.len()) else { return Ok(None) };
+        curves.done = done;
+        curves.begin_pass();
+        let channels = curves.pass_channels().to_vec();
+        let mut from = 0;
+        while from < next_seq && !channels.is_empty() {
+            let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
+            let chunk = curves.plan.read_chunk(reader, from, limit, &channels)?;
+            curves.take(&chunk);
+            from = chunk.next_seq();
+        }
+        Ok(Some(curves))
+    }
+
+    /// The plan.
+    pub(super) fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The channels of this pass that are not done.
+    pub(super) fn pass_channels(&self) -> &[Channel] {
+        let from = self.done.len().min(self.plan.channels.len());
+        let to = (from + self.group).min(self.plan.channels.len());
+        self.plan.channels.get(from..to).unwrap_or_default()
+    }
+
+    fn begin_pass(&mut self) {
+        self.open = None;
+        self.current = self.pass_channels().iter().map(|_| vec![Vec::new()]).collect();
+    }
+
+    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    pub(super) fn take(&mut self, chunk: &Chunk) {
+        let runs = self.plan.runs(chunk);
+        for (stretches, column) in self.current.iter_mut().zip(&chunk.columns) {
+            feed(
+                stretches,
+                &runs,
+                column,
+                self.open,
+                |stretches, values| {
+                    if let Some(last) = stretches.last_mut() {
+                        last.extend_from_slice(values);
+                    }
+                },
+                |stretches| {
+                    if stretches.last().is_some_and(|last| !last.is_empty()) {
+                        stretches.push(Vec::new());
+                    }
+                },
+            );
+        }
+        if let Some((number, _)) = runs.last() {
+            self.open = *number;
+        }
+    }
+
+    /// Computes the curve of one channel whose samples are all there; false where none is left of this pass.
+    pub(super) fn work(&mut self) -> bool {
+        let Some(channel) = self.pass_channels().first().copied() else { return false };
+        let Some(stretches) = self.current.pop_front() else { return false };
+        let phases: Vec<Phases> = stretches.into_iter().filter_map(|values| Phases::integrate(&values)).collect();
+        let curve = AllanCurve::from_phases(&phases, self.estimator, &self.grid, self.plan.rate_hz, channel.unit());
+        self.done.push(curve);
+        true
+    }
+
+    /// Ends a pass; answers whether another one is needed.
+    pub(super) fn end_pass(&mut self) -> bool {
+        let more = self.done.len() < self.plan.channels.len();
+        if more {
+            self.begin_pass();
+        }
+        more
+    }
+
+    /// How far the whole is when this pass has come to `next_seq`, 0–1: reading counts as a tenth.
+    pub(super) fn progress(&self, next_seq: u64) -> f64 {
+        let read = 0.1 * self.current.len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
+        (self.done.len() as f64 + read) / self.plan.channels.len().max(1) as f64
+    }
+
+    /// Everything that [`Self::restore`] needs besides the samples.
+    pub(super) fn save(&self) -> Result<Vec<u8>, JobError> {
+        let done: Vec<Vec<u8>> = self.done.iter().map(serde_json::to_vec).collect::<Result<_, _>>()?;
+        let mut bytes = vec![VERSION];
+        bytes.extend(join(&done));
+        Ok(bytes)
+    }
+
+    /// The plan, the estimator and every channel's curve, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Estimator, Vec<(Channel, AllanCurve)>) {
+        let curves = self.plan.channels.iter().copied().zip(self.done).collect();
+        (self.plan, self.estimator, curves)
+    }
+}
+
+/// The averaging times of a job; every one only where they are not too many.
+pub(super) fn grid(parameters: &JobParameters, plan: &Plan) -> Result<TauGrid, JobError> {
+    let grid = TauGrid::new(parameters.taus, plan.longest)?;
+    let (factors, channels) = (grid.factors().len(), plan.channels.len());
+    let too_many = factors * channels > MOST_POINTS || factors as u64 * plan.end_seq > MOST_STEPS;
+    if parameters.taus == TauSpacing::All && too_many {
+        let reason = format!(
+            "{factors} averaging times of {channels} channels over {} samples are too many for a job: take `taus` `log` or \
+             `octave`, or fewer `channels`, or `vn100d allan --taus all`",
+            plan.end_seq
+        );
+        return Err(JobError::InsufficientData { reason });
+    }
+    Ok(grid)
+}
+
+fn decode(state: &[u8]) -> Option<Vec<AllanCurve>> {
+    let (version, mut rest) = state.split_first()?;
+    let done = split(&mut rest).filter(|_| *version == VERSION && rest.is_empty())?;
+    done.iter().map(|bytes| serde_json::from_slice(bytes).ok()).collect()
+}

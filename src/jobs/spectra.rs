@@ -1,0 +1,208 @@
+//! Spectral sums of a capture's channels, chunk by chunk: what `noise` jobs are made of.
+//!
+//! Channels are taken in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] and one
+//! transform's work space whatever the length. A checkpoint keeps the sums of stretches that have ended; an open one is read
+//! again, so that the transform sees it as if nothing had happened.
+
+use super::JobError;
+use super::fold::{join, split};
+use super::plan::{Plan, feed};
+use crate::noise::allan::FixedPoint;
+use crate::noise::robust::blocks_of;
+use crate::noise::whittle::{DstEstimator, DstSums, Transform};
+use crate::sample::Channel;
+use crate::store::{Chunk, Reader};
+
+/// Bytes that the samples of one pass may take: those of nine channels of five hours at 40 Hz.
+const MEMORY: usize = 64 << 20;
+/// Samples read at a time when an open stretch is read again.
+const CHUNK: usize = 65_536;
+/// Version of the checkpoint.
+const VERSION: u8 = 2;
+
+/// The sums in the making.
+#[derive(Debug)]
+pub(super) struct Spectra {
+    plan: Plan,
+    /// Channels of one pass.
+    group: usize,
+    /// Sums of the channels of earlier passes.
+    done: Vec<DstSums>,
+    /// The channels of this pass.
+    current: Vec<DstEstimator>,
+    transform: Transform,
+    /// The segment that the last sample taken in belongs to.
+    open: Option<u32>,
+}
+
+impl Spectra {
+    /// Nothing taken in yet.
+    pub(super) fn new(plan: Plan) -> Self {
+        let longest = usize::try_from(plan.longest).unwrap_or(usize::MAX);
+        let group = (MEMORY / DstEstimator::bytes(longest).max(1)).clamp(1, plan.channels.len().max(1));
+        let transform = Transform::new();
+        let mut spectra = Self { plan, group, done: Vec::new(), current: Vec::new(), transform, open: None };
+        spectra.begin_pass();
+        spectra
+    }
+
+    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
+    pub(super) fn restore(plan: Plan, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
+        Self::new(plan).restored(state, next_seq, reader)
+    }
+
+    fn restored(mut self, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
+        let Some((done, running)) = decode(state) else { return Ok(None) };
+        self.done = done;
+        let channels = self.pass_channels().to_vec();
+        if channels.is_empty() || channels.len() != running.len() {
+            return Ok(None);
+        }
+        let mut current = Vec::new();
+        for (channel, (sums, open)) in channels.iter().zip(running) {
+            let mut estimator = DstEstimator::resume(FixedPoint::for_channel(*channel), sums);
+            let Some(mut from) = next_seq.checked_sub(open) else { return Ok(None) };
+            while from < next_seq {
+                let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
+                let chunk = self.plan.read_chunk(reader, from, limit, &[*channel])?;
+                if chunk.is_empty() {
+                    return Ok(None);
+                }
+                estimator.push(&mut self.transform, chunk.columns.first().map(Vec::as_slice).unwrap_or_default());
+                from = chunk.next_seq();
+            }
+            current.push(estimator);
+        }
+        self.current = current;
+        if let Some(last) = next_seq.checked_sub(1) {
+            let chunk = self.plan.read_chunk(reader, last, 1, &[])?;
+            self.open = chunk.segment.first().copied().filter(|number| self.plan.segment(*number).is_some());
+        }
+        Ok(Some(self))
+    }
+
+    /// The plan.
+    pub(super) fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The channels of this pass.
+    pub(super) fn pass_channels(&self) -> &[Channel] {
+        let from = self.done.len().min(self.plan.channels.len());
+        let to = (from + self.group).min(self.plan.channels.len());
+        self.plan.channels.get(from..to).unwrap_or_default()
+    }
+
+    fn begin_pass(&mut self) {
+        self.open = None;
+        let longest = usize::try_from(self.plan.longest).unwrap_or(usize::MAX);
+        let estimator = |channel: &Channel| {
+            let mut estimator = DstEstimator::new(FixedPoint::for_channel(*channel));
+            estimator.reserve(longest);
+            estimator
+        };
+        self.current = self.pass_channels().iter().map(estimator).collect();
+    }
+
+    /// Ends a pass; answers whether another one is needed.
+    pub(super) fn end_pass(&mut self) -> bool {
+        for estimator in std::mem::take(&mut self.current) {
+            self.done.push(estimator.into_sums(&mut self.transform));
+        }
+        let more = self.done.len() < self.plan.channels.len();
+        if more {
+            self.begin_pass();
+        }
+        more
+    }
+
+    /// Whether a capture is looked through for disturbances in more than one block.
+    pub(super) fn is_long(&self) -> bool {
+        self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
+    }
+
+    /// How far the whole is when this pass has come to `next_seq`, 0–1.
+    pub(super) fn progress(&self, next_seq: u64) -> f64 {
+        let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
+        (self.done.len() as f64 + share) / self.plan.channels.len().max(1) as f64
+    }
+
+    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    pub(super) fn take(&mut self, chunk: &Chunk) {
+        let runs = self.plan.runs(chunk);
+        for (estimator, column) in self.current.iter_mut().zip(&chunk.columns) {
+            feed(
+                &mut (estimator, &mut self.transform),
+                &runs,
+                column,
+                self.open,
+                |(estimator, transform), values| estimator.push(transform, values),
+                |(estimator, transform)| estimator.break_segment(transform),
+            );
+        }
+        if let Some((number, _)) = runs.last() {
+            self.open = *number;
+        }
+    }
+
+    /// Everything that [`Self::restore`] needs besides the samples.
+    pub(super) fn save(&self) -> Vec<u8> {
+        let done: Vec<Vec<u8>> = self.done.iter().map(DstSums::to_bytes).collect();
+        let current: Vec<Vec<u8>> = self
+            .current
+            .iter()
+            .map(|estimator| {
+                let mut bytes = estimator.open_samples().to_le_bytes().to_vec();
+                bytes.extend(estimator.sums().to_bytes());
+                bytes
+            })
+            .collect();
+        let mut bytes = vec![VERSION];
+        bytes.extend(join(&done));
+        bytes.extend(join(&current));
+        bytes
+    }
+
+    /// The plan and every channel's sums, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>) {
+        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
+        (self.plan, sums)
+    }
+}
+
+#[cfg(test)]
+impl Spectra {
+    pub(super) fn set_group(&mut self, group: usize) {
+        self.group = group;
+        self.begin_pass();
+    }
+
+    pub(super) fn restore_grouped(
+        plan: Plan,
+        state: &[u8],
+        next_seq: u64,
+        reader: &Reader,
+        group: usize,
+    ) -> Result<Option<Self>, JobError> {
+        let mut spectra = Self::new(plan);
+        spectra.set_group(group);
+        spectra.restored(state, next_seq, reader)
+    }
+}
+
+/// The sums of earlier passes; of this one with the samples of the open stretch.
+type State = (Vec<DstSums>, Vec<(DstSums, u64)>);
+
+fn decode(state: &[u8]) -> Option<State> {
+    let (version, mut rest) = state.split_first()?;
+    let (done, current) = (split(&mut rest)?, split(&mut rest)?);
+    if *version != VERSION || !rest.is_empty() {
+        return None;
+    }
+    let done = done.iter().map(|bytes| DstSums::from_bytes(bytes)).collect::<Option<_>>()?;
+    let running = |bytes: &Vec<u8>| {
+        let (open, sums) = bytes.split_first_chunk::<8>()?;
+        Some((DstSums::from_bytes(sums)?, u64::from_le_bytes(*open)))
+    };
+    Some((done, current.iter().map(running).collect::<Option<_>>()?))
+}

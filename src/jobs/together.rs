@@ -1,0 +1,197 @@
+//! Together: whether several captures are of one sensor at one setting, so that their sums may be added.
+
+use super::JobError;
+use super::plan::Plan;
+use crate::sample::Channel;
+use crate::store::{CaptureRow, Reader};
+use std::collections::BTreeMap;
+
+/// Captures that one computation may take in.
+pub const CAPTURES_MAX: usize = 100;
+
+/// What has to be the same of captures that are analysed together. What one of them does not tell is no difference.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting {
+    /// The capture's name.
+    pub name: String,
+    /// The rate that its samples have, Hz.
+    pub rate_hz: f64,
+    /// The sensor's model.
+    pub model: Option<String>,
+    /// The sensor's serial number.
+    pub serial_number: Option<String>,
+    /// Filter windows of register 85: of mag, accel and gyro.
+    pub windows: Option<[u64; 3]>,
+    /// What the sensor sent: the name of its message, or the groups and fields of its binary output.
+    pub output: Option<String>,
+    /// Unit in which each channel was recorded.
+    pub units: BTreeMap<Channel, String>,
+}
+
+impl Setting {
+    /// A recording of which nothing but its rate is known.
+    #[must_use]
+    pub fn of_rate(name: &str, rate_hz: f64) -> Self {
+        Self {
+            name: name.to_owned(),
+            rate_hz,
+            model: None,
+            serial_number: None,
+            windows: None,
+            output: None,
+            units: BTreeMap::new(),
+        }
+    }
+
+    /// A capture's, whose samples have the rate `rate_hz`.
+    #[must_use]
+    pub fn of(row: &CaptureRow, rate_hz: f64) -> Self {
+        let text = |value: &serde_json::Value| value.as_str().map(str::to_owned);
+        let unit = |channel: &Channel| {
+            let row = row.units.get(channel.name())?;
+            Some((*channel, row.original_unit.clone().unwrap_or_else(|| row.unit.clone())))
+        };
+        Self {
+            model: text(&row.sensor["model"]),
+            serial_number: text(&row.sensor["serial_number"]),
+            windows: windows(&row.configuration["filter_window"]),
+            output: text(&row.configuration["output"]),
+            units: row.channels.iter().filter_map(unit).collect(),
+            ..Self::of_rate(&row.name, rate_hz)
+        }
+    }
+
+    /// What differs from another's, one phrase each.
+    fn differences(&self, other: &Self) -> Vec<String> {
+        let mut found = Vec::new();
+        let mut known = |what: &str, one: Option<String>, two: Option<String>| {
+            if let (Some(one), Some(two)) = (one, two)
+                && one != two
+            {
+                found.push(format!("{what} {one} and {two}"));
+            }
+        };
+        known("model", self.model.clone(), other.model.clone());
+        known("serial number", self.serial_number.clone(), other.serial_number.clone());
+        known("rate in Hz", Some(self.rate_hz.to_string()), Some(other.rate_hz.to_string()));
+        let windows = |of: &Self| of.windows.map(|[mag, accel, gyro]| format!("mag {mag}, accel {accel}, gyro {gyro}"));
+        known("filter window (register 85)", windows(self), windows(other));
+        known("output", self.output.clone(), other.output.clone());
+        for (channel, unit) in &self.units {
+            known(&format!("unit of {channel}"), Some(unit.clone()), other.units.get(channel).cloned());
+        }
+        found
+    }
+}
+
+fn windows(register_85: &serde_json::Value) -> Option<[u64; 3]> {
+    let of = |triad: &str| register_85[triad].as_u64();
+    Some([of("mag")?, of("accel")?, of("gyro")?])
+}
+
+/// Whether captures are of one sensor at one setting.
+///
+/// # Errors
+/// [`JobError::Together`] with what differs, between which of them.
+pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
+    let Some((first, others)) = settings.split_first() else { return Ok(()) };
+    if settings.len() > CAPTURES_MAX {
+        return Err(JobError::Together { reason: format!("{} captures are more than {CAPTURES_MAX}", settings.len()) });
+    }
+    // Each with each: two may agree with a third that tells less.
+    for (index, one) in std::iter::once(first).chain(others).enumerate() {
+        for other in settings.iter().skip(index + 1) {
+            let differences = one.differences(other);
+            if !differences.is_empty() {
+                let reason = format!("`{}` and `{}` differ: {}", one.name, other.name, differences.join("; "));
+                return Err(JobError::Together { reason });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The plan over several captures of one sensor: (id, samples) of each.
+///
+/// # Errors
+/// [`JobError::Together`] where one is given twice or they are not of one sensor at one setting; as [`Plan::read`].
+pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel]) -> Result<Plan, JobError> {
+    let mut whole: Option<Plan> = None;
+    let mut settings = Vec::new();
+    for (index, (id, end_seq)) in captures.iter().enumerate() {
+        if captures.iter().take(index).any(|(other, _)| other == id) {
+            return Err(JobError::Together { reason: format!("capture {id} is given twice") });
+        }
+        let plan = Plan::read(reader, *id, *end_seq, wanted)?;
+        if captures.len() > 1 {
+            settings.push(Setting::of(&reader.capture(*id)?, plan.rate_hz));
+            // Before their samples are put side by side.
+            one_sensor(&settings)?;
+        }
+        whole = Some(match whole {
+            None => plan,
+            Some(whole) => whole.followed_by(plan)?,
+        });
+    }
+    whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })
+}
+
+/// The captures of a job with how many of their samples it takes in: of further ones all, since they have ended.
+///
+/// # Errors
+/// [`JobError::Together`] where one still runs; [`JobError::Store`].
+pub(super) fn captures(
+    reader: &Reader,
+    capture_id: i64,
+    end_seq: u64,
+    with: &[i64],
+) -> Result<Vec<(i64, u64)>, JobError> {
+    let mut captures = vec![(capture_id, end_seq)];
+    for id in with {
+        let row = reader.capture(*id)?;
+        if row.state.is_open() {
+            let reason = format!("`{}` still runs: take captures that have ended", row.name);
+            return Err(JobError::Together { reason });
+        }
+        captures.push((*id, row.samples));
+    }
+    Ok(captures)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_differs_is_named_and_what_is_not_told_is_no_difference() {
+        let plain = Setting::of_rate("a", 40.0);
+        let full = Setting {
+            name: "b".to_owned(),
+            model: Some("VN-100".to_owned()),
+            serial_number: Some("0100012345".to_owned()),
+            windows: Some([0, 4, 4]),
+            output: Some("VNYMR".to_owned()),
+            units: [(Channel::GyroX, "rad/s".to_owned())].into(),
+            ..plain.clone()
+        };
+        one_sensor(&[plain.clone(), full.clone(), plain.clone()]).unwrap();
+        let c = |change: fn(&mut Setting)| {
+            let mut setting = Setting { name: "c".to_owned(), ..full.clone() };
+            change(&mut setting);
+            one_sensor(&[full.clone(), plain.clone(), setting]).unwrap_err().to_string()
+        };
+        for (error, words) in [
+            (c(|c| c.rate_hz = 100.0), "rate in Hz 40 and 100"),
+            (c(|c| c.model = Some("VN-110".to_owned())), "model VN-100 and VN-110"),
+            (c(|c| c.serial_number = Some("7".to_owned())), "serial number 0100012345 and 7"),
+            (c(|c| c.windows = Some([0, 4, 8])), "gyro 4 and mag 0, accel 4, gyro 8"),
+            (c(|c| c.output = Some("VNIMU".to_owned())), "output VNYMR and VNIMU"),
+            (c(|c| c.units = [(Channel::GyroX, "deg/s".to_owned())].into()), "unit of gyro_x rad/s and deg/s"),
+        ] {
+            assert!(error.contains(words) && error.contains("differ"), "{error}");
+        }
+        // The rate is known of `a` too, and it is the first that differs.
+        let rates = one_sensor(&[plain, Setting { rate_hz: 80.0, ..full }]).unwrap_err().to_string();
+        assert!(rates.contains("`a` and `b` differ: rate in Hz 40 and 80"), "{rates}");
+    }
+}
