@@ -6,14 +6,17 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
+use crate::datasheet::{Datasheet, Measured, Sampling, compare};
+use crate::export::{ImuNoise, Target};
 use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
-use crate::noise::allan::AllanReport;
+use crate::noise::allan::{AllanReport, Estimator, TauSpacing};
 use crate::store::{JobRow, JobState, Reader, ResultRow, SOFTWARE, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// Names the program version that made a result, where it is not this one; `POST /v1/jobs` has it made anew.
 const STALE: HeaderName = HeaderName::from_static("vn100d-stale");
@@ -27,6 +30,36 @@ pub(super) struct ResultQuery {
     job: Option<i64>,
     /// `json`.
     format: Option<String>,
+}
+
+/// Which deviation curves are wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct AllanQuery {
+    /// The result of this job, instead of the one with the usual parameters.
+    job: Option<i64>,
+    /// `json`.
+    format: Option<String>,
+    /// Which deviation: `oadev` where absent. The others have a job of their own, made when they are first asked for.
+    #[param(inline)]
+    estimator: Option<Estimator>,
+    /// Averaging times: `log` (twenty to the decade) where absent, `octave`, or `all`.
+    #[param(inline)]
+    taus: Option<TauSpacing>,
+}
+
+/// Which form of the noise parameters is wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct NoiseQuery {
+    /// The result of this job, instead of the one with the usual parameters.
+    job: Option<i64>,
+    /// `json`, or `kalibr`, `ros`, `gazebo`, `gnss-ins-sim`, `matlab`: text for these.
+    format: Option<String>,
+    /// Compare with this datasheet: `vn-100`. Only with `json`, which has a place for it.
+    datasheet: Option<String>,
 }
 
 /// How far a capture's analysis is.
@@ -57,52 +90,118 @@ pub(super) async fn statistics(
     Q(query): Q<ResultQuery>,
 ) -> Result<Response, ApiError> {
     let live = |reader: &Reader, parts: &ApiParts, id| parts.live.statistics(reader, id);
-    document(&state, &headers, JobKind::Statistics, capture, query, live).await
+    document(&state, &headers, JobKind::Statistics, Value::Null, capture, query, live).await
 }
 
-/// Overlapping Allan deviation of every analysed channel. While the capture runs: of what there is so far.
+/// Deviation curves of every analysed channel. While the capture runs: overlapping Allan deviation of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/allan", tag = "analysis",
-    params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
+    params(("id" = String, Path, description = "Id, name, or `latest`"), AllanQuery), responses(
     (status = 200, body = SoFar<AllanReport>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
+    (status = 400, body = Problem, content_type = "application/problem+json", description = "There is no such estimator"),
     (status = 404, body = Problem, content_type = "application/problem+json"),
-    (status = 422, body = Problem, content_type = "application/problem+json", description = "There is not enough data")))]
+    (status = 422, body = Problem, content_type = "application/problem+json",
+     description = "There is not enough data, or too much for this estimator or these averaging times")))]
 pub(super) async fn allan(
     State(state): State<ApiState>,
     headers: HeaderMap,
     P(capture): P,
-    Q(query): Q<ResultQuery>,
+    Q(query): Q<AllanQuery>,
 ) -> Result<Response, ApiError> {
-    let live = |reader: &Reader, parts: &ApiParts, id| parts.live.allan(reader, id);
-    document(&state, &headers, JobKind::Allan, capture, query, live).await
+    let estimator = query.estimator.unwrap_or_default();
+    let wish = serde_json::json!({ "estimator": estimator, "taus": query.taus.unwrap_or_default() });
+    let live = move |reader: &Reader, parts: &ApiParts, id| {
+        if estimator == Estimator::Oadev { parts.live.allan(reader, id) } else { Err(still_runs(id, estimator)) }
+    };
+    let plain = ResultQuery { job: query.job, format: query.format };
+    document(&state, &headers, JobKind::Allan, wish, capture, plain, live).await
+}
+
+fn still_runs(id: i64, estimator: Estimator) -> JobError {
+    let reason = format!(
+        "capture {id} still runs, and {} needs all of it: ask again when it has ended, take `oadev`, which answers for what \
+         there is so far, or submit a job (POST /v1/jobs) over the samples of now",
+        estimator.name()
+    );
+    JobError::InsufficientData { reason }
 }
 
 /// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units. While the capture runs: of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/noise", tag = "analysis",
-    params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
+    params(("id" = String, Path, description = "Id, name, or `latest`"), NoiseQuery), responses(
     (status = 200, body = SoFar<NoiseReport>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
+    (status = 400, body = Problem, content_type = "application/problem+json",
+     description = "There is no such format or datasheet, or both are asked for"),
     (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "There is not enough data")))]
 pub(super) async fn noise(
     State(state): State<ApiState>,
     headers: HeaderMap,
     P(capture): P,
-    Q(query): Q<ResultQuery>,
+    Q(query): Q<NoiseQuery>,
 ) -> Result<Response, ApiError> {
+    let format = query.format.as_deref().filter(|format| *format != "json");
+    let target = match format.map(|format| (format, Target::from_name(format))) {
+        None => None,
+        Some((_, Some(target))) => Some(target),
+        Some((format, None)) => {
+            let found: String = format.chars().take(40).collect();
+            let allowed = Target::ALL.map(Target::name).join(", ");
+            return Err(ApiError::bad_request(format!("`format` is `{found}`: allowed are json, {allowed}")));
+        }
+    };
+    let sheet = query.datasheet.as_deref().map(Datasheet::named).transpose();
+    let sheet = sheet.map_err(|error| ApiError::bad_request(error.to_string()))?;
     let live = |reader: &Reader, parts: &ApiParts, id| parts.live.noise(reader, id);
-    document(&state, &headers, JobKind::Noise, capture, query, live).await
+    let plain = ResultQuery { job: query.job, format: None };
+    if target.is_none() && sheet.is_none() {
+        return document(&state, &headers, JobKind::Noise, Value::Null, capture, plain, live).await;
+    }
+    if target.is_some() && sheet.is_some() {
+        let reason =
+            "`format` and `datasheet` do not go together: only the JSON document has a place for the comparison";
+        return Err(ApiError::bad_request(reason));
+    }
+    let usual = jobs::parameters(JobKind::Noise, &Value::Null)?;
+    let (name, job) = (capture.clone(), query.job);
+    let found = state.read(move |reader| find(reader, JobKind::Noise, &name, job, &usual)).await?;
+    let (so_far, result): (SoFar<NoiseReport>, Option<ResultRow>) = match found {
+        Found::Open(id) => (state.read_heavy(move |reader, parts| live(reader, parts, id)).await?, None),
+        Found::Result(result) => {
+            let report = serde_json::from_str(&result.body).map_err(JobError::from)?;
+            (SoFar { report, caught_up: None }, Some(result))
+        }
+        Found::Job(row) => return unfinished(row),
+        Found::Nothing(id) => return unfinished(jobs::submit_wish(&state, JobKind::Noise, id, Value::Null).await?),
+    };
+    let SoFar { mut report, caught_up } = so_far;
+    if let Some(target) = target {
+        let media = [(header::CONTENT_TYPE, HeaderValue::from_static(target.media_type()))];
+        let body = (media, target.write(&ImuNoise::of(&report)));
+        return Ok(answer_of_form(&headers, result.as_ref(), target.name(), body));
+    }
+    let form = sheet.as_ref().map_or("json", |sheet| sheet.name);
+    if let Some(sheet) = sheet {
+        let row = state.read(move |reader| reader.capture(reader.resolve(&capture)?)).await?;
+        let windows = serde_json::from_value(row.configuration["filter_window"].clone()).ok();
+        let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
+        let compared = compare(&sheet, Sampling::new(report.rate_hz, windows), &measured);
+        report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
+    }
+    Ok(answer_of_form(&headers, result.as_ref(), form, axum::Json(SoFar { report, caught_up })))
 }
 
-/// The document of this kind: of the job asked for, or of the one with the usual parameters.
+/// The document of this kind: of the job asked for, or of the one with the parameters wished for.
 async fn document<T: Serialize + Send + 'static>(
     state: &ApiState,
     headers: &HeaderMap,
     kind: JobKind,
+    wish: Value,
     name: String,
     query: ResultQuery,
     live: impl FnOnce(&Reader, &ApiParts, i64) -> Result<T, JobError> + Send + 'static,
@@ -111,8 +210,8 @@ async fn document<T: Serialize + Send + 'static>(
         let found: String = format.chars().take(40).collect();
         return Err(ApiError::bad_request(format!("`format` is `{found}`: allowed is json")));
     }
-    let usual = jobs::default_parameters(kind)?;
-    let found = state.read(move |reader| find(reader, kind, &name, query.job, &usual)).await?;
+    let wished = jobs::parameters(kind, &wish)?;
+    let found = state.read(move |reader| find(reader, kind, &name, query.job, &wished)).await?;
     match found {
         Found::Open(id) => {
             let report = state.read_heavy(move |reader, parts| live(reader, parts, id)).await?;
@@ -120,17 +219,11 @@ async fn document<T: Serialize + Send + 'static>(
         }
         Found::Result(result) => Ok(answer(headers, result)),
         Found::Job(row) => unfinished(row),
-        Found::Nothing(id) => unfinished(jobs::submit_default(state, kind, id).await?),
+        Found::Nothing(id) => unfinished(jobs::submit_wish(state, kind, id, wish).await?),
     }
 }
 
-fn find(
-    reader: &Reader,
-    kind: JobKind,
-    name: &str,
-    job: Option<i64>,
-    usual: &serde_json::Value,
-) -> Result<Found, StoreError> {
+fn find(reader: &Reader, kind: JobKind, name: &str, job: Option<i64>, wished: &Value) -> Result<Found, StoreError> {
     let id = reader.resolve(name)?;
     if let Some(job_id) = job {
         let row = reader.job(job_id)?;
@@ -145,10 +238,10 @@ fn find(
     }
     let jobs = reader.jobs_over(id, kind.name(), capture.samples)?;
     // What another version of the program could not do, this one may.
-    let counts = |row: &JobRow| row.params == *usual && !(row.state == JobState::Failed && row.stale);
-    let usual_jobs: Vec<JobRow> = jobs.into_iter().filter(counts).collect();
+    let counts = |row: &JobRow| row.params == *wished && !(row.state == JobState::Failed && row.stale);
+    let such_jobs: Vec<JobRow> = jobs.into_iter().filter(counts).collect();
     for state in [JobState::Done, JobState::Running, JobState::Queued, JobState::Failed] {
-        if let Some(row) = usual_jobs.iter().find(|row| row.state == state) {
+        if let Some(row) = such_jobs.iter().find(|row| row.state == state) {
             return with_result(reader, row.clone());
         }
     }
@@ -164,10 +257,25 @@ fn with_result(reader: &Reader, row: JobRow) -> Result<Found, StoreError> {
 }
 
 fn answer(headers: &HeaderMap, result: ResultRow) -> Response {
-    let tag = conditional::entity_tag(&result);
-    let stale = (result.software != SOFTWARE).then(|| HeaderValue::from_str(&result.software).ok()).flatten();
+    let (tag, software) = (conditional::entity_tag(&result), result.software);
     let json = [(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))];
-    let mut response = conditional::answer(headers, &tag, (json, result.body));
+    with_stale(conditional::answer(headers, &tag, (json, result.body)), &software)
+}
+
+/// What was made of a finished result, with a tag as the result has one, or of a capture that runs.
+fn answer_of_form(headers: &HeaderMap, result: Option<&ResultRow>, form: &str, body: impl IntoResponse) -> Response {
+    match result {
+        Some(result) => {
+            let tag = conditional::entity_tag_of_form(result, form);
+            with_stale(conditional::answer(headers, &tag, body), &result.software)
+        }
+        None => ([(header::CACHE_CONTROL, "no-store")], body).into_response(),
+    }
+}
+
+/// Names the program that made the result, where it is not this one.
+fn with_stale(mut response: Response, software: &str) -> Response {
+    let stale = (software != SOFTWARE).then(|| HeaderValue::from_str(software).ok()).flatten();
     if let Some(software) = stale {
         response.headers_mut().insert(STALE, software);
     }

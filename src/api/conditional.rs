@@ -1,17 +1,22 @@
 //! Conditional answers: a finished result never changes, so whoever has it need not fetch it again.
 
-use crate::store::ResultRow;
+use crate::store::{ResultRow, SOFTWARE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 /// The strong entity tag of a result: its id and what made it.
 pub(super) fn entity_tag(result: &ResultRow) -> String {
-    let software: String = result
-        .software
-        .chars()
-        .map(|letter| if letter.is_ascii_alphanumeric() || letter == '.' { letter } else { '-' })
-        .collect();
-    format!("\"{}-{software}\"", result.id)
+    format!("\"{}-{}\"", result.id, plain(&result.software))
+}
+
+/// The strong entity tag of what this program makes of a result: the result's, with the form and the program that writes it.
+pub(super) fn entity_tag_of_form(result: &ResultRow, form: &str) -> String {
+    format!("\"{}-{}-{}-{}\"", result.id, plain(&result.software), plain(form), plain(SOFTWARE))
+}
+
+/// Text with nothing in it that a tag may not have.
+fn plain(text: &str) -> String {
+    text.chars().map(|letter| if letter.is_ascii_alphanumeric() || letter == '.' { letter } else { '-' }).collect()
 }
 
 /// Whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).

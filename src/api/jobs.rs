@@ -58,7 +58,7 @@ pub(super) struct JobsQuery {
 
 /// A capture as a body names it.
 #[derive(Debug, Clone, Deserialize, utoipa::ToSchema)]
-#[serde(untagged, expecting = "`capture` must be an id, a name, or `latest`")]
+#[serde(untagged, expecting = "a capture is an id, a name, or `latest`")]
 pub(super) enum CaptureName {
     /// Its id.
     Id(i64),
@@ -84,6 +84,11 @@ pub(super) struct SubmitBody {
     /// The capture it reads.
     #[schema(inline)]
     capture: CaptureName,
+    /// Of `allan` and `noise`: further captures of the same sensor at the same setting, which have ended. Their sums are
+    /// added and give one result.
+    #[serde(default)]
+    #[schema(inline)]
+    with: Vec<CaptureName>,
     #[serde(flatten)]
     #[schema(value_type = Object)]
     parameters: serde_json::Map<String, serde_json::Value>,
@@ -119,7 +124,15 @@ pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>
         body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"kind\": …, \"capture\": …}"))?;
     let kind = JobKind::from_name(&body.kind)?;
     let capture_id = state.resolve(body.capture.text()).await?;
-    let parameters = serde_json::Value::Object(body.parameters);
+    let mut parameters = body.parameters;
+    let mut with = Vec::new();
+    for name in body.with {
+        with.push(state.resolve(name.text()).await?);
+    }
+    if !with.is_empty() {
+        parameters.insert("with".to_owned(), with.into());
+    }
+    let parameters = serde_json::Value::Object(parameters);
     let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
     let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok(answer(status, row))
@@ -164,13 +177,18 @@ pub(super) fn answer(status: StatusCode, row: JobRow) -> Response {
     response
 }
 
-/// Queues the job that a capture gets without being asked, because somebody wants its result.
-pub(super) async fn submit_default(state: &ApiState, kind: JobKind, capture_id: i64) -> Result<JobRow, ApiError> {
-    let (row, _) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &serde_json::Value::Null)).await?;
+/// Queues the job with these parameters, because somebody wants its result.
+pub(super) async fn submit_wish(
+    state: &ApiState,
+    kind: JobKind,
+    capture_id: i64,
+    wish: serde_json::Value,
+) -> Result<JobRow, ApiError> {
+    let (row, _) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &wish)).await?;
     Ok(row)
 }
 
-/// The parameters of the job that a capture gets without being asked, as a job's row has them.
-pub(super) fn default_parameters(kind: JobKind) -> Result<serde_json::Value, JobError> {
-    Ok(serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?)
+/// Parameters of a job as its row has them; null for those of the job that a capture gets without being asked.
+pub(super) fn parameters(kind: JobKind, wish: &serde_json::Value) -> Result<serde_json::Value, JobError> {
+    Ok(serde_json::to_value(kind.parameters(wish)?)?)
 }

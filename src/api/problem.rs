@@ -256,7 +256,7 @@ impl From<JobError> for ApiError {
     fn from(error: JobError) -> Self {
         match error {
             JobError::Store(error) => error.into(),
-            error @ (JobError::UnknownKind { .. } | JobError::Parameters { .. }) => {
+            error @ (JobError::UnknownKind { .. } | JobError::Parameters { .. } | JobError::Together { .. }) => {
                 Self::bad_request(error.to_string())
             }
             error @ (JobError::InsufficientData { .. } | JobError::Allan(_)) => {

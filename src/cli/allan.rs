@@ -1,58 +1,66 @@
 //! `vn100d allan`: deviation curves.
 
-use super::analysis::{self, Material};
+use super::analysis::{self, Together};
 use super::args::{AllanArgs, Estimator as Named, Format, Taus};
 use super::{Context, Outcome, print_json, table};
 use crate::noise::allan::{AllanCurve, AllanReport, Estimator, FixedPoint, Overlapping, Phases, TauGrid, TauSpacing};
+use crate::noise::robust::Part;
 use crate::sample::Channel;
 use std::io::Write as _;
 
 /// Prints the curves.
 pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome> {
-    let material = analysis::open(context, &args.capture, args.rate)?;
-    material.remark();
+    let together = analysis::open(context, &args.captures, args.rate)?;
     let spacing = match args.taus {
         Taus::Octave => TauSpacing::Octave,
         Taus::Log => TauSpacing::Log,
         Taus::All => TauSpacing::All,
     };
-    let grid = TauGrid::new(spacing, material.longest())?;
+    let grid = TauGrid::new(spacing, together.longest())?;
     let estimator = match args.estimator {
         Named::Oadev => Estimator::Oadev,
         Named::Adev => Estimator::Adev,
         Named::Mdev => Estimator::Mdev,
         Named::Hdev => Estimator::Hdev,
+        Named::Ohdev => Estimator::Ohdev,
         Named::Totdev => Estimator::Totdev,
     };
-    let curves = material
-        .channels
-        .iter()
-        .map(|(channel, segments)| (*channel, curve(*channel, segments, estimator, &grid, material.rate_hz)));
-    let report = AllanReport::new(estimator, material.rate_hz, material.complete, curves);
+    let of = |channel: &Channel| {
+        // Every stretch stands by itself, whichever capture it is of.
+        let segments: Vec<&Part> = together.parts(*channel).flatten().collect();
+        (*channel, curve(*channel, &segments, estimator, &grid, together.rate_hz()))
+    };
+    let curves = together.channels.iter().map(of);
+    let mut report = AllanReport::new(estimator, together.rate_hz(), together.complete(), curves);
+    report.warnings.extend(report.stride_warning());
+    report.captures = together.contributions();
+    if !report.captures.is_empty() {
+        (report.samples, report.missing) = (Some(together.samples()), Some(together.missing()));
+    }
     match (context.json, args.format) {
         (true, _) | (_, Format::Json) => print_json(&report)?,
         (_, Format::Csv) => print_csv(&report)?,
-        (_, Format::Table) => print_table(&material, &report)?,
+        (_, Format::Table) => print_table(&together, &report)?,
     }
-    Ok(if material.rejected { Outcome::WithLoss } else { Outcome::Done })
+    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
 }
 
-fn curve(channel: Channel, segments: &[Vec<f64>], estimator: Estimator, grid: &TauGrid, rate_hz: f64) -> AllanCurve {
+fn curve(channel: Channel, segments: &[&Part], estimator: Estimator, grid: &TauGrid, rate_hz: f64) -> AllanCurve {
     if estimator == Estimator::Oadev {
         let mut overlapping = Overlapping::new(FixedPoint::for_channel(channel), grid.clone());
         for segment in segments {
-            overlapping.push(segment);
+            overlapping.push(&segment.values);
             overlapping.break_segment();
         }
         return AllanCurve::from_sums(overlapping.sums(), rate_hz, channel.unit());
     }
-    let phases: Vec<Phases> = segments.iter().filter_map(|segment| Phases::integrate(segment)).collect();
+    let phases: Vec<Phases> = segments.iter().filter_map(|segment| Phases::integrate(&segment.values)).collect();
     AllanCurve::from_phases(&phases, estimator, grid, rate_hz, channel.unit())
 }
 
 fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
     let mut writer = csv::Writer::from_writer(std::io::stdout().lock());
-    writer.write_record(["channel", "unit", "tau_s", "deviation", "ci68_low", "ci68_high", "edf", "n"])?;
+    writer.write_record(["channel", "unit", "tau_s", "deviation", "ci68_low", "ci68_high", "edf", "n", "noise"])?;
     for (channel, curve) in &report.channels {
         for index in 0..curve.tau_s.len() {
             writer.write_record([
@@ -64,6 +72,7 @@ fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
                 curve.ci68_high[index].to_string(),
                 curve.edf[index].to_string(),
                 curve.n[index].to_string(),
+                curve.noise[index].name().to_owned(),
             ])?;
         }
     }
@@ -72,16 +81,16 @@ fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
 }
 
 /// Averaging times down, channels across: a person compares channels.
-fn print_table(material: &Material, report: &AllanReport) -> anyhow::Result<()> {
+fn print_table(together: &Together, report: &AllanReport) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     writeln!(
         stdout,
         "{}: {} of {} samples at {} Hz, {} missing",
-        material.name,
+        together.name(),
         report.estimator.name(),
-        material.samples,
-        material.rate_hz,
-        material.missing
+        together.samples(),
+        together.rate_hz(),
+        together.missing()
     )?;
     let header: Vec<String> = std::iter::once("tau s".to_owned())
         .chain(report.channels.iter().map(|(channel, curve)| format!("{channel} {}", curve.unit)))
@@ -102,5 +111,8 @@ fn print_table(material: &Material, report: &AllanReport) -> anyhow::Result<()> 
         );
     }
     writeln!(stdout, "{rows}")?;
+    for warning in &report.warnings {
+        writeln!(stdout, "{warning}")?;
+    }
     Ok(())
 }

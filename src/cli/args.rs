@@ -1,5 +1,6 @@
 //! Arguments: the command line as `clap` reads it.
 
+use crate::datasheet::Datasheet;
 use crate::units::parse_duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -218,6 +219,7 @@ pub enum Estimator {
     Adev,
     Mdev,
     Hdev,
+    Ohdev,
     Totdev,
 }
 
@@ -232,6 +234,25 @@ pub enum Taus {
     All,
 }
 
+/// Forms of noise parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum NoiseFormat {
+    Table,
+    Json,
+    Csv,
+    /// Kalibr's imu.yaml
+    Kalibr,
+    /// Covariances of sensor_msgs/Imu
+    Ros,
+    /// Noise elements of an SDF sensor
+    Gazebo,
+    /// The imu_err dictionary
+    GnssInsSim,
+    /// JSON for imuSensor's loadparams
+    Matlab,
+}
+
 /// Forms of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[expect(missing_docs, reason = "the names say it")]
@@ -244,9 +265,10 @@ pub enum Format {
 /// Arguments of `allan`.
 #[derive(Debug, Args)]
 pub struct AllanArgs {
-    /// Id, name, `latest`, or the path of a recording
-    pub capture: String,
-    /// Rate of a recording without stamps in Hz
+    /// Id, name, `latest`, or the path of a recording; several of one sensor give one result
+    #[arg(required = true, value_name = "CAPTURE")]
+    pub captures: Vec<String>,
+    /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Estimator
@@ -263,14 +285,18 @@ pub struct AllanArgs {
 /// Arguments of `noise`.
 #[derive(Debug, Args)]
 pub struct NoiseArgs {
-    /// Id, name, `latest`, or the path of a recording
-    pub capture: String,
-    /// Rate of a recording without stamps in Hz
+    /// Id, name, `latest`, or the path of a recording; several of one sensor give one result
+    #[arg(required = true, value_name = "CAPTURE")]
+    pub captures: Vec<String>,
+    /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Form of the output
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    pub format: Format,
+    #[arg(long, value_enum, default_value_t = NoiseFormat::Table)]
+    pub format: NoiseFormat,
+    /// Compare with this datasheet (vn-100)
+    #[arg(long, value_name = "NAME", value_parser = Datasheet::named)]
+    pub datasheet: Option<Datasheet>,
 }
 
 /// Arguments of `backup`.

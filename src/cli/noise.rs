@@ -1,49 +1,106 @@
 //! `vn100d noise`: noise parameters.
 
-use super::analysis::{self, Material};
-use super::args::{Format, NoiseArgs};
+use super::analysis::{self, Material, Together};
+use super::args::{NoiseArgs, NoiseFormat};
 use super::{Context, Outcome, print_json, table};
-use crate::noise::allan::{FixedPoint, Overlapping, TauGrid};
-use crate::noise::fit::{Estimate, NoiseReport, fit};
+use crate::datasheet::{Comparison, Measured, Sampling, compare};
+use crate::export::{ImuNoise, Target};
+use crate::noise::allan::FixedPoint;
+use crate::noise::fit::{Estimate, Flag, NoiseParameters, NoiseReport};
+use crate::noise::robust::{self, Company, Disturbances, Record};
+use crate::noise::whittle::{DstSums, fit};
+use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::io::Write as _;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
-    let material = analysis::open(context, &args.capture, args.rate)?;
-    material.remark();
-    let report = report(&material)?;
-    match (context.json, args.format) {
-        (true, _) | (_, Format::Json) => print_json(&report)?,
-        (_, Format::Csv) => print_csv(&report)?,
-        (_, Format::Table) => print_table(&report)?,
+    let together = analysis::open(context, &args.captures, args.rate)?;
+    let mut report = report(&together);
+    let comparison = args.datasheet.map(|sheet| {
+        let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
+        compare(&sheet, Sampling::new(together.rate_hz(), together.windows()), &measured)
+    });
+    report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
+    let target = match args.format {
+        NoiseFormat::Table | NoiseFormat::Json | NoiseFormat::Csv => None,
+        NoiseFormat::Kalibr => Some(Target::Kalibr),
+        NoiseFormat::Ros => Some(Target::Ros),
+        NoiseFormat::Gazebo => Some(Target::Gazebo),
+        NoiseFormat::GnssInsSim => Some(Target::GnssInsSim),
+        NoiseFormat::Matlab => Some(Target::Matlab),
+    };
+    match (context.json, args.format, target) {
+        (true, ..) | (_, NoiseFormat::Json, _) => print_json(&report)?,
+        (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write(&ImuNoise::of(&report)))?,
+        (_, NoiseFormat::Csv, _) => write_csv(std::io::stdout().lock(), &report)?,
+        _ => write_table(std::io::stdout().lock(), &report)?,
     }
-    Ok(if material.rejected { Outcome::WithLoss } else { Outcome::Done })
+    if let Some(comparison) = comparison.filter(|_| !context.json && args.format == NoiseFormat::Table) {
+        print_comparison(&comparison)?;
+    }
+    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// Fits every channel; octaves of averaging time hold all that the fit can use.
-fn report(material: &Material) -> anyhow::Result<NoiseReport> {
-    let grid = TauGrid::octave(material.longest())?;
-    let channels = material.channels.iter().map(|(channel, segments)| {
-        let mut overlapping = Overlapping::new(FixedPoint::for_channel(*channel), grid.clone());
-        for segment in segments {
-            overlapping.push(segment);
-            overlapping.break_segment();
-        }
-        (*channel, fit(&overlapping.sums().points(), material.rate_hz, *channel))
+/// What a channel has come to: its parameters, what disturbed it, and of several captures what was found in each.
+type Found = (Channel, NoiseParameters, Disturbances, Vec<(Vec<Flag>, Disturbances)>);
+
+/// Fits a channel, with and without its disturbances.
+fn of_channel(together: &Together, channel: Channel) -> Found {
+    let (rate_hz, scale) = (together.rate_hz(), FixedPoint::for_channel(channel));
+    let mut sums = DstSums::new();
+    together.parts(channel).for_each(|parts| sums.merge(&robust::spectral_sums(parts, scale)));
+    let mut all = fit(&sums, rate_hz, channel, &[]);
+    all.flags.extend(Flag::out_of_range(channel, sums.out_of_range()));
+    all.flags.extend(Flag::other_rate(rate_hz, together.other_rate()));
+    let record = |of: &Material, company: Company| {
+        Record::of(channel, rate_hz, of.parts(channel).to_vec(), &of.temperature, company)
+    };
+    if let [only] = together.captures.as_slice() {
+        let (parameters, disturbances) = record(only, Company::Alone).alone(channel, rate_hz, all);
+        return (channel, parameters, disturbances, Vec::new());
+    }
+    // Each capture is looked through by itself; the sums of what is left are fitted as one.
+    let records: Vec<Record> = together.captures.iter().map(|of| record(of, Company::Several)).collect();
+    let (parameters, disturbances) = robust::parameters_together(channel, rate_hz, &records, all);
+    let each = records.iter().map(|record| (record.flags(channel), record.disturbances(rate_hz))).collect();
+    (channel, parameters, disturbances, each)
+}
+
+fn report(together: &Together) -> NoiseReport {
+    let of = |channel: &Channel| of_channel(together, *channel);
+    // Two threads: a channel does not need the others.
+    let (front, back) = together.channels.split_at(together.channels.len() / 2);
+    let found: Vec<Found> = std::thread::scope(|scope| {
+        let other = scope.spawn(|| front.iter().map(of).collect::<Vec<_>>());
+        let mut found: Vec<_> = back.iter().map(of).collect();
+        found.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        found
     });
-    Ok(NoiseReport {
+    let mut report = NoiseReport {
         format: NoiseReport::FORMAT.to_owned(),
-        capture: material.name.clone(),
-        rate_hz: material.rate_hz,
-        duration_s: material.duration_s(),
-        samples: material.samples,
-        missing: material.missing,
-        complete: material.complete,
-        channels: channels.collect(),
+        capture: together.name(),
+        captures: together.contributions(),
+        rate_hz: together.rate_hz(),
+        duration_s: together.duration_s(),
+        samples: together.samples(),
+        missing: together.missing(),
+        complete: together.complete(),
+        channels: BTreeMap::new(),
+        disturbances: BTreeMap::new(),
         datasheet: None,
-    })
+    };
+    for (channel, parameters, disturbances, each) in found {
+        report.channels.insert(channel, parameters);
+        report.disturbances.insert(channel, disturbances);
+        for (contribution, (flags, disturbances)) in report.captures.iter_mut().zip(each) {
+            contribution.flags.insert(channel, flags);
+            contribution.disturbances.insert(channel, disturbances);
+        }
+    }
+    report
 }
 
 /// Value with its interval, or the limit below which it lies.
@@ -55,10 +112,9 @@ fn cell(estimate: &Estimate) -> String {
     }
 }
 
-fn print_table(report: &NoiseReport) -> std::io::Result<()> {
-    let mut stdout = std::io::stdout().lock();
+fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
     writeln!(
-        stdout,
+        to,
         "{}: {:.1} s at {} Hz, {} samples, {} missing. Values with 95 % intervals; `<`: not identified, 95 % upper limit.",
         report.capture, report.duration_s, report.rate_hz, report.samples, report.missing
     )?;
@@ -72,18 +128,84 @@ fn print_table(report: &NoiseReport) -> std::io::Result<()> {
             cell(&found.k),
             found.fit.p_value.map_or_else(|| "–".to_owned(), |p| format!("{p:.2}")),
         ]);
+        if let Some(process) = &found.gauss_markov {
+            rows.add_row([
+                channel.name().to_owned(),
+                format!("{}, s", found.unit),
+                "Gauss–Markov process".to_owned(),
+                format!("σ {}", cell(&process.sigma)),
+                format!("Tc {}", cell(&process.tc_s)),
+                String::new(),
+            ]);
+        }
     }
-    writeln!(stdout, "{rows}")?;
+    writeln!(to, "{rows}")?;
     for (channel, found) in &report.channels {
         for flag in &found.flags {
-            writeln!(stdout, "{channel}: {} ({})", flag.note, flag.kind)?;
+            writeln!(to, "{channel}: {}", sentence(flag))?;
+        }
+        for of in &report.captures {
+            for flag in of.flags.get(channel).into_iter().flatten() {
+                writeln!(to, "{channel} in {}: {}", of.capture, sentence(flag))?;
+            }
+        }
+        let with = report.disturbances.get(channel).and_then(|about| about.with_disturbances.as_ref());
+        if let Some(with) = with {
+            writeln!(to, "{channel}: with all of that N {}, B {}, K {}", cell(&with.n), cell(&with.b), cell(&with.k))?;
         }
     }
     Ok(())
 }
 
-fn print_csv(report: &NoiseReport) -> anyhow::Result<()> {
-    let mut writer = csv::Writer::from_writer(std::io::stdout().lock());
+fn sentence(flag: &Flag) -> String {
+    let when = match (flag.from_s, flag.to_s) {
+        (Some(from), Some(to)) => format!(" at {from:.2}–{to:.2} s"),
+        _ => String::new(),
+    };
+    format!("{}{when}: {}", flag.kind, flag.note)
+}
+
+/// The datasheet's figures beside the capture's.
+fn print_comparison(comparison: &Comparison) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    let sampling = &comparison.sampling;
+    writeln!(
+        stdout,
+        "Beside {} ({}). {} Hz of {} Hz, filter windows accel {}, gyro {}, mag {}{}. `predicted`: the datasheet's density after \
+         filter window and output rate, read as a two-sided density; `one-sided`: read as a one-sided one, whose N is smaller \
+         by √2. The verdict goes by the first. Bias stability is the lowest Allan deviation.",
+        comparison.name,
+        comparison.source,
+        sampling.rate_hz,
+        sampling.internal_rate_hz,
+        sampling.filter_window.accel,
+        sampling.filter_window.gyro,
+        sampling.filter_window.mag,
+        if sampling.assumed { " (the factory's: the capture does not tell)" } else { "" }
+    )?;
+    let mut rows =
+        table(&["channel", "density", "datasheet", "predicted", "verdict", "Allan minimum", "datasheet", "verdict"]);
+    let dash = || "–".to_owned();
+    for (channel, found) in &comparison.channels {
+        let (density, bias) = (found.noise_density.as_ref(), found.bias_stability.as_ref());
+        rows.add_row([
+            channel.name().to_owned(),
+            density.map_or_else(dash, |of| format!("{:.3e} {}", of.measured, of.unit)),
+            density.map_or_else(dash, |of| format!("{:.3e} ({})", of.datasheet, of.printed)),
+            density.map_or_else(dash, |of| {
+                format!("{:.3e} ({:.2} ×); one-sided {:.3e}", of.predicted, of.sampling_factor, of.predicted_one_sided)
+            }),
+            density.map_or_else(dash, |of| of.verdict.words().to_owned()),
+            bias.map_or_else(dash, |of| format!("{:.3e} {} at {:.0} s", of.allan_minimum, of.unit, of.tau_s)),
+            bias.map_or_else(dash, |of| format!("{:.3e} ({})", of.datasheet, of.printed)),
+            bias.map_or_else(dash, |of| of.verdict.words().to_owned()),
+        ]);
+    }
+    writeln!(stdout, "{rows}")
+}
+
+fn write_csv(to: impl std::io::Write, report: &NoiseReport) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_writer(to);
     writer.write_record([
         "channel",
         "parameter",
@@ -96,8 +218,10 @@ fn print_csv(report: &NoiseReport) -> anyhow::Result<()> {
     ])?;
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
     for (channel, found) in &report.channels {
-        for (letter, estimate) in [("N", &found.n), ("B", &found.b), ("K", &found.k), ("Q", &found.q), ("R", &found.r)]
-        {
+        let terms = [("N", &found.n), ("B", &found.b), ("K", &found.k), ("Q", &found.q), ("R", &found.r)];
+        let process = found.gauss_markov.iter();
+        let process = process.flat_map(|of| [("gauss_markov.sigma", &of.sigma), ("gauss_markov.tc_s", &of.tc_s)]);
+        for (letter, estimate) in terms.into_iter().chain(process) {
             writer.write_record([
                 channel.name().to_owned(),
                 letter.to_owned(),
@@ -135,4 +259,72 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
         ]);
     }
     rows.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::noise::fit::GaussMarkov;
+
+    const FAR: f64 = 1e9;
+
+    /// White noise of 4000 samples at 40 Hz, with what `change` makes of it, as a recording.
+    fn recording(directory: &std::path::Path, change: impl Fn(usize, f64) -> f64) -> String {
+        use std::fmt::Write as _;
+        let mut state = 1u64;
+        let mut text = "time_s,gyro_x_rad_s\n".to_owned();
+        for i in 0..4000 {
+            state = 16_807 * state % 2_147_483_647;
+            let value = 0.002 * (state as f64 / 2_147_483_647.0 - 0.5);
+            writeln!(text, "{:.3},{:.6}", i as f64 * 0.025, change(i, value)).unwrap();
+        }
+        let path = directory.join("white.csv");
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    }
+
+    fn opened(path: String) -> Together {
+        let context = Context { data_dir: None, config: None, json: false };
+        analysis::open(&context, &[path], None).unwrap()
+    }
+
+    /// What the job's document flags (`Flag::out_of_range`, `Flag::other_rate`) is flagged here.
+    #[test]
+    fn what_was_left_out_is_flagged_as_in_the_jobs_document() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut together = opened(recording(directory.path(), |i, value| if i == 1000 { FAR } else { value }));
+        together.captures[0].other_rate = 700;
+        let found = report(&together);
+        let flags = &found.channels[&Channel::GyroX].flags;
+        for expected in [Flag::out_of_range(Channel::GyroX, 1), Flag::other_rate(40.0, 700)] {
+            assert!(flags.contains(expected.as_ref().unwrap()), "{expected:?} in {flags:?}");
+        }
+        together.captures[0].other_rate = 0;
+        assert!(report(&together).channels[&Channel::GyroX].flags.iter().all(|flag| flag.kind != "other_rate"));
+    }
+
+    #[test]
+    fn a_gauss_markov_process_is_shown_in_table_and_csv() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut report = report(&opened(recording(directory.path(), |_, value| value)));
+        let text = |report: &NoiseReport| {
+            let (mut table, mut csv) = (Vec::new(), Vec::new());
+            write_table(&mut table, report).unwrap();
+            write_csv(&mut csv, report).unwrap();
+            [table, csv].map(|bytes| String::from_utf8(bytes).unwrap())
+        };
+        let [table, csv] = text(&report);
+        assert!(!table.contains("Gauss") && !csv.contains("gauss"), "{table}{csv}");
+        report.channels.get_mut(&Channel::GyroX).unwrap().gauss_markov = Some(GaussMarkov {
+            sigma: Estimate::of("rad/s", 2e-3, [1.5e-3, 2.5e-3]),
+            tc_s: Estimate::of("s", 60.0, [50.0, 80.0]),
+        });
+        let [table, csv] = text(&report);
+        assert!(
+            table.contains("σ 2.000e-3 [1.50e-3, 2.50e-3]") && table.contains("Tc 6.000e1 [5.00e1, 8.00e1]"),
+            "{table}"
+        );
+        assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true\n"), "{csv}");
+        assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true\n"), "{csv}");
+    }
 }

@@ -89,7 +89,122 @@ fn an_analysis_that_cannot_be_made_says_why() {
     world.get("/v1/captures/z/allan").problem(404, "not-found");
     let kalibr = world.get("/v1/captures/a/allan?format=kalibr").problem(400, "bad-request");
     assert!(kalibr.contains("allowed is json"), "{kalibr}");
-    world.get("/v1/captures/a/allan?estimator=adev").problem(400, "bad-request");
+    let estimators = world.get("/v1/captures/a/allan?estimator=avar").problem(400, "bad-request");
+    assert!(estimators.contains("totdev"), "{estimators}");
+    world.get("/v1/captures/a/allan?taus=custom").problem(400, "bad-request");
+}
+
+#[test]
+fn another_estimator_has_a_job_of_its_own_and_its_curves_name_the_noise() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 2000);
+    for (estimator, taus) in [("mdev", "octave"), ("totdev", "log"), ("hdev", "all"), ("oadev", "octave")] {
+        let path = format!("/v1/captures/a/allan?estimator={estimator}&taus={taus}");
+        let first = world.get(&path);
+        if first.status == 202 {
+            assert_eq!((first.header("retry-after"), &first.json()["kind"]), ("2", &"allan".into()), "{first:?}");
+        }
+        let done = eventually("the job", || world.get(&path), |answer| answer.status == 200);
+        let report = done.json();
+        assert_eq!(
+            (report["estimator"].as_str(), report["samples"].as_u64()),
+            (Some(estimator), Some(2000)),
+            "{report}"
+        );
+        let curve = &report["channels"]["gyro_x"];
+        let count = curve["tau_s"].as_array().unwrap().len();
+        assert_eq!(curve["noise"].as_array().unwrap().len(), count, "{curve}");
+        assert_eq!(count > 400, taus == "all", "{count} averaging times");
+        assert_eq!(world.get_with(&path, "if-none-match", done.header("etag")).status, 304);
+    }
+    let jobs = world.get("/v1/jobs").json()["jobs"].as_array().unwrap().len();
+    assert_eq!(jobs, 4, "asking again makes no other job");
+    // The same wish in a body is the same job.
+    let body = r#"{"kind": "allan", "capture": "a", "estimator": "mdev", "taus": "octave"}"#;
+    let again = world.post("/v1/jobs", body);
+    assert_eq!(again.status, 200, "{again:?}");
+    assert_eq!(world.get(again.json()["result"].as_str().unwrap()).json()["estimator"], "mdev");
+    assert_eq!(world.post("/v1/jobs", r#"{"kind": "noise", "capture": "a", "estimator": "mdev"}"#).status, 400);
+}
+
+#[test]
+fn while_a_capture_runs_only_the_default_estimator_answers() {
+    let world = World::new();
+    world.capture("a", CaptureState::Capturing, 2000);
+    assert_eq!(world.get("/v1/captures/a/allan?estimator=oadev&taus=octave").status, 200);
+    let refused = world.get("/v1/captures/a/allan?estimator=mdev").problem(422, "analysis-failed");
+    assert!(refused.contains("still runs") && refused.contains("oadev"), "{refused}");
+}
+
+#[test]
+fn captures_of_one_sensor_are_analysed_together() {
+    let world = World::new();
+    let a = world.capture("a", CaptureState::Complete, 2000);
+    let b = world.capture("b", CaptureState::Complete, 1500);
+    let body = format!(r#"{{"kind": "noise", "capture": "a", "with": [{b}]}}"#);
+    let job = world.post("/v1/jobs", &body);
+    assert_eq!(job.status, 202, "{job:?}");
+    assert_eq!(job.json()["params"]["with"], serde_json::json!([b]));
+    let by_name = world.post("/v1/jobs", r#"{"kind": "noise", "capture": "a", "with": ["latest"]}"#);
+    assert_eq!((by_name.status, by_name.header("location")), (200, job.header("location")));
+    let done = eventually("the job", || world.get(job.header("location")).json(), |job| job["state"] == "done");
+    let report = world.get(done["result"].as_str().unwrap()).json();
+    assert_eq!((report["capture"].as_str(), report["samples"].as_u64()), (Some("a + b"), Some(3500)), "{report}");
+    assert_eq!((report["missing"].as_u64(), report["captures"][1]["missing"].as_u64()), (Some(8), Some(4)));
+    assert_eq!(report["captures"][1]["capture"], "b");
+    // The capture's own result is another.
+    let own = eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200).json();
+    assert_eq!((own["samples"].as_u64(), own.get("captures")), (Some(2000), None));
+    let twice = world.post("/v1/jobs", &format!(r#"{{"kind": "allan", "capture": {a}, "with": [{a}]}}"#));
+    assert!(twice.problem(400, "bad-request").contains("given twice"), "{twice:?}");
+    world.post("/v1/jobs", r#"{"kind": "allan", "capture": "a", "with": ["z"]}"#).problem(404, "not-found");
+    world.post("/v1/jobs", r#"{"kind": "statistics", "capture": "a", "with": ["b"]}"#).problem(400, "bad-request");
+}
+
+#[test]
+fn noise_parameters_are_compared_and_exported() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 4000);
+    let plain = eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200).json();
+    assert!(plain["datasheet"].is_null());
+    assert!(plain["disturbances"]["gyro_x"]["excluded_s"].is_number(), "{plain}");
+    let compared = world.get("/v1/captures/a/noise?datasheet=vn-100").json();
+    let gyro = &compared["datasheet"]["channels"]["gyro_x"]["noise_density"];
+    assert_eq!(gyro["unit"], "rad/s/√Hz", "{compared}");
+    assert!(gyro["predicted"].as_f64().unwrap() >= gyro["datasheet"].as_f64().unwrap());
+    let kalibr = world.get("/v1/captures/a/noise?format=kalibr");
+    assert_eq!((kalibr.status, kalibr.header("content-type")), (200, "application/yaml"));
+    assert!(kalibr.text.contains("\ngyroscope_noise_density: "), "{}", kalibr.text);
+    assert!(world.get("/v1/captures/a/noise?format=xml").problem(400, "bad-request").contains("gnss-ins-sim"));
+    assert!(world.get("/v1/captures/a/noise?datasheet=vn-1").problem(400, "bad-request").contains("vn-100"));
+    let both = world.get("/v1/captures/a/noise?format=kalibr&datasheet=vn-100").problem(400, "bad-request");
+    assert!(both.contains("`datasheet`") && both.contains("JSON"), "{both}");
+    assert_eq!(world.get("/v1/captures/a/noise?format=json&datasheet=vn-100").status, 200);
+}
+
+#[test]
+fn what_is_made_of_noise_parameters_has_a_tag_and_none_while_the_capture_runs() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 4000);
+    eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200);
+    let forms = ["", "?format=kalibr", "?format=ros", "?datasheet=vn-100"];
+    let mut tags = std::collections::BTreeSet::new();
+    for form in forms {
+        let path = format!("/v1/captures/a/noise{form}");
+        let first = world.get(&path);
+        let tag = first.header("etag").to_owned();
+        assert_eq!((first.status, first.header("cache-control")), (200, "no-cache"), "{form}");
+        assert!(tag.len() > 2 && tag.starts_with('"') && tag.ends_with('"'), "{form}: {tag}");
+        let again = world.get_with(&path, "if-none-match", &tag);
+        assert_eq!((again.status, again.text.as_str(), again.header("etag")), (304, "", tag.as_str()), "{form}");
+        tags.insert(tag);
+    }
+    assert_eq!(tags.len(), forms.len(), "a tag names one form: {tags:?}");
+    world.capture("b", CaptureState::Capturing, 4000);
+    for form in forms {
+        let open = world.get(&format!("/v1/captures/b/noise{form}"));
+        assert_eq!((open.status, open.header("cache-control"), open.header("etag")), (200, "no-store", ""), "{form}");
+    }
 }
 
 #[test]
@@ -141,7 +256,7 @@ fn a_job_that_makes_no_sense_is_refused() {
         (r#"{"kind": "alan", "capture": 1}"#, "allan"),
         (r#"{"kind": "allan"}"#, "missing field `capture`"),
         (r#"{"kind": "allan", "capture": 1, "tau": 1}"#, "unknown field `tau`"),
-        (r#"{"kind": "allan", "capture": 1, "taus": "all"}"#, "taus"),
+        (r#"{"kind": "allan", "capture": 1, "taus": "custom"}"#, "taus"),
         (r#"{"kind": "allan", "capture": null}"#, "capture"),
     ] {
         let found = world.post("/v1/jobs", body).problem(400, "bad-request");
