@@ -390,3 +390,62 @@ fn the_real_rotation_bag_has_paired_receptions_and_smooth_stamps() {
     assert!((loaded.duration_s() - 57.0).abs() < 2.0, "{}", loaded.duration_s());
     assert!(values(&loaded, Channel::GyroZ).iter().all(|value| value.abs() < 35.0));
 }
+
+/// White noise of the same generator as a recording, from its `from`-th sample on.
+fn white_csv(path: &Path, header: &str, period_s: f64, from: u64, count: u64) {
+    let mut text = format!("{header}\n");
+    for index in 0..count {
+        let mut state = (from + index + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        state = (state ^ (state >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let white = (state >> 40) as f64 / f64::from(1 << 24) - 0.5;
+        text.push_str(&format!("{:.4},{:.9}\n", index as f64 * period_s, 0.01 * white));
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+#[test]
+fn recordings_of_one_sensor_are_analysed_together_and_others_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let header = "time_s,gyro_x_rad_s";
+    let nights = ["a.csv", "b.csv", "c.csv"].map(path);
+    for (night, from) in nights.iter().zip([0, 4000, 8000]) {
+        white_csv(Path::new(night), header, 0.025, from, 4000);
+    }
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        let done = vn100d(arguments);
+        assert!(done.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice(&done.stdout).unwrap()
+    };
+    let [a, b, c] = nights.each_ref().map(String::as_str);
+    let together = json(&["--json", "noise", a, b, c]);
+    let alone = json(&["--json", "noise", a]);
+    assert_eq!((together["samples"].as_u64(), together["captures"][2]["samples"].as_u64()), (Some(12_000), Some(4000)));
+    assert!(alone.get("captures").is_none());
+    let ends = |report: &serde_json::Value| {
+        let ci95 = &report["channels"]["gyro_x"]["N"]["ci95"];
+        (ci95[0].as_f64().unwrap(), ci95[1].as_f64().unwrap())
+    };
+    let ((low, high), (low_alone, high_alone)) = (ends(&together), ends(&alone));
+    assert!(high - low < 0.7 * (high_alone - low_alone), "three nights tell more than one: {low} {high}");
+    let truth = 0.01 / 12f64.sqrt() / 40f64.sqrt();
+    assert!(low < truth && truth < high, "{low} {truth} {high}");
+    for estimator in ["oadev", "ohdev"] {
+        let curves = json(&["--json", "allan", a, b, c, "--estimator", estimator, "--taus", "octave"]);
+        let curve = &curves["channels"]["gyro_x"];
+        let lost = if estimator == "oadev" { 1 } else { 2 };
+        assert_eq!(curve["n"][0].as_u64(), Some(3 * (4000 - lost)), "nothing across two recordings");
+        assert_eq!(curve["noise"][0], "white_rate");
+    }
+    let (fast, degrees) = (path("fast.csv"), path("degrees.csv"));
+    white_csv(Path::new(&fast), header, 0.01, 0, 4000);
+    white_csv(Path::new(&degrees), "time_s,gyro_x_deg_s", 0.025, 0, 4000);
+    for (other, words) in [(fast.as_str(), "rate in Hz 40 and 100"), (&degrees, "unit of gyro_x"), (a, "given twice")] {
+        for command in ["allan", "noise"] {
+            let refused = vn100d(&[command, a, other]);
+            let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+            assert!(!refused.status.success() && refused.stdout.is_empty() && said.contains(words), "{said}");
+            assert_eq!(said.trim().lines().count(), 1, "{said}");
+        }
+    }
+}

@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 19] = [
+const MAY_USE: [(&str, &[&str]); 21] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
     ("protocol", &["sample", "units"]),
     ("noise", &["sample", "units"]),
+    ("datasheet", &["noise", "sample", "units"]),
+    ("export", &["noise", "sample", "units"]),
     ("effects", &["sample", "units"]),
     ("simulator", &["effects", "sample", "units"]),
     ("observe", &["sample", "units", "clock"]),
@@ -21,11 +23,11 @@ const MAY_USE: [(&str, &[&str]); 19] = [
     ("config", &["units", "protocol", "observe"]),
     ("notify", &["observe", "sample", "clock", "units"]),
     ("retention", &["sample"]),
-    ("api", &["store", "jobs", "observe", "control", "noise", "sample", "clock", "units"]),
+    ("api", &["store", "jobs", "datasheet", "export", "observe", "control", "noise", "sample", "clock", "units"]),
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 6] = ["protocol", "sample", "noise", "effects", "simulator", "retention"];
+const PURE: [&str; 8] = ["protocol", "sample", "noise", "datasheet", "export", "effects", "simulator", "retention"];
 /// Files of shells that are pure all the same.
 const PURE_FILES: &[&str] = &[
     "capture/host_watch.rs",
