@@ -35,7 +35,8 @@ pub struct AllanCurve {
 }
 
 impl AllanCurve {
-    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope.
+    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. Where that
+    /// is angle noise, white or flicker, the intervals are those of flicker.
     #[must_use]
     pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
         Self::from_points(&sums.points(), rate_hz, unit)
@@ -46,7 +47,12 @@ impl AllanCurve {
     pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
         for (point, noise) in points.iter().zip(noise_by_slope(points)) {
-            curve.push(point.m, rate_hz, point.variance, point.edf(noise), point.taken(), noise, 1.0);
+            // The slope cannot tell white from flicker angle noise: the wider interval holds for both.
+            let edf = match noise {
+                NoiseType::WhiteAngle => point.edf(noise).min(point.edf(NoiseType::FlickerAngle)),
+                _ => point.edf(noise),
+            };
+            curve.push(point.m, rate_hz, point.variance, edf, point.taken(), noise, 1.0);
         }
         curve.stride_from_s = points.iter().find(|point| point.stride > 1).map(|point| point.m as f64 / rate_hz);
         curve
@@ -58,20 +64,26 @@ impl AllanCurve {
     /// departs at long averaging times; `deviation` is as defined, without a correction.
     #[must_use]
     pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
-        let sums: Vec<(usize, SquareSum)> = grid
+        let sums: Vec<(usize, SquareSum, ByLength)> = grid
             .factors()
             .iter()
             .map(|m| {
-                let add = |sum: SquareSum, phases: &Phases| sum.plus(phases.square_sum(estimator, *m));
-                (*m, segments.iter().fold(SquareSum::default(), add))
+                let (mut whole, mut by_length) = (SquareSum::default(), ByLength::new());
+                for phases in segments {
+                    let own = phases.square_sum(estimator, *m);
+                    by_length.entry(phases.len() as u64).or_insert((own.terms, 0)).1 += 1;
+                    whole = whole.plus(own);
+                }
+                (*m, whole, by_length)
             })
-            .filter(|(_, sum)| sum.terms > 0)
+            .filter(|(_, sum, _)| sum.terms > 0)
             .collect();
-        let factors: Vec<usize> = sums.iter().map(|(m, _)| *m).collect();
+        let factors: Vec<usize> = sums.iter().map(|(m, ..)| *m).collect();
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
-        for ((m, sum), noise) in sums.iter().zip(noise_of_phases(segments, &factors)) {
+        for ((m, sum, by_length), noise) in sums.iter().zip(noise_of_phases(segments, &factors)) {
             let lengths = || segments.iter().map(|phases| phases.len() as u64);
-            let degrees = lengths().map(|phases| equivalent_degrees_of_freedom(estimator, noise, *m, phases)).sum();
+            let degrees =
+                pooled_degrees(by_length, |phases| equivalent_degrees_of_freedom(estimator, noise, *m, phases));
             let bias = if estimator == Estimator::Totdev { total_bias(noise, *m, lengths()) } else { 1.0 };
             curve.push(*m, rate_hz, sum.sum / sum.terms as f64, degrees, sum.terms, noise, bias);
         }
@@ -103,6 +115,20 @@ impl AllanCurve {
             .map(|((tau_s, deviation), _)| (*tau_s, *deviation))
             .min_by(|a, b| a.1.total_cmp(&b.1))
     }
+}
+
+/// By a segment's phases: the terms that one gives, and how many there are.
+type ByLength = BTreeMap<u64, (u64, u64)>;
+
+/// Degrees of freedom of a mean over all terms of independent segments: (Σ n)²/Σ (n²/edf).
+fn pooled_degrees(by_length: &ByLength, edf: impl Fn(u64) -> f64) -> f64 {
+    let (mut terms, mut variance) = (0.0, 0.0);
+    for (phases, (own, count)) in by_length.iter().filter(|(_, (own, _))| *own > 0) {
+        let (own, count) = (*own as f64, *count as f64);
+        terms += count * own;
+        variance += count * own * own / edf(*phases).max(1.0);
+    }
+    if variance > 0.0 { terms * terms / variance } else { 0.0 }
 }
 
 impl AllanSums {

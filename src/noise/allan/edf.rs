@@ -96,6 +96,10 @@ const TABLE_FROM: usize = 8;
 
 /// NIST SP1065, table 7, from m = 8 on, and the overlapping estimator's degrees below; angle noise, for which it has no row, by its equation for α = 2 of the overlapping estimator.
 fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
+    // A segment of fewer samples than the averaging factor has no term.
+    if m as u64 + 1 >= phases {
+        return None;
+    }
     if m < TABLE_FROM {
         return greenhall(noise, 2, m, phases, true, false);
     }
@@ -183,12 +187,19 @@ fn greenhall(noise: NoiseType, d: usize, m: usize, phases: u64, overlapping: boo
             sum(LONGEST_SUM, LONGEST_SUM, interpolated, interpolated) / (growing * LONGEST_SUM)
         }
     } else {
-        // White angle: second differences m apart share phases only at multiples of m, equation 13's closed form. With
-        // fewer blocks than the order the form does not hold; terms are then nearly independent of one another.
+        // White angle: differences share phases only at multiples of m, equation 13: in full with few blocks, else its closed form.
         let (a0, a1) = if d == 2 { (35.0 / 18.0, 1.0) } else { (231.0 / 100.0, 1.5) };
-        if blocks.ceil() <= order { a0 / terms } else { (a0 - a1 / blocks) / terms }
+        if blocks.ceil() <= order { shared_phases(d, blocks) / terms } else { (a0 - a1 / blocks) / terms }
     };
     (inverse.is_finite() && inverse > 0.0).then(|| 1.0 / inverse)
+}
+
+/// 1 + 2 Σ (1 − k/r) ρₖ² over the k below ⌈r⌉, ρₖ = C(2d, d − k)/C(2d, d): terms over degrees of freedom where r `blocks` are at
+/// most d.
+fn shared_phases(d: usize, blocks: f64) -> f64 {
+    let correlation = if d == 2 { [4.0 / 6.0, 1.0 / 6.0] } else { [15.0 / 20.0, 6.0 / 20.0] };
+    let shared = (1..).zip(correlation).take_while(|(k, _)| f64::from(*k) < blocks);
+    1.0 + 2.0 * shared.map(|(k, rho): (u32, f64)| (1.0 - f64::from(k) / blocks) * rho * rho).sum::<f64>()
 }
 
 /// Table 1 (modified variances): a0, a1 for d = 2 and 3.

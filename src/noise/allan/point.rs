@@ -33,7 +33,8 @@ impl AllanPoint {
     /// Equivalent degrees of freedom where `noise` dominates: those of each segment add.
     ///
     /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for
-    /// segments of a few m, so that only the counts have to be carried through merges.
+    /// segments of a few m, so that only the counts have to be carried through merges. Where one segment is long and thousands
+    /// of others hold a single term, that is too many.
     #[must_use]
     pub fn edf(&self, noise: NoiseType) -> f64 {
         let phases = self.phases() as u64;
@@ -55,16 +56,22 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
     const REACH: f64 = 2.1;
     /// Averaging times that a segment has to hold.
     const LEAST: f64 = 30.0;
+    /// Points that a slope is made of at most, evenly chosen: every averaging time may be a point.
+    const MOST: usize = 64;
+    let logs: Vec<(f64, f64)> = points.iter().map(|point| ((point.m as f64).ln(), point.variance.ln())).collect();
+    let (mut from, mut to) = (0, 0);
     let mut kinds: Vec<NoiseType> = points
         .iter()
-        .map(|point| {
-            let near = points.iter().filter(|other| {
-                let ratio = other.m as f64 / point.m as f64;
-                other.variance > 0.0 && (1.0 / REACH..=REACH).contains(&ratio)
-            });
+        .zip(&logs)
+        .map(|(point, (own_log_m, _))| {
+            let ratio = |other: &AllanPoint| other.m as f64 / point.m as f64;
+            from += points.get(from..).unwrap_or_default().iter().take_while(|of| ratio(of) < 1.0 / REACH).count();
+            to += points.get(to..).unwrap_or_default().iter().take_while(|of| ratio(of) <= REACH).count();
+            let near = logs.get(from..to).unwrap_or_default();
             let (mut count, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-            for other in near {
-                let (log_m, log_v) = ((other.m as f64 / point.m as f64).ln(), other.variance.ln());
+            let chosen = near.iter().step_by(near.len().div_ceil(MOST).max(1));
+            for (log_m, log_v) in chosen.filter(|(_, log_v)| log_v.is_finite()) {
+                let log_m = log_m - own_log_m;
                 count += 1.0;
                 x += log_m;
                 y += log_v;
@@ -121,6 +128,14 @@ mod tests {
             .map(|k| AllanPoint { m: 1 << k, variance: f64::from(1 << k), terms: 5, segments: 1, stride: 1 })
             .collect();
         assert_eq!(noise_by_slope(&short), [NoiseType::RandomWalkRate; 3]);
+    }
+
+    #[test]
+    fn every_averaging_time_may_be_a_point() {
+        let points: Vec<AllanPoint> = (1..=100_000)
+            .map(|m| AllanPoint { m, variance: 1.0 / m as f64, terms: 10_000_000, segments: 1, stride: 1 })
+            .collect();
+        assert!(noise_by_slope(&points).iter().all(|kind| *kind == NoiseType::WhiteRate));
     }
 
     #[test]

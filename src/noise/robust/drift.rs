@@ -30,6 +30,9 @@ pub struct Drift {
     pub tau_s: Option<f64>,
     /// How often a random walk would show as much.
     pub p_value: f64,
+    /// Begin and end of the levels it was found in, s: the exponential counts from there.
+    #[serde(skip)]
+    pub(super) span_s: (f64, f64),
 }
 
 struct Candidate {
@@ -69,6 +72,7 @@ fn of_blocks(parts: &[Part], rate_hz: f64, count: usize, steps_s: &[f64]) -> Opt
         change: best.amplitude,
         tau_s: best.tau.map(|tau| tau * duration_s),
         p_value: (best.p_value * tried).max(f64::MIN_POSITIVE),
+        span_s: (blocks.begin_s, blocks.begin_s + duration_s),
     })
 }
 
@@ -124,15 +128,15 @@ fn precise(increments: &[(usize, f64)], count: usize, best: Candidate) -> Candid
     left.filter(|found| found.fit > best.fit).unwrap_or(best)
 }
 
-/// Takes a warm-up out; a creep stays for R. `span_s`: begin and end of the record in which it was found.
-pub(super) fn subtract(parts: &mut [Part], rate_hz: f64, drift: &Drift, span_s: (f64, f64)) {
+/// Takes a warm-up out; a creep stays for R. Before the levels it was found in, the level is taken for that at their beginning.
+pub(super) fn subtract(parts: &mut [Part], rate_hz: f64, drift: &Drift) {
     let Some(tau_s) = drift.tau_s else { return };
-    let (begin_s, end_s) = span_s;
+    let (begin_s, end_s) = drift.span_s;
     let scale = drift.change / (1.0 - (-(end_s - begin_s) / tau_s).exp());
     for part in parts {
         let from_s = part.start_s - begin_s;
         for (index, value) in part.values.iter_mut().enumerate() {
-            *value += scale * (-(from_s + index as f64 / rate_hz) / tau_s).exp();
+            *value += scale * (-(from_s + index as f64 / rate_hz).max(0.0) / tau_s).exp();
         }
     }
 }
@@ -157,9 +161,24 @@ mod tests {
         assert!((drift.change / 0.05 - 1.0).abs() < 0.1, "{drift:?}");
         assert!(drift.tau_s.is_some_and(|tau| (150.0..400.0).contains(&tau)), "{drift:?}");
         let before = parts[0].values[0];
-        subtract(&mut parts, 40.0, &drift, (0.0, 2500.0));
+        subtract(&mut parts, 40.0, &drift);
         assert!(parts[0].values[0] - before > 0.04);
         assert!(parts[0].values[..4000].iter().sum::<f64>().abs() / 4000.0 < 0.01);
+    }
+
+    /// What precedes the levels, a stretch too short for them, does not move the exponential.
+    #[test]
+    fn a_warm_up_counts_from_where_it_was_found() {
+        let mut values = Noise::new(45).sensor(100_000, 40.0, 2e-3, 5e-4, 1e-5);
+        for (i, value) in values.iter_mut().enumerate() {
+            *value -= 0.05 * (-(i as f64) / 40.0 / 250.0).exp();
+        }
+        let drift = find(&[Part { start_s: 900.0, values: values.clone() }], 40.0, &[]).unwrap();
+        let short = Part { start_s: 0.0, values: vec![1.0; 40] };
+        let mut parts = [short, Part { start_s: 900.0, values }];
+        subtract(&mut parts, 40.0, &drift);
+        assert!(parts[1].values[..4000].iter().sum::<f64>().abs() / 4000.0 < 0.01);
+        assert!(parts[0].values.iter().all(|value| (value - 1.0).abs() < 0.07), "{:?}", parts[0].values);
     }
 
     #[test]
@@ -172,7 +191,7 @@ mod tests {
         let drift = find(&parts, 40.0, &[]).unwrap();
         assert!(drift.tau_s.is_none() && (drift.change / -0.037 - 1.0).abs() < 0.1, "{drift:?}");
         let before = parts.clone();
-        subtract(&mut parts, 40.0, &drift, (0.0, 750.0));
+        subtract(&mut parts, 40.0, &drift);
         assert_eq!(before, parts);
     }
 
@@ -197,7 +216,7 @@ mod tests {
             let mut parts = part(values);
             let drift = find(&parts, 40.0, &[]).unwrap();
             assert!(drift.tau_s.is_some_and(|tau| (tau / tau_s - 1.0).abs() < 0.25), "{tau_s} s: {drift:?}");
-            subtract(&mut parts, 40.0, &drift, (0.0, 2500.0));
+            subtract(&mut parts, 40.0, &drift);
             // Over 100 s the walk itself moves by 1e-4.
             let mean = |values: &[f64], block: usize| values[block * 4000..][..4000].iter().sum::<f64>() / 4000.0;
             for block in 0..24 {

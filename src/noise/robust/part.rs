@@ -59,8 +59,8 @@ pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64)
     kept
 }
 
-/// Replaces intervals (s, sorted, disjoint) inside a part by the straight line between the levels of the second before and
-/// after; a part that is inside an interval altogether is left out.
+/// Replaces intervals (s, sorted, disjoint) inside a part by the straight line between the levels before and after, of a second
+/// or as long as the interval, if it is longer; a part that is inside an interval altogether is left out.
 #[must_use]
 pub fn bridged(parts: Vec<Part>, intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     parts.into_iter().filter_map(|part| bridge(part, intervals, rate_hz)).collect()
@@ -70,16 +70,27 @@ fn bridge(mut part: Part, intervals: &[(f64, f64)], rate_hz: f64) -> Option<Part
     let reach = (rate_hz.round() as usize).max(4);
     let last = part.values.len();
     let start_s = part.start_s;
-    let reaching: Vec<(f64, f64)> = reaching(&part, intervals, rate_hz).copied().collect();
-    for (begin_s, end_s) in reaching {
+    let rows = |(begin_s, end_s): &(f64, f64)| {
         let from = (((begin_s - start_s) * rate_hz).ceil().max(0.0) as usize).min(last);
-        let to = (((end_s - start_s) * rate_hz).floor().max(0.0) as usize + 1).min(last);
+        from..(((end_s - start_s) * rate_hz).floor().max(0.0) as usize + 1).min(last)
+    };
+    let disturbed: Vec<Range<usize>> = reaching(&part, intervals, rate_hz).map(rows).collect();
+    let mut undisturbed_from = 0;
+    for (index, Range { start: from, end: to }) in disturbed.iter().cloned().enumerate() {
         let mean = |range: Range<usize>| {
             let count = range.len();
             (count > 0).then(|| part.values[range].iter().sum::<f64>() / count as f64)
         };
-        let (before, after) = (mean(from.saturating_sub(reach)..from), mean(to..(to + reach).min(last)));
-        let (before, after) = before.or(after).zip(after.or(before))?;
+        // What the neighbouring intervals hold is no level.
+        let disturbed_from = disturbed.get(index + 1).map_or(last, |next| next.start);
+        // A long bridge hangs on as many samples: otherwise its ends' white noise would pass for a slow change.
+        let reach = reach.max(to.saturating_sub(from));
+        let before = mean(from.saturating_sub(reach).max(undisturbed_from).min(from)..from);
+        let after = mean(to..(to + reach).min(disturbed_from).max(to));
+        // Between two that touch nothing is left: the bridge before ends at a level.
+        let before = before.or(after).or_else(|| from.checked_sub(1).map(|end| part.values[end]));
+        let (before, after) = before.zip(after.or(before))?;
+        undisturbed_from = to;
         let count = (to.saturating_sub(from) + 1) as f64;
         for (index, value) in part.values[from.min(to)..to].iter_mut().enumerate() {
             *value = before + (after - before) * (index as f64 + 1.0) / count;
@@ -232,6 +243,18 @@ mod tests {
         assert_eq!(parts[0].values[49], 1.0);
         assert!((parts[0].values[52] - 1.5).abs() < 1e-12);
         assert_eq!(parts[0].values[55], 2.0);
+    }
+
+    #[test]
+    fn a_bridge_takes_no_level_from_the_disturbance_beside_it() {
+        let mut values = vec![0.0; 400];
+        values[100..110].fill(50.0);
+        values[114..300].fill(900.0);
+        values[301..310].fill(-70.0);
+        let rate_hz = 10.0;
+        let intervals = [(10.0, 10.95), (11.4, 29.95), (30.1, 30.45), (30.5, 30.95)];
+        let parts = bridged(vec![Part { start_s: 0.0, values }], &intervals, rate_hz);
+        assert!(parts[0].values.iter().all(|value| *value == 0.0), "{:?}", parts[0].values);
     }
 
     #[test]

@@ -62,8 +62,8 @@ impl Record {
         }
         let (found, levels) = survey.settle();
         let mut rest_levels = levels.without(&found.times(true));
-        if let Some((drift, span_s)) = found.drift.as_ref().zip(found.span_s) {
-            drift::subtract(&mut rest_levels, levels.rate_hz(), drift, span_s);
+        if let Some(drift) = &found.drift {
+            drift::subtract(&mut rest_levels, levels.rate_hz(), drift);
         }
         let regression = temperature::regress(&rest_levels, levels.rate_hz(), temperature, &found.steps_s());
         let course = regression.as_ref().filter(|(dependence, _)| dependence.significant);

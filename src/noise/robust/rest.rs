@@ -6,6 +6,7 @@ use super::temperature::Course;
 use super::{Examination, Part, Portion, bridged, drift, excise, without_intervals};
 use crate::noise::allan::{AllanPoint, FixedPoint, Overlapping, TauGrid};
 use crate::noise::whittle::{DstEstimator, DstSums, Transform};
+use std::collections::BTreeMap;
 
 /// What is left of one block.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,8 +24,8 @@ pub(super) fn clean(parts: Vec<Part>, block: usize, rate_hz: f64, found: &Examin
         Some(gains) => excise::apply(bridged(parts, &found.excluded_intervals, rate_hz), gains, excise::Short::Kept),
         None => parts,
     };
-    if let Some((drift, span_s)) = found.drift.as_ref().zip(found.span_s) {
-        drift::subtract(&mut quiet, rate_hz, drift, span_s);
+    if let Some(drift) = &found.drift {
+        drift::subtract(&mut quiet, rate_hz, drift);
     }
     let cut = without_intervals(&quiet, &found.excluded_intervals, rate_hz);
     let bridged = without_intervals(&bridged(quiet, &found.times(false), rate_hz), &found.times(true), rate_hz);
@@ -112,10 +113,7 @@ impl<'a> Rest<'a> {
 
     /// Everything of the blocks that were pushed.
     pub(super) fn finish(mut self) -> Outcome {
-        let from = Octaves::LONGER * self.longest_bridge;
-        let mut points = self.short.finish();
-        points.retain(|point| point.m < from);
-        points.extend(self.long.finish().into_iter().filter(|point| point.m >= from));
+        let points = Octaves::joined(self.short.finish(), self.long.finish(), self.longest_bridge);
         let transform = &mut self.transform;
         Outcome {
             sums: self.main.map(|main| main.finish(transform)),
@@ -197,6 +195,19 @@ impl Octaves {
     /// A bridge this many times shorter than an averaging time changes its variance by a few percent of those windows that
     /// hold it.
     const LONGER: usize = 16;
+
+    /// Of cut stretches the points at averaging times that are not long beside the longest bridge, as long as they have half of
+    /// the terms that bridged ones have; of bridged stretches the others.
+    fn joined(cut: Vec<AllanPoint>, bridged: Vec<AllanPoint>, longest_bridge: usize) -> Vec<AllanPoint> {
+        let mut points: BTreeMap<usize, AllanPoint> = bridged.into_iter().map(|point| (point.m, point)).collect();
+        for point in cut.into_iter().filter(|point| point.m < Self::LONGER * longest_bridge) {
+            let bridged = points.entry(point.m).or_insert(point);
+            if 2 * point.terms >= bridged.terms {
+                *bridged = point;
+            }
+        }
+        points.into_values().collect()
+    }
 
     /// Of stretches of at most that many samples.
     fn new(scale: FixedPoint, longest: u64) -> Self {
@@ -311,6 +322,34 @@ mod tests {
         // Integers: blocks that go on where the last one ended are one stretch.
         assert_eq!(about.allan_minimum, about_blocks.allan_minimum);
         assert_eq!(about.dynamic, about_blocks.dynamic);
+    }
+
+    #[test]
+    fn no_averaging_time_is_lost_between_cut_stretches_and_long_bridges() {
+        let mut noise = Noise::new(74);
+        let mut values = noise.sensor(200_000, RATE_HZ, 2e-3, 0.0, 0.0);
+        let sigma = 2e-3 * RATE_HZ.sqrt();
+        // Handled for half a minute once, knocked every 100 s.
+        for value in &mut values[30_000..31_200] {
+            *value += 20.0 * sigma * noise.normal();
+        }
+        for knock in 1..49 {
+            for value in &mut values[knock * 4000 + 500..][..20] {
+                *value += 12.0 * sigma * noise.normal();
+            }
+        }
+        let part = Part { start_s: 0.0, values };
+        let found = super::super::examine(std::slice::from_ref(&part), RATE_HZ);
+        let mut rest = Rest::new(RATE_HZ, FixedPoint::for_channel(Channel::GyroX), &found, None, true);
+        rest.push(0, Portion { parts: vec![part], continues: false });
+        let points = rest.finish().points;
+        let factors: Vec<usize> = points.iter().map(|point| point.m).collect();
+        assert_eq!(factors, (0..factors.len()).map(|octave| 1 << octave).collect::<Vec<_>>());
+        assert!(factors.len() >= 16, "{factors:?}");
+        for point in points.iter().filter(|point| point.m <= 4096) {
+            let expected = 2e-3 * 2e-3 * RATE_HZ / point.m as f64;
+            assert!((point.variance / expected - 1.0).abs() < 0.35, "m = {}: {}", point.m, point.variance / expected);
+        }
     }
 
     #[test]
