@@ -6,7 +6,7 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
-use crate::datasheet::{Datasheet, Measured, Sampling, compare};
+use crate::datasheet::{Datasheet, FilterWindows, Measured, Sampling, compare};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
@@ -187,13 +187,29 @@ pub(super) async fn noise(
     }
     let form = sheet.as_ref().map_or("json", |sheet| sheet.name);
     if let Some(sheet) = sheet {
-        let row = state.read(move |reader| reader.capture(reader.resolve(&capture)?)).await?;
-        let windows = serde_json::from_value(row.configuration["filter_window"].clone()).ok();
+        let job_id = result.as_ref().and_then(|result| result.job_id);
+        let windows = state.read(move |reader| filter_windows(reader, &capture, job_id)).await?;
         let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
         let compared = compare(&sheet, Sampling::new(report.rate_hz, windows), &measured);
         report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
     }
     Ok(answer_of_form(&headers, result.as_ref(), form, axum::Json(SoFar { report, caught_up })))
+}
+
+/// Register 85 as the first of a result's captures that knows it tells.
+fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Option<FilterWindows>, StoreError> {
+    let with = match job {
+        Some(id) => reader.job(id)?.params["with"].as_array().cloned().unwrap_or_default(),
+        None => Vec::new(),
+    };
+    let others = with.iter().filter_map(Value::as_i64);
+    for id in std::iter::once(reader.resolve(name)?).chain(others) {
+        let row = reader.capture(id)?;
+        if let Ok(windows) = serde_json::from_value(row.configuration["filter_window"].clone()) {
+            return Ok(Some(windows));
+        }
+    }
+    Ok(None)
 }
 
 /// The document of this kind: of the job asked for, or of the one with the parameters wished for.
