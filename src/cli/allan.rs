@@ -1,22 +1,20 @@
 //! `vn100d allan`: deviation curves.
 
-use super::analysis::{self, Together};
+use super::analysis;
 use super::args::{AllanArgs, Estimator as Named, Format, Taus};
 use super::{Context, Outcome, print_json, table};
-use crate::noise::allan::{AllanCurve, AllanReport, Estimator, FixedPoint, Overlapping, Phases, TauGrid, TauSpacing};
-use crate::noise::robust::Part;
-use crate::sample::Channel;
+use crate::jobs::{JobParameters, direct};
+use crate::noise::allan::{AllanReport, Estimator, TauSpacing};
 use std::io::Write as _;
 
 /// Prints the curves.
 pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome> {
     let together = analysis::open(context, &args.captures, args.rate)?;
-    let spacing = match args.taus {
+    let taus = match args.taus {
         Taus::Octave => TauSpacing::Octave,
         Taus::Log => TauSpacing::Log,
         Taus::All => TauSpacing::All,
     };
-    let grid = TauGrid::new(spacing, together.longest())?;
     let estimator = match args.estimator {
         Named::Oadev => Estimator::Oadev,
         Named::Adev => Estimator::Adev,
@@ -25,37 +23,15 @@ pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome
         Named::Ohdev => Estimator::Ohdev,
         Named::Totdev => Estimator::Totdev,
     };
-    let of = |channel: &Channel| {
-        // Every stretch stands by itself, whichever capture it is of.
-        let segments: Vec<&Part> = together.parts(*channel).flatten().collect();
-        (*channel, curve(*channel, &segments, estimator, &grid, together.rate_hz()))
-    };
-    let curves = together.channels.iter().map(of);
-    let mut report = AllanReport::new(estimator, together.rate_hz(), together.complete(), curves);
-    report.warnings.extend(report.stride_warning());
-    report.captures = together.contributions();
-    if !report.captures.is_empty() {
-        (report.samples, report.missing) = (Some(together.samples()), Some(together.missing()));
-    }
+    let (name, rejected) = (together.name(), together.rejected());
+    let parameters = JobParameters { taus, estimator, channels: None, with: Vec::new() };
+    let report = direct::allan(&together.source, together.plan, &parameters)?;
     match (context.json, args.format) {
         (true, _) | (_, Format::Json) => print_json(&report)?,
         (_, Format::Csv) => print_csv(&report)?,
-        (_, Format::Table) => print_table(&together, &report)?,
+        (_, Format::Table) => print_table(&name, &report)?,
     }
-    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
-}
-
-fn curve(channel: Channel, segments: &[&Part], estimator: Estimator, grid: &TauGrid, rate_hz: f64) -> AllanCurve {
-    if estimator == Estimator::Oadev {
-        let mut overlapping = Overlapping::new(FixedPoint::for_channel(channel), grid.clone());
-        for segment in segments {
-            overlapping.push(&segment.values);
-            overlapping.break_segment();
-        }
-        return AllanCurve::from_sums(overlapping.sums(), rate_hz, channel.unit());
-    }
-    let phases: Vec<Phases> = segments.iter().filter_map(|segment| Phases::integrate(&segment.values)).collect();
-    AllanCurve::from_phases(&phases, estimator, grid, rate_hz, channel.unit())
+    Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
 
 fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
@@ -81,16 +57,15 @@ fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
 }
 
 /// Averaging times down, channels across: a person compares channels.
-fn print_table(together: &Together, report: &AllanReport) -> anyhow::Result<()> {
+fn print_table(name: &str, report: &AllanReport) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     writeln!(
         stdout,
-        "{}: {} of {} samples at {} Hz, {} missing",
-        together.name(),
+        "{name}: {} of {} samples at {} Hz, {} missing",
         report.estimator.name(),
-        together.samples(),
-        together.rate_hz(),
-        together.missing()
+        report.samples.unwrap_or_default(),
+        report.rate_hz,
+        report.missing.unwrap_or_default()
     )?;
     let header: Vec<String> = std::iter::once("tau s".to_owned())
         .chain(report.channels.iter().map(|(channel, curve)| format!("{channel} {}", curve.unit)))
@@ -100,9 +75,10 @@ fn print_table(together: &Together, report: &AllanReport) -> anyhow::Result<()> 
     for (index, tau_s) in longest.map(|curve| curve.tau_s.as_slice()).unwrap_or_default().iter().enumerate() {
         let cells = report.channels.values().map(|curve| {
             match (curve.deviation.get(index), curve.ci68_low.get(index), curve.ci68_high.get(index)) {
-                (Some(deviation), Some(low), Some(high)) => {
+                (Some(deviation), Some(low), Some(high)) if *deviation > 0.0 => {
                     format!("{deviation:.3e} ± {:.0} %", 50.0 * (high - low) / deviation)
                 }
+                (Some(deviation), ..) => format!("{deviation:.3e}"),
                 _ => String::new(),
             }
         });

@@ -1,65 +1,43 @@
-//! What is analysed: a capture in the database, or a recording's file directly.
+//! What is analysed: captures in the database, or recordings' files directly.
 
 use super::Context;
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
-use crate::jobs::{JobError, Plan, Setting, one_sensor, parts};
-use crate::noise::Contribution;
-use crate::noise::robust::{Levels, Part};
-use crate::recording::{Options, load_columns};
-use crate::sample::{Channel, ChannelSet};
-use crate::store::Missing;
+use crate::jobs::{Extent, JobError, Plan, SampleSource, Setting, one_sensor};
+use crate::recording::{LoadedRecording, Options, load_columns};
+use crate::sample::Channel;
+use crate::store::{Chunk, Missing, Reader, StoreError};
+use std::ops::Range;
 use std::path::Path;
 
-/// The analysed channels of a capture or recording, in memory.
-pub(super) struct Material {
-    /// Its name.
-    pub name: String,
+/// What is known of a capture or recording besides its samples.
+struct Material {
+    name: String,
     /// Whether nothing told the rate.
-    pub rate_assumed: bool,
-    /// Samples.
-    pub samples: u64,
-    /// Missing samples.
-    pub missing: u64,
-    /// Samples left out because most have another rate.
-    pub other_rate: u64,
-    /// Whether no sample will follow.
-    pub complete: bool,
+    rate_assumed: bool,
     /// Frames or lines were rejected on the way in.
-    pub rejected: bool,
-    /// Per channel its segments, each without a gap, in the channel's unit.
-    pub channels: Vec<(Channel, Vec<Part>)>,
-    /// The temperature's course, where it was recorded.
-    pub temperature: Levels,
+    rejected: bool,
     /// Filter windows of register 85, where they are known.
-    pub windows: Option<FilterWindows>,
+    windows: Option<FilterWindows>,
     /// What has to be the same of captures that are analysed together.
-    pub setting: Setting,
+    setting: Setting,
     /// Which capture of the database it is.
     id: Option<i64>,
 }
 
 /// One capture or several of one sensor, to be analysed as one.
 pub(super) struct Together {
-    /// Each by itself, never empty.
-    pub captures: Vec<Material>,
-    /// The channels that all of them have.
-    pub channels: Vec<Channel>,
+    /// Which samples.
+    pub plan: Plan,
+    /// Where they are.
+    pub source: Shelf,
+    captures: Vec<Material>,
 }
 
 impl Together {
-    fn first(&self) -> Option<&Material> {
-        self.captures.first()
-    }
-
     /// The name, or the names.
     pub(super) fn name(&self) -> String {
         self.captures.iter().map(|of| of.name.as_str()).collect::<Vec<_>>().join(" + ")
-    }
-
-    /// Sampling rate in Hz: that of all.
-    pub(super) fn rate_hz(&self) -> f64 {
-        self.first().map_or(f64::NAN, |of| of.setting.rate_hz)
     }
 
     /// Filter windows of register 85, where one tells them.
@@ -67,94 +45,152 @@ impl Together {
         self.captures.iter().find_map(|of| of.windows)
     }
 
-    /// Samples of all.
-    pub(super) fn samples(&self) -> u64 {
-        self.captures.iter().map(|of| of.samples).sum()
-    }
-
-    /// Missing samples of all.
-    pub(super) fn missing(&self) -> u64 {
-        self.captures.iter().map(|of| of.missing).sum()
-    }
-
-    /// Samples of all that were left out because most have another rate.
-    pub(super) fn other_rate(&self) -> u64 {
-        self.captures.iter().map(|of| of.other_rate).sum()
-    }
-
-    /// Sample time of all, received and missing, s.
-    pub(super) fn duration_s(&self) -> f64 {
-        self.captures.iter().map(Material::duration_s).sum()
-    }
-
-    /// Whether no sample will follow to any.
-    pub(super) fn complete(&self) -> bool {
-        self.captures.iter().all(|of| of.complete)
-    }
-
     /// Whether frames or lines of one were rejected on the way in.
     pub(super) fn rejected(&self) -> bool {
         self.captures.iter().any(|of| of.rejected)
     }
+}
 
-    /// Length of the longest segment of any channel, samples.
-    pub(super) fn longest(&self) -> u64 {
-        self.captures.iter().map(Material::longest).max().unwrap_or(0)
-    }
+/// The database, where a capture of it is named, and the recordings in memory. These have ids below 0: there is no such capture.
+#[derive(Default)]
+pub(super) struct Shelf {
+    reader: Option<Reader>,
+    recordings: Vec<Loaded>,
+}
 
-    /// The stretches of a channel, capture by capture.
-    pub(super) fn parts(&self, channel: Channel) -> impl Iterator<Item = &[Part]> {
-        self.captures.iter().map(move |of| of.parts(channel))
-    }
+/// Samples of a recording.
+struct Loaded {
+    name: String,
+    rate_hz: f64,
+    /// Stretches of samples without a gap.
+    segments: Vec<Range<usize>>,
+    missing: Missing,
+    missing_total: u64,
+    /// NaN where a sample has no value.
+    columns: Vec<(Channel, Vec<f64>)>,
+}
 
-    /// Of several captures what each gives.
-    pub(super) fn contributions(&self) -> Vec<Contribution> {
-        if self.captures.len() < 2 {
-            return Vec::new();
+impl Loaded {
+    fn new(name: &str, mut recording: LoadedRecording) -> Self {
+        let columns = std::mem::take(&mut recording.columns).into_iter();
+        let wanted = columns.filter(|of| Channel::ANALYSED.contains(&of.channel) || of.channel == Channel::Temperature);
+        let marked = wanted.map(|mut column| {
+            let mut absent_from = 0;
+            for segment in column.segments.iter().chain([&(column.values.len()..column.values.len())]) {
+                if let Some(absent) = column.values.get_mut(absent_from..segment.start) {
+                    absent.fill(f64::NAN);
+                }
+                absent_from = segment.end;
+            }
+            (column.channel, column.values)
+        });
+        Self {
+            name: name.to_owned(),
+            rate_hz: recording.info.rate_hz,
+            columns: marked.collect(),
+            missing: Missing::of(recording.gaps.iter().map(|gap| (gap.before_seq, gap.missing))),
+            missing_total: recording.missing,
+            segments: recording.segments,
         }
-        let of = |material: &Material| Contribution {
-            capture: material.name.clone(),
-            duration_s: material.duration_s(),
-            samples: material.samples,
-            missing: material.missing,
-            ..Contribution::default()
+    }
+
+    fn samples(&self) -> u64 {
+        self.segments.last().map_or(0, |last| last.end as u64)
+    }
+
+    fn chunk(&self, from_seq: u64, limit: usize, channels: &[Channel]) -> Chunk {
+        let end = self.segments.last().map_or(0, |last| last.end);
+        let from = usize::try_from(from_seq).unwrap_or(end).min(end);
+        let rows = from..from.saturating_add(limit).min(end);
+        let column = |channel: &Channel| {
+            let found = self.columns.iter().find(|(other, _)| other == channel);
+            let values = found.and_then(|(_, values)| values.get(rows.clone()));
+            values.map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
         };
-        self.captures.iter().map(of).collect()
+        // Segments are numbered from 1, as the plan has them.
+        let mut segment = Vec::with_capacity(rows.len());
+        let first = self.segments.partition_point(|range| range.end <= rows.start);
+        for (number, range) in (1..).zip(&self.segments).skip(first) {
+            let until = range.end.min(rows.end);
+            segment.resize(until.saturating_sub(rows.start), number);
+            if until == rows.end {
+                break;
+            }
+        }
+        Chunk {
+            first_seq: from as u64,
+            segment,
+            channels: channels.to_vec(),
+            columns: channels.iter().map(column).collect(),
+            times: None,
+        }
     }
 }
 
-impl Material {
-    /// The stretches of a channel.
-    pub(super) fn parts(&self, channel: Channel) -> &[Part] {
-        self.channels.iter().find(|(other, _)| *other == channel).map(|(_, parts)| parts.as_slice()).unwrap_or_default()
+impl Shelf {
+    /// Takes a recording in and gives its id.
+    fn add(&mut self, recording: Loaded) -> i64 {
+        self.recordings.push(recording);
+        -(self.recordings.len() as i64)
     }
 
-    /// Sample time from first to last, received and missing, s.
-    fn duration_s(&self) -> f64 {
-        (self.samples + self.missing) as f64 / self.setting.rate_hz
+    fn recording(&self, id: i64) -> Option<&Loaded> {
+        let index = usize::try_from(id.checked_neg()?).ok()?.checked_sub(1)?;
+        self.recordings.get(index)
     }
 
-    /// Length of the longest segment of any channel, samples.
-    fn longest(&self) -> u64 {
-        self.channels.iter().flat_map(|(_, segments)| segments).map(|part| part.values.len() as u64).max().unwrap_or(0)
+    fn reader(&self, id: i64) -> Result<&Reader, StoreError> {
+        self.reader.as_ref().ok_or_else(|| StoreError::NoSuchCapture { asked: id.to_string() })
     }
+}
 
-    /// Says what was assumed; on standard error, so that machine-readable output stays alone.
-    fn remark(&self) {
-        if self.rate_assumed {
-            let rate_hz = self.setting.rate_hz;
-            eprintln!("note: {} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)", self.name);
+impl SampleSource for Shelf {
+    fn read_chunk(
+        &self,
+        capture_id: i64,
+        from_seq: u64,
+        limit: usize,
+        channels: &[Channel],
+    ) -> Result<Chunk, StoreError> {
+        match self.recording(capture_id) {
+            Some(recording) => Ok(recording.chunk(from_seq, limit, channels)),
+            None => self.reader(capture_id)?.read_chunk(capture_id, from_seq, limit, channels),
         }
+    }
+
+    fn missing(&self, capture_id: i64) -> Result<Missing, StoreError> {
+        match self.recording(capture_id) {
+            Some(recording) => Ok(recording.missing.clone()),
+            None => self.reader(capture_id)?.missing(capture_id),
+        }
+    }
+
+    fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
+        let Some(recording) = self.recording(capture_id) else {
+            return self.reader(capture_id)?.extent(capture_id, end_seq);
+        };
+        Ok(Extent {
+            capture: recording.name.clone(),
+            duration_s: (recording.samples() + recording.missing_total) as f64 / recording.rate_hz,
+            samples: recording.samples(),
+            missing: recording.missing_total,
+            complete: true,
+            captures: Vec::new(),
+        })
     }
 }
 
 /// Opens what the person named, each a file where one of that name exists, else a capture; several only where they are of
 /// one sensor at one setting. What is assumed is said on standard error.
 pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) -> anyhow::Result<Together> {
-    let mut captures: Vec<Material> = Vec::new();
+    let mut source = Shelf::default();
+    let (mut captures, mut whole): (Vec<Material>, Option<Plan>) = (Vec::new(), None);
     for name in named {
-        let material =
-            if Path::new(name).is_file() { from_file(name, rate_hz)? } else { from_database(context, name)? };
+        let (material, plan) = if Path::new(name).is_file() {
+            from_file(&mut source, name, rate_hz)?
+        } else {
+            from_database(context, &mut source, name)?
+        };
         let same = |other: &Material| match (other.id, material.id) {
             (None, None) => same_file(&other.name, &material.name),
             (one, two) => one == two,
@@ -163,22 +199,21 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             let reason = format!("`{name}` is given twice");
             return Err(JobError::Together { reason }.into());
         }
-        material.remark();
+        if material.rate_assumed {
+            // On standard error, so that machine-readable output stays alone.
+            let rate_hz = material.setting.rate_hz;
+            eprintln!("note: {name} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+        }
         captures.push(material);
+        // Before their samples are put side by side.
+        one_sensor(&captures.iter().map(|of| of.setting.clone()).collect::<Vec<_>>())?;
+        whole = Some(match whole {
+            None => plan,
+            Some(whole) => whole.followed_by(plan)?,
+        });
     }
-    one_sensor(&captures.iter().map(|of| of.setting.clone()).collect::<Vec<_>>())?;
-    let has = |of: &Material, channel: Channel| of.channels.iter().any(|(other, _)| *other == channel);
-    let channels: Vec<Channel> = captures
-        .first()
-        .map(|first| first.channels.iter().map(|(channel, _)| *channel))
-        .into_iter()
-        .flatten()
-        .filter(|channel| captures.iter().all(|of| has(of, *channel)))
-        .collect();
-    if channels.is_empty() && captures.len() > 1 {
-        return Err(JobError::Together { reason: "they have no channel in common".to_owned() }.into());
-    }
-    Ok(Together { captures, channels })
+    let plan = whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })?;
+    Ok(Together { plan, source, captures })
 }
 
 fn same_file(one: &str, two: &str) -> bool {
@@ -186,79 +221,72 @@ fn same_file(one: &str, two: &str) -> bool {
     one == two || place(one).is_some_and(|place_of_one| place(two) == Some(place_of_one))
 }
 
-fn from_file(named: &str, rate_hz: Option<f64>) -> anyhow::Result<Material> {
+fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::Result<(Material, Plan)> {
     let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns() };
-    let mut recording = load_columns(Path::new(named), options)?;
-    let rate_hz = recording.info.rate_hz;
-    let missing = Missing::of(recording.gaps.iter().map(|gap| (gap.before_seq, gap.missing)));
-    let start_s = |index: usize| (index as u64 + missing.up_to(index as u64)) as f64 / rate_hz;
-    let mut channels: Vec<(Channel, Vec<Part>)> = std::mem::take(&mut recording.columns)
-        .into_iter()
-        .filter(|column| Channel::ANALYSED.contains(&column.channel) || column.channel == Channel::Temperature)
-        .map(|column| {
-            let part = |range: &std::ops::Range<usize>| Part {
-                start_s: start_s(range.start),
-                values: column.values[range.clone()].to_vec(),
-            };
-            (column.channel, column.segments.iter().map(part).collect())
-        })
-        .collect();
-    let temperature = take_temperature(&mut channels, rate_hz, recording.samples);
-    let units = channels.iter().map(|(channel, _)| {
-        let converted = recording.info.conversions.iter().find(|conversion| conversion.channel == *channel);
-        (*channel, converted.map_or(channel.unit(), |conversion| conversion.original_unit).to_owned())
+    let recording = load_columns(Path::new(named), options)?;
+    let info = &recording.info;
+    let units = info.channels.iter().map(|channel| {
+        let converted = info.conversions.iter().find(|conversion| conversion.channel == channel);
+        (channel, converted.map_or(channel.unit(), |conversion| conversion.original_unit).to_owned())
     });
-    Ok(Material {
+    let material = Material {
         windows: None,
-        setting: Setting { units: units.collect(), ..Setting::of_rate(named, rate_hz) },
+        setting: Setting { units: units.collect(), ..Setting::of_rate(named, info.rate_hz) },
         id: None,
         name: named.to_owned(),
-        rate_assumed: recording.info.rate_assumed,
-        samples: recording.samples,
-        missing: recording.missing,
-        other_rate: 0,
-        complete: true,
-        rejected: recording.info.rejected.values().any(|count| *count > 0),
-        channels,
-        temperature,
-    })
+        rate_assumed: info.rate_assumed,
+        rejected: info.rejected.values().any(|count| *count > 0),
+    };
+    let loaded = Loaded::new(named, recording);
+    let channels: Vec<Channel> = loaded.columns.iter().map(|(channel, _)| *channel).collect();
+    let (rate_hz, segments) = (loaded.rate_hz, loaded.segments.clone());
+    let plan = Plan::of_recording(source.add(loaded), named, rate_hz, &channels, &segments)?;
+    Ok((material, plan))
 }
 
-/// Takes the temperature out of the channels.
-fn take_temperature(channels: &mut Vec<(Channel, Vec<Part>)>, rate_hz: f64, samples: u64) -> Levels {
-    let mut levels = Levels::new(rate_hz, samples);
-    if let Some(at) = channels.iter().position(|(channel, _)| *channel == Channel::Temperature) {
-        levels.push(&channels.remove(at).1, false);
-    }
-    levels
-}
-
-fn from_database(context: &Context, named: &str) -> anyhow::Result<Material> {
-    let reader = context.reader()?;
-    let id = reader.resolve(named)?;
-    let row = reader.capture(id)?;
-    let present: ChannelSet = row.channels.iter().copied().collect();
-    let wanted: Vec<Channel> = Channel::ANALYSED
-        .into_iter()
-        .chain([Channel::Temperature])
-        .filter(|channel| present.contains(*channel))
-        .collect();
+fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::Result<(Material, Plan)> {
+    let reader = match source.reader.take() {
+        Some(reader) => reader,
+        None => context.reader()?,
+    };
+    let reader = source.reader.insert(reader);
+    let row = reader.capture(reader.resolve(named)?)?;
     // As the background jobs do: the rate that most samples have; nothing mixes two.
-    let plan = Plan::read(&reader, id, row.samples, &wanted)?;
-    let mut channels: Vec<(Channel, Vec<Part>)> = wanted.iter().copied().zip(parts(&reader, &plan, &wanted)?).collect();
-    let temperature = take_temperature(&mut channels, plan.rate_hz, row.samples);
-    Ok(Material {
+    let plan = Plan::read(reader, row.id, row.samples, &Channel::ANALYSED)?;
+    let material = Material {
         windows: serde_json::from_value(row.configuration["filter_window"].clone()).ok(),
         setting: Setting::of(&row, plan.rate_hz),
-        id: Some(id),
-        temperature,
+        id: Some(row.id),
         name: row.name,
         rate_assumed: row.rate_assumed,
-        samples: row.samples,
-        missing: row.missing,
-        other_rate: plan.other_rate,
-        complete: !row.state.is_open(),
         rejected: row.rejected.values().any(|count| *count > 0),
-        channels,
-    })
+    };
+    Ok((material, plan))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loaded_recording_gives_the_segments_of_any_range() {
+        let loaded = Loaded {
+            name: "desk.csv".to_owned(),
+            rate_hz: 40.0,
+            segments: vec![0..3, 3..4, 4..9],
+            missing: Missing::of([(3, 10), (4, 2)]),
+            missing_total: 12,
+            columns: vec![(Channel::GyroX, (0..9).map(f64::from).collect())],
+        };
+        let numbers = [1, 1, 1, 2, 3, 3, 3, 3, 3];
+        for from in 0..10 {
+            for limit in 0..11 {
+                let chunk = loaded.chunk(from as u64, limit, &[Channel::GyroX, Channel::Temperature]);
+                let rows = from.min(9)..(from + limit).min(9);
+                assert_eq!(chunk.segment, numbers[rows.clone()], "{from} {limit}");
+                assert_eq!(chunk.columns[0], rows.clone().map(|row| row as f64).collect::<Vec<_>>());
+                assert!(chunk.columns[1].len() == rows.len() && chunk.columns[1].iter().all(|value| value.is_nan()));
+            }
+        }
+    }
 }

@@ -1,27 +1,24 @@
 //! `vn100d noise`: noise parameters.
 
-use super::analysis::{self, Material, Together};
+use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat};
 use super::{Context, Outcome, print_json, table};
 use crate::datasheet::{Comparison, Measured, Sampling, compare};
 use crate::export::{ImuNoise, Target};
-use crate::noise::allan::FixedPoint;
-use crate::noise::fit::{Estimate, Flag, NoiseParameters, NoiseReport};
-use crate::noise::robust::{self, Company, Disturbances, Record};
-use crate::noise::whittle::{DstSums, fit};
-use crate::sample::Channel;
+use crate::jobs::direct;
+use crate::noise::fit::{Estimate, Flag, NoiseReport};
 use crate::simulator::SensorModel;
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::io::Write as _;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
     let together = analysis::open(context, &args.captures, args.rate)?;
-    let mut report = report(&together);
+    let (rejected, windows) = (together.rejected(), together.windows());
+    let mut report = direct::noise(&together.source, together.plan)?;
     let comparison = args.datasheet.map(|sheet| {
         let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
-        compare(&sheet, Sampling::new(together.rate_hz(), together.windows()), &measured)
+        compare(&sheet, Sampling::new(report.rate_hz, windows), &measured)
     });
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
     let target = match args.format {
@@ -41,66 +38,7 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     if let Some(comparison) = comparison.filter(|_| !context.json && args.format == NoiseFormat::Table) {
         print_comparison(&comparison)?;
     }
-    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
-}
-
-/// What a channel has come to: its parameters, what disturbed it, and of several captures what was found in each.
-type Found = (Channel, NoiseParameters, Disturbances, Vec<(Vec<Flag>, Disturbances)>);
-
-/// Fits a channel, with and without its disturbances.
-fn of_channel(together: &Together, channel: Channel) -> Found {
-    let (rate_hz, scale) = (together.rate_hz(), FixedPoint::for_channel(channel));
-    let mut sums = DstSums::new();
-    together.parts(channel).for_each(|parts| sums.merge(&robust::spectral_sums(parts, scale)));
-    let mut all = fit(&sums, rate_hz, channel, &[]);
-    all.flags.extend(Flag::out_of_range(channel, sums.out_of_range()));
-    all.flags.extend(Flag::other_rate(rate_hz, together.other_rate()));
-    let record = |of: &Material, company: Company| {
-        Record::of(channel, rate_hz, of.parts(channel).to_vec(), &of.temperature, company)
-    };
-    if let [only] = together.captures.as_slice() {
-        let (parameters, disturbances) = record(only, Company::Alone).alone(channel, rate_hz, all);
-        return (channel, parameters, disturbances, Vec::new());
-    }
-    // Each capture is looked through by itself; the sums of what is left are fitted as one.
-    let records: Vec<Record> = together.captures.iter().map(|of| record(of, Company::Several)).collect();
-    let (parameters, disturbances) = robust::parameters_together(channel, rate_hz, &records, all);
-    let each = records.iter().map(|record| (record.flags(channel), record.disturbances(rate_hz))).collect();
-    (channel, parameters, disturbances, each)
-}
-
-fn report(together: &Together) -> NoiseReport {
-    let of = |channel: &Channel| of_channel(together, *channel);
-    // Two threads: a channel does not need the others.
-    let (front, back) = together.channels.split_at(together.channels.len() / 2);
-    let found: Vec<Found> = std::thread::scope(|scope| {
-        let other = scope.spawn(|| front.iter().map(of).collect::<Vec<_>>());
-        let mut found: Vec<_> = back.iter().map(of).collect();
-        found.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        found
-    });
-    let mut report = NoiseReport {
-        format: NoiseReport::FORMAT.to_owned(),
-        capture: together.name(),
-        captures: together.contributions(),
-        rate_hz: together.rate_hz(),
-        duration_s: together.duration_s(),
-        samples: together.samples(),
-        missing: together.missing(),
-        complete: together.complete(),
-        channels: BTreeMap::new(),
-        disturbances: BTreeMap::new(),
-        datasheet: None,
-    };
-    for (channel, parameters, disturbances, each) in found {
-        report.channels.insert(channel, parameters);
-        report.disturbances.insert(channel, disturbances);
-        for (contribution, (flags, disturbances)) in report.captures.iter_mut().zip(each) {
-            contribution.flags.insert(channel, flags);
-            contribution.disturbances.insert(channel, disturbances);
-        }
-    }
-    report
+    Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
 
 /// Value with its interval, or the limit below which it lies.
@@ -263,8 +201,10 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::analysis::Together;
     use super::*;
     use crate::noise::fit::GaussMarkov;
+    use crate::sample::Channel;
 
     const FAR: f64 = 1e9;
 
@@ -288,25 +228,29 @@ mod tests {
         analysis::open(&context, &[path], None).unwrap()
     }
 
+    fn report(together: Together) -> NoiseReport {
+        direct::noise(&together.source, together.plan).unwrap()
+    }
+
     /// What the job's document flags (`Flag::out_of_range`, `Flag::other_rate`) is flagged here.
     #[test]
     fn what_was_left_out_is_flagged_as_in_the_jobs_document() {
         let directory = tempfile::tempdir().unwrap();
         let mut together = opened(recording(directory.path(), |i, value| if i == 1000 { FAR } else { value }));
-        together.captures[0].other_rate = 700;
-        let found = report(&together);
+        together.plan.other_rate = 700;
+        let found = report(together);
         let flags = &found.channels[&Channel::GyroX].flags;
         for expected in [Flag::out_of_range(Channel::GyroX, 1), Flag::other_rate(40.0, 700)] {
             assert!(flags.contains(expected.as_ref().unwrap()), "{expected:?} in {flags:?}");
         }
-        together.captures[0].other_rate = 0;
-        assert!(report(&together).channels[&Channel::GyroX].flags.iter().all(|flag| flag.kind != "other_rate"));
+        let quiet = opened(recording(directory.path(), |_, value| value));
+        assert!(report(quiet).channels[&Channel::GyroX].flags.iter().all(|flag| flag.kind != "other_rate"));
     }
 
     #[test]
     fn a_gauss_markov_process_is_shown_in_table_and_csv() {
         let directory = tempfile::tempdir().unwrap();
-        let mut report = report(&opened(recording(directory.path(), |_, value| value)));
+        let mut report = report(opened(recording(directory.path(), |_, value| value)));
         let text = |report: &NoiseReport| {
             let (mut table, mut csv) = (Vec::new(), Vec::new());
             write_table(&mut table, report).unwrap();

@@ -7,10 +7,11 @@
 
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
-use super::{JobError, JobParameters};
+use super::runner::CHUNK;
+use super::{JobError, JobParameters, SampleSource};
 use crate::noise::allan::{AllanCurve, Estimator, Phases, TauGrid, TauSpacing};
 use crate::sample::Channel;
-use crate::store::{Chunk, Reader};
+use crate::store::Chunk;
 use std::collections::VecDeque;
 
 /// Samples up to which a channel is held in memory: 32 MB, and as much again for its phases.
@@ -21,8 +22,6 @@ const MOST_POINTS: usize = 40_000;
 const MOST_STEPS: u64 = 2_000_000_000;
 /// Bytes that the samples of one pass may take.
 const MEMORY: usize = 64 << 20;
-/// Samples read at a time when a pass is taken up again.
-const CHUNK: usize = 65_536;
 /// Version of the checkpoint.
 const VERSION: u8 = 1;
 
@@ -46,17 +45,7 @@ impl Curves {
     /// Nothing taken in yet.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
         let estimator = parameters.estimator;
-        if plan.end_seq > MOST {
-            let reason = format!(
-                "{} samples are too many: {} holds a record in memory, up to {MOST} samples in a job; take the estimator \
-                 `oadev`, which has no such bound, or `vn100d allan --estimator {}`, which takes the memory it needs",
-                plan.end_seq,
-                estimator.name(),
-                estimator.name()
-            );
-            return Err(JobError::InsufficientData { reason });
-        }
-        let grid = grid(parameters, &plan)?;
+        let grid = TauGrid::new(parameters.taus, plan.longest)?;
         let bytes = usize::try_from(plan.end_seq).unwrap_or(usize::MAX).saturating_mul(8);
         let group = (MEMORY / bytes.max(1)).clamp(1, plan.channels.len().max(1));
         let mut curves = Self { plan, grid, estimator, group, done: Vec::new(), current: VecDeque::new(), open: None };
@@ -70,7 +59,7 @@ impl Curves {
         parameters: &JobParameters,
         state: &[u8],
         next_seq: u64,
-        reader: &Reader,
+        source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
         let mut curves = Self::new(plan, parameters)?;
         let Some(done) = decode(state).filter(|done| done.len() <= curves.plan.channels.len()) else { return Ok(None) };
@@ -80,7 +69,7 @@ impl Curves {
         let mut from = 0;
         while from < next_seq && !channels.is_empty() {
             let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
-            let chunk = curves.plan.read_chunk(reader, from, limit, &channels)?;
+            let chunk = curves.plan.read_chunk(source, from, limit, &channels)?;
             curves.take(&chunk);
             from = chunk.next_seq();
         }
@@ -170,8 +159,19 @@ impl Curves {
     }
 }
 
-/// The averaging times of a job; every one only where they are not too many.
-pub(super) fn grid(parameters: &JobParameters, plan: &Plan) -> Result<TauGrid, JobError> {
+/// Whether an `allan` job keeps within the memory and time that a job may take. Who waits for the answer may take more.
+pub(super) fn check(parameters: &JobParameters, plan: &Plan) -> Result<(), JobError> {
+    let estimator = parameters.estimator;
+    if estimator != Estimator::Oadev && plan.end_seq > MOST {
+        let reason = format!(
+            "{} samples are too many: {} holds a record in memory, up to {MOST} samples in a job; take the estimator \
+             `oadev`, which has no such bound, or `vn100d allan --estimator {}`, which takes the memory it needs",
+            plan.end_seq,
+            estimator.name(),
+            estimator.name()
+        );
+        return Err(JobError::InsufficientData { reason });
+    }
     let grid = TauGrid::new(parameters.taus, plan.longest)?;
     let (factors, channels) = (grid.factors().len(), plan.channels.len());
     let too_many = factors * channels > MOST_POINTS || factors as u64 * plan.end_seq > MOST_STEPS;
@@ -183,7 +183,7 @@ pub(super) fn grid(parameters: &JobParameters, plan: &Plan) -> Result<TauGrid, J
         );
         return Err(JobError::InsufficientData { reason });
     }
-    Ok(grid)
+    Ok(())
 }
 
 fn decode(state: &[u8]) -> Option<Vec<AllanCurve>> {

@@ -1,12 +1,12 @@
 //! What a job does with the samples: one of four folds, driven alike.
 
-use super::curves::Curves;
+use super::curves::{Curves, check};
 use super::distribution::Distribution;
 use super::plan::Plan;
 use super::runner::{FOLDED, FOLDED_SHORT};
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobKind, JobParameters, together};
+use super::{JobError, JobKind, JobParameters, SampleSource, together};
 use crate::noise::allan::Estimator;
 use crate::sample::Channel;
 use crate::store::{Chunk, JobRow, Reader, StoreError};
@@ -44,6 +44,7 @@ impl Fold {
         let fold = match kind {
             JobKind::Allan if parameters.estimator != Estimator::Oadev => {
                 let plan = plan()?;
+                check(parameters, &plan)?;
                 let next_seq = next_seq.min(plan.end_seq);
                 Self::Curves(Box::new(match state {
                     Some(state) => Curves::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?,
@@ -52,6 +53,7 @@ impl Fold {
             }
             JobKind::Allan => {
                 let plan = plan()?;
+                check(parameters, &plan)?;
                 let next_seq = next_seq.min(plan.end_seq);
                 Self::Sums(Box::new(match state {
                     Some(state) => {
@@ -86,74 +88,47 @@ impl Fold {
         Ok((fold, next_seq.min(end_seq)))
     }
 
-    fn plan(&self) -> Option<&Plan> {
+    fn pass(&self) -> &dyn Pass {
         match self {
-            Self::Sums(summation) => Some(summation.plan()),
-            Self::Curves(curves) => Some(curves.plan()),
-            Self::Spectra(spectra) => Some(spectra.plan()),
-            Self::Distribution(_) => None,
+            Self::Sums(summation) => &**summation,
+            Self::Curves(curves) => &**curves,
+            Self::Spectra(spectra) => &**spectra,
+            Self::Distribution(distribution) => distribution,
+        }
+    }
+
+    /// The same, to take samples in.
+    pub(super) fn pass_mut(&mut self) -> &mut dyn Pass {
+        match self {
+            Self::Sums(summation) => &mut **summation,
+            Self::Curves(curves) => &mut **curves,
+            Self::Spectra(spectra) => &mut **spectra,
+            Self::Distribution(distribution) => distribution,
         }
     }
 
     /// How many samples a pass has.
     pub(super) fn end_seq(&self, job: &JobRow) -> u64 {
-        self.plan().map_or(job.end_seq, |plan| plan.end_seq)
+        self.pass().plan().map_or(job.end_seq, |plan| plan.end_seq)
     }
 
     /// The next samples of this pass, at most `limit`.
     pub(super) fn read_chunk(
         &self,
-        reader: &Reader,
+        source: &dyn SampleSource,
         job: &JobRow,
         next_seq: u64,
         limit: usize,
     ) -> Result<Chunk, StoreError> {
-        let chunk = match self.plan() {
-            Some(plan) => plan.read_chunk(reader, next_seq, limit, self.pass_channels())?,
-            None => reader.read_chunk(job.capture, next_seq, limit, self.pass_channels())?,
+        let channels = self.pass().read_channels();
+        let chunk = match self.pass().plan() {
+            Some(plan) => plan.read_chunk(source, next_seq, limit, channels)?,
+            None => source.read_chunk(job.capture, next_seq, limit, channels)?,
         };
         if chunk.is_empty() {
             return Err(StoreError::NoSuchCapture { asked: job.capture.to_string() });
         }
         Ok(chunk)
-    }
-
-    /// The channels to be read in this pass.
-    pub(super) fn pass_channels(&self) -> &[Channel] {
-        match self {
-            Self::Sums(summation) => summation.pass_channels(),
-            Self::Curves(curves) => curves.pass_channels(),
-            Self::Spectra(spectra) => spectra.pass_channels(),
-            Self::Distribution(distribution) => distribution.channels(),
-        }
-    }
-
-    /// Takes in the next samples of this pass.
-    pub(super) fn take(&mut self, chunk: &Chunk) {
-        match self {
-            Self::Sums(summation) => summation.take(chunk),
-            Self::Curves(curves) => curves.take(chunk),
-            Self::Spectra(spectra) => spectra.take(chunk),
-            Self::Distribution(distribution) => distribution.take(chunk),
-        }
-    }
-
-    /// Does a piece of what is to be computed once a pass has all its samples; false where nothing is left.
-    pub(super) fn work(&mut self) -> bool {
-        match self {
-            Self::Curves(curves) => curves.work(),
-            Self::Sums(_) | Self::Spectra(_) | Self::Distribution(_) => false,
-        }
-    }
-
-    /// Ends a pass over the samples; answers whether another one is needed.
-    pub(super) fn end_pass(&mut self) -> bool {
-        match self {
-            Self::Sums(summation) => summation.end_pass(),
-            Self::Curves(curves) => curves.end_pass(),
-            Self::Spectra(spectra) => spectra.end_pass(),
-            Self::Distribution(_) => false,
-        }
     }
 
     /// How far the whole is when this pass has come to `next_seq` of `end_seq`, 0–1.
@@ -177,6 +152,88 @@ impl Fold {
             Self::Spectra(spectra) => spectra.save(),
             Self::Distribution(distribution) => distribution.save(),
         })
+    }
+}
+
+/// A computation that samples are handed to, in one pass over them or several.
+pub(super) trait Pass {
+    /// Which samples it takes in; none where these are all of the capture.
+    fn plan(&self) -> Option<&Plan>;
+
+    /// The channels to be read in this pass.
+    fn read_channels(&self) -> &[Channel];
+
+    /// Takes in the next samples of this pass.
+    fn take(&mut self, chunk: &Chunk);
+
+    /// Does a piece of what is to be computed once a pass has all its samples; false where nothing is left.
+    fn work(&mut self) -> bool {
+        false
+    }
+
+    /// Ends a pass over the samples; answers whether another one is needed.
+    fn end_pass(&mut self) -> bool {
+        false
+    }
+}
+
+impl Pass for Summation {
+    fn plan(&self) -> Option<&Plan> {
+        Some(self.plan())
+    }
+    fn read_channels(&self) -> &[Channel] {
+        self.pass_channels()
+    }
+    fn take(&mut self, chunk: &Chunk) {
+        self.take(chunk);
+    }
+    fn end_pass(&mut self) -> bool {
+        self.end_pass()
+    }
+}
+
+impl Pass for Curves {
+    fn plan(&self) -> Option<&Plan> {
+        Some(self.plan())
+    }
+    fn read_channels(&self) -> &[Channel] {
+        self.pass_channels()
+    }
+    fn take(&mut self, chunk: &Chunk) {
+        self.take(chunk);
+    }
+    fn work(&mut self) -> bool {
+        self.work()
+    }
+    fn end_pass(&mut self) -> bool {
+        self.end_pass()
+    }
+}
+
+impl Pass for Spectra {
+    fn plan(&self) -> Option<&Plan> {
+        Some(self.plan())
+    }
+    fn read_channels(&self) -> &[Channel] {
+        self.read_channels()
+    }
+    fn take(&mut self, chunk: &Chunk) {
+        self.take(chunk);
+    }
+    fn end_pass(&mut self) -> bool {
+        self.end_pass()
+    }
+}
+
+impl Pass for Distribution {
+    fn plan(&self) -> Option<&Plan> {
+        None
+    }
+    fn read_channels(&self) -> &[Channel] {
+        self.channels()
+    }
+    fn take(&mut self, chunk: &Chunk) {
+        self.take(chunk);
     }
 }
 

@@ -4,34 +4,41 @@
 //! Promised: the same submission is the same job; a job that is killed anywhere goes on at its last chunk and comes to the
 //! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
 //! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads at nice 10 that rest a
-//! tenth of their time and hold no read transaction between chunks.
+//! tenth of their time while they read and hold no read transaction between chunks; what is fitted then is fitted on two threads.
+//! Memory is bounded whatever a capture's length: docs/performance.md has the figures.
+//!
+//! [`direct`] does the same for whoever waits, from any [`SampleSource`].
 //!
 //! [`Live`] answers for a capture that still runs.
 
 mod curves;
+pub mod direct;
 mod distribution;
 mod error;
 mod examine;
 mod fold;
+mod held;
 mod kind;
 mod live;
 mod plan;
 mod report;
 mod runner;
+mod source;
 mod spectra;
 mod sums;
 #[cfg(test)]
 mod tests;
+mod threads;
 mod together;
 mod worker;
 
 pub use error::JobError;
-pub use examine::parts;
 pub use kind::{JobKind, JobParameters};
 pub use live::{CATCH_UP, Live, LivePoints, SoFar};
 pub use plan::{Plan, Slice};
-pub use report::StatisticsReport;
+pub use report::{Extent, StatisticsReport};
 pub use runner::CHUNK;
+pub use source::SampleSource;
 pub use sums::MEMORY;
 pub use together::{CAPTURES_MAX, Setting, one_sensor};
 pub use worker::{Jobs, JobsOptions, leave_for_daemon, step_back};

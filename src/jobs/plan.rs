@@ -4,7 +4,7 @@
 //! Several captures of one sensor are read one after the other, as if they were one: sample and segment numbers of the later
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
-use super::JobError;
+use super::{JobError, SampleSource};
 use crate::sample::Channel;
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
 use std::ops::Range;
@@ -91,6 +91,38 @@ impl Plan {
         })
     }
 
+    /// The plan for all samples of a recording whose segments are given, in order, all of one rate.
+    ///
+    /// # Errors
+    /// [`JobError::InsufficientData`] where there is no sample of an analysed channel.
+    pub fn of_recording(
+        capture_id: i64,
+        name: &str,
+        rate_hz: f64,
+        channels: &[Channel],
+        segments: &[Range<usize>],
+    ) -> Result<Self, JobError> {
+        let channels: Vec<Channel> =
+            Channel::ANALYSED.into_iter().filter(|channel| channels.contains(channel)).collect();
+        let end_seq = segments.last().map_or(0, |last| last.end as u64);
+        if end_seq == 0 || channels.is_empty() {
+            let reason = format!("{name} has no samples of gyroscope, accelerometer or magnetometer");
+            return Err(JobError::InsufficientData { reason });
+        }
+        let stretch =
+            |(number, range): (u32, &Range<usize>)| Stretch { first_seq: range.start as u64, number, taken: true };
+        Ok(Self {
+            slices: vec![Slice { capture_id, samples: 0..end_seq, first_number: 0 }],
+            end_seq,
+            rate_hz,
+            channels,
+            longest: segments.iter().map(|range| range.len() as u64).max().unwrap_or(0),
+            other_rate: 0,
+            taken: segments.len() as u64,
+            segments: (1..).zip(segments).map(stretch).collect(),
+        })
+    }
+
     /// The same with another capture's samples after its own, of the channels that both have.
     ///
     /// # Errors
@@ -128,7 +160,7 @@ impl Plan {
     /// [`StoreError::NoSuchCapture`] where the capture's samples are gone, or what the database says.
     pub fn read_chunk(
         &self,
-        reader: &Reader,
+        source: &dyn SampleSource,
         seq: u64,
         limit: usize,
         channels: &[Channel],
@@ -138,7 +170,7 @@ impl Plan {
         let slice = slice.ok_or_else(|| gone(0))?;
         let left = usize::try_from(slice.samples.end.saturating_sub(seq)).unwrap_or(usize::MAX);
         let own = seq.saturating_sub(slice.samples.start);
-        let mut chunk = reader.read_chunk(slice.capture_id, own, limit.min(left), channels)?;
+        let mut chunk = source.read_chunk(slice.capture_id, own, limit.min(left), channels)?;
         if chunk.is_empty() && left > 0 && limit > 0 {
             return Err(gone(slice.capture_id));
         }

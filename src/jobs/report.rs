@@ -1,15 +1,18 @@
 //! Reports: from sums and moments to the documents of the contract, section 7.
 
 use super::JobError;
+use super::SampleSource;
 use super::examine::examine;
+use super::held::Held;
 use super::plan::Plan;
+use super::threads::side_by_side;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit};
 use crate::noise::statistics::Statistics;
 use crate::noise::whittle::{self, DstSums};
 use crate::noise::{Contribution, NoiseParameters, NoiseReport};
 use crate::sample::Channel;
-use crate::store::Reader;
+use crate::store::{Reader, StoreError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -39,22 +42,27 @@ impl StatisticsReport {
 
 /// What a report says about the samples it is made of.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Extent {
-    pub(super) capture: String,
-    pub(super) duration_s: f64,
-    pub(super) samples: u64,
-    pub(super) missing: u64,
-    pub(super) complete: bool,
+pub struct Extent {
+    /// The capture's name, or the names of several.
+    pub capture: String,
+    /// Sample time covered, received and missing, s.
+    pub duration_s: f64,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Whether no sample will follow.
+    pub complete: bool,
     /// Of several captures what each gives.
-    pub(super) captures: Vec<Contribution>,
+    pub captures: Vec<Contribution>,
 }
 
 impl Extent {
     /// That of all captures of a plan together.
-    pub(super) fn of_plan(reader: &Reader, plan: &Plan) -> Result<Self, JobError> {
+    pub(super) fn of_plan(source: &dyn SampleSource, plan: &Plan) -> Result<Self, JobError> {
         let mut whole: Option<Self> = None;
         for slice in &plan.slices {
-            let mut extent = Self::read(reader, slice.capture_id, slice.samples.end - slice.samples.start)?;
+            let mut extent = source.extent(slice.capture_id, slice.samples.end - slice.samples.start)?;
             if plan.slices.len() > 1 {
                 extent.captures.push(Contribution {
                     capture: extent.capture.clone(),
@@ -85,7 +93,7 @@ impl Extent {
     }
 
     /// The capture's samples below `end_seq`; `rate_hz` turns them into time where that is not all of an ended capture.
-    pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, JobError> {
+    pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, StoreError> {
         let capture = reader.capture(capture_id)?;
         if !capture.state.is_open() && capture.samples == end_seq {
             return Ok(Self {
@@ -145,24 +153,28 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     warnings
 }
 
-/// Noise parameters of spectral sums, with and without what disturbed them; `go_on` as [`examine`] has it.
+/// Noise parameters of spectral sums, with and without what disturbed them; `held` and `go_on` as [`examine`] has them.
 pub(super) fn noise(
-    reader: &Reader,
+    source: &dyn SampleSource,
     plan: &Plan,
     sums: &[(Channel, DstSums)],
-    extent: Extent,
+    held: Option<Held>,
     go_on: impl FnMut(f64) -> Result<(), JobError>,
 ) -> Result<NoiseReport, JobError> {
-    let fitted = sums.iter().map(|(channel, sums)| {
-        let mut parameters = whittle::fit(sums, plan.rate_hz, *channel, &[]);
-        parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
-        parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
-        (*channel, parameters)
-    });
-    let mut channels: BTreeMap<Channel, NoiseParameters> = fitted.collect();
+    let fitted = side_by_side(
+        sums.iter(),
+        || (),
+        |(), (channel, sums)| {
+            let mut parameters = whittle::fit(sums, plan.rate_hz, *channel, &[]);
+            parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
+            parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
+            (*channel, parameters)
+        },
+    );
+    let mut channels: BTreeMap<Channel, NoiseParameters> = fitted.into_iter().collect();
     let mut disturbances = BTreeMap::new();
-    let mut extent = extent;
-    let found = examine(reader, plan, &channels, go_on)?;
+    let mut extent = Extent::of_plan(source, plan)?;
+    let found = examine(source, plan, &channels, held, go_on)?;
     for (channel, (parameters, disturbance)) in found.channels {
         channels.insert(channel, parameters);
         disturbances.insert(channel, disturbance);

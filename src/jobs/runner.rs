@@ -48,19 +48,19 @@ pub(super) fn run(
             crate::observe::provoke::provoke(crate::observe::provoke::Point::Job);
             let limit = chunk_samples.min(usize::try_from(end_seq - next_seq).unwrap_or(usize::MAX));
             let chunk = fold.read_chunk(reader, job, next_seq, limit)?;
-            fold.take(&chunk);
+            fold.pass_mut().take(&chunk);
             next_seq = chunk.next_seq();
             if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
                 return Ok(outcome);
             }
             rest(begun.elapsed() / REST);
         }
-        while fold.work() {
+        while fold.pass_mut().work() {
             if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
                 return Ok(outcome);
             }
         }
-        if !fold.end_pass() {
+        if !fold.pass_mut().end_pass() {
             break;
         }
         next_seq = 0;
@@ -129,9 +129,8 @@ fn document(
             serde_json::to_string(&report::curves(&plan, estimator, curves, &extent))?
         }
         Fold::Spectra(spectra) => {
-            let (plan, sums) = spectra.finish();
-            let extent = Extent::of_plan(reader, &plan)?;
-            serde_json::to_string(&report::noise(reader, &plan, &sums, extent, go_on)?)?
+            let (plan, sums, held) = spectra.finish();
+            serde_json::to_string(&report::noise(reader, &plan, &sums, held, go_on)?)?
         }
         Fold::Distribution(distribution) => {
             let extent = Extent::read(reader, job.capture, job.end_seq)?;

@@ -4,19 +4,20 @@
 //! transform's work space whatever the length. A checkpoint keeps the sums of stretches that have ended; an open one is read
 //! again, so that the transform sees it as if nothing had happened.
 
-use super::JobError;
 use super::fold::{join, split};
+use super::held::Held;
 use super::plan::{Plan, feed};
+use super::runner::CHUNK;
+use super::threads::side_by_side;
+use super::{JobError, SampleSource};
 use crate::noise::allan::FixedPoint;
 use crate::noise::robust::blocks_of;
 use crate::noise::whittle::{DstEstimator, DstSums, Transform};
 use crate::sample::Channel;
-use crate::store::{Chunk, Reader};
+use crate::store::Chunk;
 
 /// Bytes that the samples of one pass may take: those of nine channels of five hours at 40 Hz.
 const MEMORY: usize = 64 << 20;
-/// Samples read at a time when an open stretch is read again.
-const CHUNK: usize = 65_536;
 /// Version of the checkpoint.
 const VERSION: u8 = 2;
 
@@ -33,6 +34,8 @@ pub(super) struct Spectra {
     transform: Transform,
     /// The segment that the last sample taken in belongs to.
     open: Option<u32>,
+    /// All samples so far, where there is room for all and none was taken in before a restart.
+    held: Option<Held>,
 }
 
 impl Spectra {
@@ -41,19 +44,26 @@ impl Spectra {
         let longest = usize::try_from(plan.longest).unwrap_or(usize::MAX);
         let group = (MEMORY / DstEstimator::bytes(longest).max(1)).clamp(1, plan.channels.len().max(1));
         let transform = Transform::new();
-        let mut spectra = Self { plan, group, done: Vec::new(), current: Vec::new(), transform, open: None };
+        let held = Held::for_plan(&plan).filter(|_| group == plan.channels.len());
+        let mut spectra = Self { plan, group, done: Vec::new(), current: Vec::new(), transform, open: None, held };
         spectra.begin_pass();
         spectra
     }
 
     /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
-    pub(super) fn restore(plan: Plan, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
-        Self::new(plan).restored(state, next_seq, reader)
+    pub(super) fn restore(
+        plan: Plan,
+        state: &[u8],
+        next_seq: u64,
+        source: &dyn SampleSource,
+    ) -> Result<Option<Self>, JobError> {
+        Self::new(plan).restored(state, next_seq, source)
     }
 
-    fn restored(mut self, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
+    fn restored(mut self, state: &[u8], next_seq: u64, source: &dyn SampleSource) -> Result<Option<Self>, JobError> {
         let Some((done, running)) = decode(state) else { return Ok(None) };
         self.done = done;
+        self.held = None;
         let channels = self.pass_channels().to_vec();
         if channels.is_empty() || channels.len() != running.len() {
             return Ok(None);
@@ -64,7 +74,7 @@ impl Spectra {
             let Some(mut from) = next_seq.checked_sub(open) else { return Ok(None) };
             while from < next_seq {
                 let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
-                let chunk = self.plan.read_chunk(reader, from, limit, &[*channel])?;
+                let chunk = self.plan.read_chunk(source, from, limit, &[*channel])?;
                 if chunk.is_empty() {
                     return Ok(None);
                 }
@@ -75,7 +85,7 @@ impl Spectra {
         }
         self.current = current;
         if let Some(last) = next_seq.checked_sub(1) {
-            let chunk = self.plan.read_chunk(reader, last, 1, &[])?;
+            let chunk = self.plan.read_chunk(source, last, 1, &[])?;
             self.open = chunk.segment.first().copied().filter(|number| self.plan.segment(*number).is_some());
         }
         Ok(Some(self))
@@ -86,8 +96,13 @@ impl Spectra {
         &self.plan
     }
 
-    /// The channels of this pass.
-    pub(super) fn pass_channels(&self) -> &[Channel] {
+    /// The channels to be read in this pass: those that are summed first.
+    pub(super) fn read_channels(&self) -> &[Channel] {
+        self.held.as_ref().map_or_else(|| self.pass_channels(), Held::channels)
+    }
+
+    /// The channels that are summed in this pass.
+    fn pass_channels(&self) -> &[Channel] {
         let from = self.done.len().min(self.plan.channels.len());
         let to = (from + self.group).min(self.plan.channels.len());
         self.plan.channels.get(from..to).unwrap_or_default()
@@ -106,9 +121,9 @@ impl Spectra {
 
     /// Ends a pass; answers whether another one is needed.
     pub(super) fn end_pass(&mut self) -> bool {
-        for estimator in std::mem::take(&mut self.current) {
-            self.done.push(estimator.into_sums(&mut self.transform));
-        }
+        self.transform = Transform::new();
+        let sums = |transform: &mut Transform, estimator: DstEstimator| estimator.into_sums(transform);
+        self.done.extend(side_by_side(std::mem::take(&mut self.current).into_iter(), Transform::new, sums));
         let more = self.done.len() < self.plan.channels.len();
         if more {
             self.begin_pass();
@@ -116,9 +131,10 @@ impl Spectra {
         more
     }
 
-    /// Whether a capture is looked through for disturbances in more than one block.
+    /// Whether it takes long to look through the captures for disturbances: there are several, or one has more than one block.
     pub(super) fn is_long(&self) -> bool {
-        self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
+        self.plan.slices.len() > 1
+            || self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
     }
 
     /// How far the whole is when this pass has come to `next_seq`, 0–1.
@@ -127,8 +143,11 @@ impl Spectra {
         (self.done.len() as f64 + share) / self.plan.channels.len().max(1) as f64
     }
 
-    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    /// Takes in the next samples of this pass: columns as [`Self::read_channels`] has them.
     pub(super) fn take(&mut self, chunk: &Chunk) {
+        if let Some(held) = &mut self.held {
+            held.take(chunk);
+        }
         let runs = self.plan.runs(chunk);
         for (estimator, column) in self.current.iter_mut().zip(&chunk.columns) {
             feed(
@@ -163,10 +182,11 @@ impl Spectra {
         bytes
     }
 
-    /// The plan and every channel's sums, once the last pass has ended.
-    pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>) {
+    /// The plan, every channel's sums, and all samples where they are held, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>, Option<Held>) {
         let sums = self.plan.channels.iter().copied().zip(self.done).collect();
-        (self.plan, sums)
+        let whole = self.plan.end_seq;
+        (self.plan, sums, self.held.filter(|held| held.len() == whole))
     }
 }
 
@@ -174,6 +194,7 @@ impl Spectra {
 impl Spectra {
     pub(super) fn set_group(&mut self, group: usize) {
         self.group = group;
+        self.held = None;
         self.begin_pass();
     }
 
@@ -181,12 +202,12 @@ impl Spectra {
         plan: Plan,
         state: &[u8],
         next_seq: u64,
-        reader: &Reader,
+        source: &dyn SampleSource,
         group: usize,
     ) -> Result<Option<Self>, JobError> {
         let mut spectra = Self::new(plan);
         spectra.set_group(group);
-        spectra.restored(state, next_seq, reader)
+        spectra.restored(state, next_seq, source)
     }
 }
 

@@ -5,10 +5,10 @@
 
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
-use super::{JobError, JobParameters};
+use super::{JobError, JobParameters, SampleSource};
 use crate::noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
 use crate::sample::Channel;
-use crate::store::{Chunk, Reader};
+use crate::store::Chunk;
 
 /// Bytes that the phases of one pass may take.
 pub const MEMORY: usize = 48 << 20;
@@ -33,7 +33,7 @@ pub(super) struct Summation {
 impl Summation {
     /// Nothing taken in yet.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
-        let grid = super::curves::grid(parameters, &plan)?;
+        let grid = TauGrid::new(parameters.taus, plan.longest)?;
         let group = (MEMORY / Overlapping::bytes(&grid, plan.longest).max(1)).clamp(1, plan.channels.len());
         let mut summation = Self { plan, grid, group, done: Vec::new(), current: Vec::new(), open: None };
         summation.begin_pass();
@@ -46,12 +46,12 @@ impl Summation {
         parameters: &JobParameters,
         state: &[u8],
         next_seq: u64,
-        reader: &Reader,
+        source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
-        Self::new(plan, parameters)?.restored(state, next_seq, reader)
+        Self::new(plan, parameters)?.restored(state, next_seq, source)
     }
 
-    fn restored(mut self, state: &[u8], next_seq: u64, reader: &Reader) -> Result<Option<Self>, JobError> {
+    fn restored(mut self, state: &[u8], next_seq: u64, source: &dyn SampleSource) -> Result<Option<Self>, JobError> {
         let Some((done, current)) = decode(state) else { return Ok(None) };
         let Some(finished) = self.decode_sums(&done) else { return Ok(None) };
         self.done = finished;
@@ -59,13 +59,13 @@ impl Summation {
         if channels.is_empty() || channels.len() != current.len() {
             return Ok(None);
         }
-        let halo = self.halo(next_seq, reader)?;
+        let halo = self.halo(next_seq, source)?;
         let mut running = Vec::new();
         for (channel, saved) in channels.iter().zip(current) {
             let values = match &halo {
                 Some((_, from)) => {
                     let limit = usize::try_from(next_seq - from).unwrap_or(usize::MAX);
-                    let chunk = self.plan.read_chunk(reader, *from, limit, &[*channel])?;
+                    let chunk = self.plan.read_chunk(source, *from, limit, &[*channel])?;
                     chunk.columns.into_iter().next().unwrap_or_default()
                 }
                 None => Vec::new(),
@@ -90,9 +90,9 @@ impl Summation {
     }
 
     /// The segment that the sample before `next_seq` belongs to, and from where on it is needed again.
-    fn halo(&self, next_seq: u64, reader: &Reader) -> Result<Option<(u32, u64)>, JobError> {
+    fn halo(&self, next_seq: u64, source: &dyn SampleSource) -> Result<Option<(u32, u64)>, JobError> {
         let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
-        let chunk = self.plan.read_chunk(reader, last, 1, &[])?;
+        let chunk = self.plan.read_chunk(source, last, 1, &[])?;
         let Some(number) = chunk.segment.first().copied() else { return Ok(None) };
         let Some(range) = self.plan.segment(number) else { return Ok(None) };
         Ok(Some((number, range.start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
@@ -175,12 +175,12 @@ impl Summation {
         parameters: &JobParameters,
         state: &[u8],
         next_seq: u64,
-        reader: &Reader,
+        source: &dyn SampleSource,
         group: usize,
     ) -> Result<Option<Self>, JobError> {
         let mut summation = Self::new(plan, parameters)?;
         summation.set_group(group);
-        summation.restored(state, next_seq, reader)
+        summation.restored(state, next_seq, source)
     }
 }
 

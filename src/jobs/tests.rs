@@ -167,7 +167,7 @@ fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
         let mut plan = plan.clone();
         change(&mut plan);
         let parameters = JobKind::Allan.parameters(&wish).unwrap();
-        curves::Curves::new(plan, &parameters).map(|_| ()).map_err(|error| error.to_string())
+        curves::check(&parameters, &plan).map_err(|error| error.to_string())
     };
     let (mdev, all) =
         (serde_json::json!({"estimator": "mdev"}), serde_json::json!({"estimator": "mdev", "taus": "all"}));
@@ -183,7 +183,7 @@ fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
     let parameters = JobKind::Allan.parameters(&serde_json::json!({"taus": "all"})).unwrap();
     let mut too_long = plan.clone();
     too_long.longest = 100_000;
-    assert!(sums::Summation::new(too_long, &parameters).is_err(), "of the exact sums too");
+    assert!(curves::check(&parameters, &too_long).is_err(), "of the exact sums too");
 }
 
 /// Several captures beside the world's first.
@@ -211,7 +211,7 @@ impl World {
         let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
         let job = NewJob { kind: kind.name().to_owned(), capture_id, params };
         let job = self.store.submit_job(job, u64::MAX).unwrap().0.id;
-        serde_json::from_str(&self.work(job, chunk, std::iter::repeat_n(2, 1000))).unwrap()
+        serde_json::from_str(&self.work(job, chunk, std::iter::repeat_n(2, 30).chain([usize::MAX]))).unwrap()
     }
 }
 
@@ -361,7 +361,7 @@ fn spectra_by_groups_and_through_kills_are_the_same_bits() {
         loop {
             let mut next = 0;
             while next < TOTAL {
-                let chunk = reader.read_chunk(world.capture, next, 613, spectra.pass_channels()).unwrap();
+                let chunk = reader.read_chunk(world.capture, next, 613, spectra.read_channels()).unwrap();
                 spectra.take(&chunk);
                 next = chunk.next_seq();
                 if kill {

@@ -23,7 +23,7 @@ const REST: (Duration, Duration) = (Duration::from_millis(5), Duration::from_sec
 /// How jobs are worked on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JobsOptions {
-    /// How many jobs at a time, at least 1: each takes up to a core and [`super::MEMORY`].
+    /// How many jobs at a time, at least 1: each takes a core, and a noise job two while it looks for disturbances and fits.
     pub threads: usize,
     /// Samples of one chunk.
     pub chunk: usize,

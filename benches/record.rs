@@ -1,0 +1,132 @@
+//! From SQLite to noise parameters: how long it takes, and how much memory; prints figures, `cargo bench --bench record`.
+//!
+//! Two records of the demonstration's sensor: the six inertial channels of five hours at 40 Hz, and nine channels of five hours
+//! at 800 Hz (`--long`, 14.4 million samples, 2.7 GB under `TMPDIR`). Each is analysed by a background job and by
+//! `vn100d noise`. Beside the job stands what reading the samples alone takes.
+
+#![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use vn100d::jobs::{JobKind, Jobs, JobsOptions};
+use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
+use vn100d::simulator::{Simulator, default_model};
+use vn100d::store::{CaptureState, JobState, NewCapture, Store, StoreOptions};
+
+fn main() {
+    // `cargo test --benches` only wants to know that it runs.
+    let quick = !std::env::args().any(|argument| argument == "--bench");
+    let long = std::env::args().any(|argument| argument == "--long");
+    let inertial = &Channel::ANALYSED[3..9];
+    assert!(inertial.iter().all(|channel| matches!(channel.unit(), "rad/s" | "m/s²")), "{inertial:?}");
+    let samples = if quick { 20_000 } else { 720_000 };
+    measure("5 h at 40 Hz, six inertial channels", inertial, 40.0, samples, if quick { 1 } else { 7 });
+    if long {
+        measure("5 h at 800 Hz, nine channels", &Channel::ANALYSED, 800.0, 14_400_000, 1);
+    }
+}
+
+fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds: usize) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("vn100d.db");
+    let store = Store::open(&path, StoreOptions::default()).unwrap();
+    let reader = store.reader().unwrap();
+    let (mut reading, mut working, mut waiting, mut job_peak, mut command_peak) = (vec![], vec![], vec![], 0, 0);
+    for _ in 0..rounds {
+        // The same wish twice is the same job, so each round has a capture of its own.
+        let id = record(&store, channels, rate_hz, samples);
+        let begun = Instant::now();
+        let mut seq = 0;
+        while seq < samples {
+            seq = reader.read_chunk(id, seq, 65_536, channels).unwrap().next_seq();
+        }
+        reading.push(begun.elapsed());
+        reset_peak();
+        let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
+        let begun = Instant::now();
+        let job = jobs.submit(JobKind::Noise, id, &serde_json::json!({})).unwrap().0.id;
+        while reader.job(job).unwrap().state != JobState::Done {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        working.push(begun.elapsed());
+        job_peak = peak_kb("self").max(job_peak);
+        jobs.stop();
+        let begun = Instant::now();
+        command_peak = command(directory.path()).max(command_peak);
+        waiting.push(begun.elapsed());
+    }
+    let median = |times: &mut Vec<Duration>| {
+        times.sort_unstable();
+        times[times.len() / 2].as_secs_f64()
+    };
+    let (reading, working, waiting) = (median(&mut reading), median(&mut working), median(&mut waiting));
+    println!("{what}, {samples} samples, median of {rounds}:");
+    println!("  reading alone   {reading:>7.3} s");
+    println!("  noise job       {working:>7.3} s, {:.1} times the reading, {} MB", working / reading, job_peak / 1000);
+    println!(
+        "  vn100d noise    {waiting:>7.3} s, {:.1} times the reading, {} MB",
+        waiting / reading,
+        command_peak / 1000
+    );
+}
+
+/// A capture of the demonstration's sensor.
+fn record(store: &Store, channels: &[Channel], rate_hz: f64, samples: u64) -> i64 {
+    let mut model = default_model();
+    model.channels.retain(|channel, _| channels.contains(channel));
+    let mut simulator = Simulator::new(&model, 1, rate_hz, samples as f64 / rate_hz).unwrap();
+    let mut import = store.begin_import(NewCapture::new("bench", CaptureState::Imported), None).unwrap();
+    let (start_ns, period_ns) = (1_800_000_000_000_000_000, (1e9 / rate_hz) as u64);
+    import
+        .push(Record::Segment(Segment {
+            number: 1,
+            epoch: 1,
+            first_seq: 0,
+            rate_hz,
+            timebase: Timebase::Device,
+            channels: channels.iter().copied().collect(),
+            first_device_time_ns: Some(0),
+            first_utc_ns: start_ns,
+            boot_id: None,
+        }))
+        .unwrap();
+    for seq in 0..samples {
+        let mut sample = Sample::at(1_000_000_000_000 + seq * period_ns, start_ns + (seq * period_ns) as i64);
+        sample.device_time_ns = Some(seq * period_ns);
+        let values = simulator.next_values();
+        channels.iter().for_each(|channel| sample.set(*channel, f64::from(values[*channel as usize] as f32)));
+        import.push(Record::Sample { seq, segment: 1, sample }).unwrap();
+    }
+    import.finish(None).unwrap().id()
+}
+
+/// Runs `vn100d noise latest` to its end and answers the most memory it held, kB.
+fn command(data_dir: &Path) -> u64 {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_vn100d"))
+        .args(["--data-dir", data_dir.to_str().unwrap(), "--json", "noise", "latest"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut peak = 0;
+    loop {
+        // What a process that has ended held can no longer be read: the last look before its end counts.
+        peak = peak.max(peak_kb(&child.id().to_string()));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success());
+            return peak;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// Most memory that a process held since it began or [`reset_peak`], kB; 0 where it has ended.
+fn peak_kb(process: &str) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
+
+fn reset_peak() {
+    std::fs::write("/proc/self/clear_refs", "5").unwrap();
+}

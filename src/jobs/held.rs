@@ -1,0 +1,64 @@
+//! Held: the samples of a short plan, kept as they are read once, so that nobody reads them again.
+
+use super::plan::Plan;
+use crate::noise::robust::BLOCK;
+use crate::sample::Channel;
+use crate::store::Chunk;
+
+/// Bytes that held samples may take: those of nine channels and temperature of five hours at 40 Hz.
+const MEMORY: u64 = 64 << 20;
+
+/// Consecutive samples of a plan from its first one on.
+#[derive(Debug)]
+pub(super) struct Held {
+    channels: Vec<Channel>,
+    segment: Vec<u32>,
+    columns: Vec<Vec<f64>>,
+}
+
+impl Held {
+    /// Room for the samples of a plan; none where they are too many, or those of one capture more than a block.
+    pub(super) fn for_plan(plan: &Plan) -> Option<Self> {
+        let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
+        let fits = plan.end_seq.saturating_mul(8 * channels.len() as u64) <= MEMORY;
+        let short = plan.slices.iter().all(|slice| slice.samples.end - slice.samples.start <= BLOCK);
+        let length = usize::try_from(plan.end_seq).ok().filter(|_| fits && short)?;
+        let columns = channels.iter().map(|_| Vec::with_capacity(length)).collect();
+        Some(Self { channels, segment: Vec::with_capacity(length), columns })
+    }
+
+    /// What is to be read.
+    pub(super) fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    /// Takes the next samples, of [`Self::channels`].
+    pub(super) fn take(&mut self, chunk: &Chunk) {
+        self.segment.extend_from_slice(&chunk.segment);
+        self.columns.iter_mut().zip(&chunk.columns).for_each(|(own, column)| own.extend_from_slice(column));
+    }
+
+    /// How many samples there are.
+    pub(super) fn len(&self) -> u64 {
+        self.segment.len() as u64
+    }
+
+    /// Up to `limit` samples from number `from` on; a channel that is not held is absent.
+    pub(super) fn chunk(&self, from: u64, limit: usize, channels: &[Channel]) -> Chunk {
+        let end = self.segment.len();
+        let from = usize::try_from(from).unwrap_or(end).min(end);
+        let rows = from..from.saturating_add(limit).min(end);
+        let column = |channel: &Channel| {
+            let at = self.channels.iter().position(|held| held == channel);
+            let values = at.and_then(|at| self.columns.get(at)?.get(rows.clone()));
+            values.map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
+        };
+        Chunk {
+            first_seq: from as u64,
+            segment: self.segment.get(rows.clone()).unwrap_or_default().to_vec(),
+            channels: channels.to_vec(),
+            columns: channels.iter().map(column).collect(),
+            times: None,
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! Threads: two of them work through a list.
+
+use std::sync::{Mutex, PoisonError};
+
+/// Works on the items in two threads, this one and another, and gives the outcomes in the items' order. Each makes a tool of its
+/// own and takes the next item when it is done with one.
+pub(super) fn side_by_side<A, S, T: Send>(
+    items: impl Iterator<Item = A> + Send,
+    tool: impl Fn() -> S + Sync,
+    work: impl Fn(&mut S, A) -> T + Sync,
+) -> Vec<T> {
+    let queue = Mutex::new(items.enumerate());
+    let take = || {
+        let (mut done, mut tool) = (Vec::new(), tool());
+        loop {
+            // A lock of its own statement: it is not held while the item is worked on.
+            let next = queue.lock().unwrap_or_else(PoisonError::into_inner).next();
+            match next {
+                Some((at, item)) => done.push((at, work(&mut tool, item))),
+                None => return done,
+            }
+        }
+    };
+    let mut done = std::thread::scope(|scope| {
+        let other = scope.spawn(take);
+        let mut done = take();
+        done.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        done
+    });
+    done.sort_unstable_by_key(|(at, _)| *at);
+    done.into_iter().map(|(_, outcome)| outcome).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outcomes_come_in_the_order_of_the_items_however_long_each_takes() {
+        let slow_first = |_: &mut (), item: u64| {
+            std::thread::sleep(std::time::Duration::from_millis(10 - item));
+            item * item
+        };
+        assert_eq!(side_by_side(0..10, || (), slow_first), (0..10).map(|item| item * item).collect::<Vec<_>>());
+        assert!(side_by_side(std::iter::empty::<u64>(), || (), slow_first).is_empty());
+    }
+}
