@@ -14,7 +14,10 @@
 //! Validation: `the_spectrum_is_one_over_f_within_two_percent_from_one_over_the_record_up_to_nyquist`: ≤ 1 % for 5 h at
 //! 40 Hz, 5 h and 24 h at 800 Hz.
 
-use super::{Effect, Sampler, Stream};
+use super::spec::{Parameter, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, LN_2, PI};
 
 /// Flicker noise with two-sided PSD B²/(2πf) up to Nyquist; its Allan deviation is flat at 0.664 B.
@@ -30,17 +33,30 @@ pub struct Flicker {
 /// by less than 1e-6 there).
 const INTEGRATED_UP_TO: u64 = 32;
 
+const PARAMETERS: [Parameter; 1] = [number("B", Range::FromZero, "B in U")];
+static SPEC: Spec = Spec {
+    name: "flicker",
+    stream: streams::FLICKER,
+    stage: Stage::Noise,
+    parameters: &PARAMETERS,
+    forms: &[],
+    meaning: "bias instability, two-sided density B²/(2πf)",
+};
+
 impl Effect for Flicker {
-    fn name(&self) -> &'static str {
-        "flicker"
+    fn spec(&self) -> &'static Spec {
+        &SPEC
     }
-    fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> f64 {
-        self.b * self.b / (2.0 * PI * frequency_hz)
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("B", self.b.into())]
+    }
+    fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(self.b * self.b / (2.0 * PI * frequency_hz))
     }
     /// The integral of the spectrum up to Nyquist, B²·(2/πm²)·∫ sin⁴(mx)/(x sin²x) dx over 0…π/2: 0.525 B² at m = 1,
     /// (2 ln 2/π)·B² = 0.441 B² for large m.
-    fn allan_variance(&self, m: u64, _rate_hz: f64) -> f64 {
-        self.b * self.b * unit_allan_variance(m.max(1))
+    fn allan_variance(&self, m: u64, _record: Record) -> Option<f64> {
+        Some(self.b * self.b * unit_allan_variance(m.max(1)))
     }
     fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         Box::new(FlickerSampler::new(self.b, &Ladder::new(rate_hz * record_length_s), stream))
@@ -229,7 +245,7 @@ impl FlickerSampler {
 }
 
 impl Sampler for FlickerSampler {
-    fn apply(&mut self, values: &mut [f64]) {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
         for block in values.chunks_mut(BLOCK) {
             let input = &mut self.input[..block.len()];
             for slot in input.iter_mut() {

@@ -1,46 +1,315 @@
-//! Effects: one physical error source per file, each defined once for the simulator, the fit and the plots. Pure.
+//! Effects: one physical error source per file, each defined once for the simulator, the fit, the plots and the diagnosis.
+//! Pure.
 //!
 //! In: an effect's parameters (contract, section 5), a rate, a random stream. Out: what is known about it in closed form
-//! (power spectrum, Allan variance, mean response) and a sampler that streams it in bounded memory.
+//! (power spectrum, Allan variance, gain, mean response, moments, the functions of time it is linear in) and a sampler that
+//! streams it in bounded memory. Where there is no closed form the answer is `None`, and the method says why.
 //!
 //! Every effect samples from a stream of its own ([`stream`]), so that adding one never changes another's values.
 //! A sampler works on blocks in place and its values do not depend on how the stream is cut into blocks.
 //!
-//! | effect | two-sided PSD | Allan variance of sampled data |
-//! |---|---|---|
-//! | [`White`] (N) | N² | N²/τ |
-//! | [`Flicker`] (B) | B²/(2πf) | (2 ln 2/π)·B² + O(ln m/m²) |
-//! | [`RandomWalk`] (K) | (K/2πf)² | K²·dt·(2m²+1)/(6m) |
+//! [`Stage`] is the order in which effects act, whatever their order in a file. [`registry`] holds every effect under its
+//! name with its parameters and their ranges: what is refused, the JSON Schema and the tables in `docs/effects.md` follow
+//! from it. Effects on a triad, driven by a motion, are in [`triad`].
+//!
+//! Refused, with parameter, what was found and what is allowed ([`Refusal`]): values outside their range, frequencies from
+//! half the rate up, intervals that end before they begin.
+//!
+//! Validation: each effect's tests compare simulated spectra, Allan variances and moments over 100 seeds with its closed
+//! forms.
 
 #[cfg(test)]
 mod check;
+
+pub mod bias_step;
+pub mod bursts;
+pub mod common_mode;
 pub mod flicker;
+pub mod gauss_markov;
+pub mod heavy_tails;
+pub mod held_samples;
+pub mod low_pass;
+pub mod moving_average;
+pub mod quantization_noise;
 pub mod random_walk;
+pub mod rate_ramp;
+pub mod registry;
+pub mod resolution;
+pub mod resonance;
+pub mod sampled;
+pub mod saturation;
+pub mod spec;
+pub mod spikes;
 pub mod stream;
+pub mod temperature_bias;
+pub mod timing;
+pub mod tone;
+pub mod triad;
+pub mod variance_change;
+pub mod warm_up;
 pub mod white;
 
+pub use bias_step::BiasStep;
+pub use bursts::Bursts;
+pub use common_mode::CommonMode;
 pub use flicker::Flicker;
+pub use gauss_markov::GaussMarkov;
+pub use heavy_tails::HeavyTails;
+pub use held_samples::HeldSamples;
+pub use low_pass::LowPass;
+pub use moving_average::MovingAverage;
+pub use quantization_noise::QuantizationNoise;
 pub use random_walk::RandomWalk;
+pub use rate_ramp::RateRamp;
+pub use resolution::Resolution;
+pub use resonance::Resonance;
+pub use saturation::Saturation;
+pub use spec::{Kind, Refusal, Spec};
+pub use spikes::Spikes;
 pub use stream::{Stream, StreamId};
+pub use temperature_bias::TemperatureBias;
+pub use timing::Timing;
+pub use tone::{Comb, Tone};
+pub use triad::TriadEffect;
+pub use variance_change::VarianceChange;
+pub use warm_up::WarmUp;
 pub use white::White;
 
-/// One error source. U is the unit of the channel it acts on.
+use serde_json::Value;
+
+/// Temperature where none is told, °C: that of a laboratory, and of the reference in most data sheets.
+pub const USUAL_TEMPERATURE_C: f64 = 25.0;
+
+/// The chain of a sensor, in the order in which its parts act; the order of a file's list says nothing.
+///
+/// Within one stage effects on a triad add up, each from the stage's own input, so that their order does not matter.
+/// A bandwidth acts on motion and noise alike, before the converter clips and before anything is decimated: noise beyond
+/// it is gone, and a clipped value stays exactly at its limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[expect(clippy::exhaustive_enums, reason = "a new stage is a new chain: everything that runs one has to know it")]
+pub enum Stage {
+    /// The motion arrives late.
+    Latency,
+    /// Axes see one another: misalignment, cross-axis sensitivity.
+    CrossAxis,
+    /// Scale factor and its nonlinearity.
+    Scale,
+    /// What shifts the level: bias, temperature, warm-up, steps, ramp, g-sensitivity.
+    Bias,
+    /// What shapes the white part alone, before it is added: heavy tails, changes of variance.
+    WhitePart,
+    /// Additive noise: N, B, K and the others.
+    Noise,
+    /// The sensor's bandwidth: filters of everything so far.
+    Bandwidth,
+    /// The converter's limits.
+    Saturation,
+    /// The boxcar over internal samples and the choice of every n-th; not an effect but the model's `sampling`.
+    Sampling,
+    /// Rounding of what is sent.
+    Resolution,
+    /// Samples sent twice.
+    Hold,
+    /// Stamps, and samples lost on the way.
+    Timing,
+}
+
+impl Stage {
+    /// Whether the stage runs at the sensor's internal rate, before its boxcar and decimation (if the model has them).
+    #[must_use]
+    pub fn is_internal(self) -> bool {
+        self < Self::Sampling
+    }
+}
+
+/// How far an effect that a channel names reaches; it decides whose random stream it draws from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_enums, reason = "a channel belongs to a triad, and that to a sensor")]
+pub enum Scope {
+    /// The channel alone.
+    Channel,
+    /// All channels of the triad alike.
+    Triad,
+    /// The sensor: one stream for all.
+    Sensor,
+}
+
+/// The record that an expectation is taken over.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Record {
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// How many there are.
+    pub samples: u64,
+}
+
+impl Record {
+    /// Its length in s.
+    #[must_use]
+    pub fn length_s(self) -> f64 {
+        self.samples as f64 / self.rate_hz
+    }
+    /// The index of the first sample at or after `time_s`, at most [`Record::samples`].
+    #[must_use]
+    pub fn index_at(self, time_s: f64) -> u64 {
+        sampled::index_at(time_s, self.rate_hz).min(self.samples)
+    }
+}
+
+/// An instant, as far as effects depend on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct At {
+    /// Since the start, s.
+    pub time_s: f64,
+    /// The sensor's temperature, °C.
+    pub temperature_c: f64,
+}
+
+/// The sensor's temperature over a block of samples, °C.
+#[derive(Debug, Clone, Copy)]
+#[expect(clippy::exhaustive_enums, reason = "an argument that callers write out")]
+pub enum Temperature<'a> {
+    /// The same throughout.
+    Constant(f64),
+    /// One value per sample, at least as many as the block has.
+    Series(&'a [f64]),
+}
+
+impl Temperature<'_> {
+    /// At the block's sample `index`; the last one known beyond a series' end.
+    #[must_use]
+    pub fn at(&self, index: usize) -> f64 {
+        match self {
+            Self::Constant(value) => *value,
+            Self::Series(values) => values.get(index).or_else(|| values.last()).copied().unwrap_or(USUAL_TEMPERATURE_C),
+        }
+    }
+}
+
+/// Moments of single samples of what an effect adds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Moments {
+    /// Mean square about the mean, U².
+    pub variance: f64,
+    /// Fourth moment over the squared variance (3 for a normal distribution); `None` where it is infinite.
+    pub kurtosis: Option<f64>,
+}
+
+/// What an effect of [`Stage::WhitePart`] makes of normal white noise of variance 1.
+pub type WhiteMoments = Moments;
+
+/// A line in a spectrum.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Line {
+    /// Its frequency, Hz.
+    pub frequency_hz: f64,
+    /// The mean square that it carries, U².
+    pub power: f64,
+}
+
+/// One error source of a channel. U is the unit of the channel it acts on.
+///
+/// Making an effect with other parameters costs nothing: fits ask new ones again and again.
 pub trait Effect: std::fmt::Debug + Send + Sync {
+    /// Its name, place in the chain and parameters with their ranges.
+    fn spec(&self) -> &'static Spec;
+
+    /// Its parameters as they stand in a model's file.
+    fn parameters(&self) -> Vec<(&'static str, Value)>;
+
     /// The name in files and messages (contract, section 5).
-    fn name(&self) -> &'static str;
+    fn name(&self) -> &'static str {
+        self.spec().name
+    }
 
-    /// Two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of the effect sampled at
-    /// `rate_hz`; 0 for an effect without a continuous spectrum.
-    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> f64;
+    /// Where in the chain it acts.
+    fn stage(&self) -> Stage {
+        self.spec().stage
+    }
 
-    /// Expected overlapping Allan variance in U² at the averaging time `m`/`rate_hz` (`m` from 1) of the effect sampled at
-    /// `rate_hz`.
-    fn allan_variance(&self, m: u64, rate_hz: f64) -> f64;
+    /// How far it reaches.
+    fn scope(&self) -> Scope {
+        Scope::Channel
+    }
 
-    /// What the channel shows on average, `time_s` after the start, where it would show `input` (U) without the effect.
-    fn mean_response(&self, input: f64, time_s: f64) -> f64 {
-        let _ = time_s;
+    /// Whether the parameters are in their ranges and make sense at `rate_hz`, the rate at which the effect acts (a
+    /// model's internal rate, if it has one, for what comes before sampling).
+    ///
+    /// # Errors
+    /// [`Refusal`] with the parameter, what was found and what is allowed.
+    fn check(&self, rate_hz: f64) -> Result<(), Refusal> {
+        self.spec().check(&self.parameters())?;
+        self.check_at(rate_hz)
+    }
+
+    /// The part of [`Effect::check`] that a table of ranges cannot say.
+    ///
+    /// # Errors
+    /// [`Refusal`], likewise.
+    fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
+        let _ = rate_hz;
+        Ok(())
+    }
+
+    /// Two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of what the effect adds,
+    /// sampled at `rate_hz`: its continuous part ([`Effect::lines`] has the others). 0 for an effect that adds none;
+    /// `None` where it depends on more than the parameters: on the other noise, the temperature's course or the record.
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
+
+    /// Lines in the spectrum of what the effect adds.
+    fn lines(&self) -> Vec<Line> {
+        Vec::new()
+    }
+
+    /// Expected overlapping Allan variance in U², at the averaging time `m`/rate (`m` from 1), of what the effect adds to
+    /// `record`. 0 for an effect that adds nothing; `None` where it depends on more than the parameters and the record, and
+    /// where the record is shorter than 2 `m` for an effect that is not the same all the time.
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64>;
+
+    /// Power gain |H|² of a filter at `frequency_hz`, running at `rate_hz`; 1 for everything else.
+    fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+        let _ = (frequency_hz, rate_hz);
+        1.0
+    }
+
+    /// What the channel shows on average where it would show `input` (U, constant) without the effect.
+    fn mean_response(&self, input: f64, at: At) -> f64 {
+        let _ = at;
         input
+    }
+
+    /// Moments of what it adds to single samples, over `record`; `None` where the effect adds nothing, where they depend
+    /// on more than the parameters, and for noise without a level (flicker, random walk).
+    fn moments(&self, record: Record) -> Option<Moments> {
+        let _ = record;
+        None
+    }
+
+    /// For effects of [`Stage::WhitePart`]: the moments over `record` of what becomes of normal white noise of variance 1;
+    /// `None` for all others, and where they depend on the temperature's course.
+    fn white_moments(&self, record: Record) -> Option<WhiteMoments> {
+        let _ = record;
+        None
+    }
+
+    /// How many functions of time and temperature the effect's deterministic part is linear in; 0 where it has none.
+    fn regressors(&self) -> usize {
+        0
+    }
+
+    /// Those functions at an instant, for coefficients of 1 (a ramp's is the time; a tone's are cosine and sine, its phase
+    /// being unknown). `row` has [`Effect::regressors`] places.
+    fn regress(&self, at: At, row: &mut [f64]) {
+        let _ = (at, row);
+    }
+
+    /// The stamps' side of the effect, if it has one.
+    fn timing(&self) -> Option<Timing> {
+        None
     }
 
     /// A sampler at `rate_hz` that draws from `stream`. Spectra hold down to 1/`record_length_s`; a longer record may be
@@ -51,5 +320,24 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
 /// A realisation of an effect: memory is bounded however long it runs.
 pub trait Sampler: std::fmt::Debug + Send {
     /// Lets the effect act on the next `values.len()` samples of its channel (U), in place.
-    fn apply(&mut self, values: &mut [f64]);
+    fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>);
+
+    /// The same at the usual temperature.
+    fn apply(&mut self, values: &mut [f64]) {
+        self.act(values, Temperature::Constant(USUAL_TEMPERATURE_C));
+    }
+}
+
+/// Two effects are the same if they have the same name and parameters.
+impl PartialEq for dyn Effect {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name() && self.parameters() == other.parameters()
+    }
+}
+
+/// Likewise.
+impl PartialEq for dyn TriadEffect {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name() && self.parameters() == other.parameters()
+    }
 }

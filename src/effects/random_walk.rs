@@ -1,6 +1,9 @@
 //! Random walk of the rate (K): the sum of independent steps.
 
-use super::{Effect, Sampler, Stream};
+use super::spec::{Parameter, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
 use std::f64::consts::PI;
 
 /// Rate random walk with two-sided PSD (K/2πf)².
@@ -15,18 +18,31 @@ pub struct RandomWalk {
     pub k: f64,
 }
 
+const PARAMETERS: [Parameter; 1] = [number("K", Range::FromZero, "K in U/√s")];
+static SPEC: Spec = Spec {
+    name: "random_walk",
+    stream: streams::RANDOM_WALK,
+    stage: Stage::Noise,
+    parameters: &PARAMETERS,
+    forms: &[],
+    meaning: "rate random walk, two-sided density (K/2πf)²",
+};
+
 impl Effect for RandomWalk {
-    fn name(&self) -> &'static str {
-        "random_walk"
+    fn spec(&self) -> &'static Spec {
+        &SPEC
     }
-    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("K", self.k.into())]
+    }
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let half_step = 2.0 * rate_hz * (PI * frequency_hz / rate_hz).sin();
-        (self.k / half_step).powi(2)
+        Some((self.k / half_step).powi(2))
     }
     /// K²·dt·(2m² + 1)/(6m), exact for the sampled walk; K²τ/3 for large m.
-    fn allan_variance(&self, m: u64, rate_hz: f64) -> f64 {
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let m = m as f64;
-        self.k * self.k / rate_hz * (2.0 * m * m + 1.0) / (6.0 * m)
+        Some(self.k * self.k / record.rate_hz * (2.0 * m * m + 1.0) / (6.0 * m))
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         Box::new(RandomWalkSampler { step: self.k / rate_hz.sqrt(), value: 0.0, stream })
@@ -42,7 +58,7 @@ struct RandomWalkSampler {
 }
 
 impl Sampler for RandomWalkSampler {
-    fn apply(&mut self, values: &mut [f64]) {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
         for value in values {
             *value += self.value;
             self.value += self.step * self.stream.normal();
@@ -73,6 +89,6 @@ mod tests {
     fn the_spectrum_is_that_of_the_standard_far_below_nyquist() {
         let walk = RandomWalk { k: 0.1 };
         let standard = (0.1 / (2.0 * PI * 0.01)).powi(2);
-        assert!((walk.psd(0.01, 40.0) / standard - 1.0).abs() < 1e-6);
+        assert!((walk.psd(0.01, 40.0).unwrap() / standard - 1.0).abs() < 1e-6);
     }
 }

@@ -1,23 +1,63 @@
-//! Random streams: a seed and a stream's identity in, normal numbers out, the same on every machine and in every version.
+//! Random streams: a seed and a stream's identity in, normal and uniform numbers out, the same on every machine and in
+//! every version.
 //!
 //! Each stream is ChaCha8 under the key `seed (8 bytes, little endian) ‖ "vn100d-simulator-1" ‖ zeros` with the 64-bit
 //! stream number
 //!
 //! ```text
-//! bits 63–32  owner      the channel's column number (0–13); 256 + n for what belongs to a triad or a whole sensor
-//! bits 31–16  effect     1 white · 2 flicker · 3 random_walk; numbers are given once and never reused
+//! bits 63–32  owner      the channel's column number (0–13); 256 + n for a triad (attitude, mag, accel, gyro: n = 0–3)
+//!                        and 260 for the whole sensor
+//! bits 31–16  effect     the kind's number in [`number`]; numbers are given once and never reused
 //! bits 15–0   instance   counts several effects of one kind on one owner, from 0
 //! ```
 //!
 //! Normal numbers are the Ziggurat of `rand_distr`; `the_stream_is_value_stable` fails if a new version of it, or of the
 //! generator, draws other values.
 
+use crate::sample::Triad;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand_chacha::rand_core::{Rng as _, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
 /// Separates these streams from any other use of the same seed; a new scheme gets a new number.
 const DOMAIN: &[u8; 18] = b"vn100d-simulator-1";
+
+/// The effects' numbers. New kinds get new numbers at the end; 0 is for effects that draw nothing.
+#[expect(missing_docs, reason = "the effects' names")]
+pub mod number {
+    pub const NONE: u16 = 0;
+    pub const WHITE: u16 = 1;
+    pub const FLICKER: u16 = 2;
+    pub const RANDOM_WALK: u16 = 3;
+    pub const GAUSS_MARKOV: u16 = 4;
+    pub const TONE: u16 = 5;
+    pub const COMB: u16 = 6;
+    pub const RESONANCE: u16 = 7;
+    pub const QUANTIZATION_NOISE: u16 = 8;
+    pub const SPIKES: u16 = 9;
+    pub const HEAVY_TAILS: u16 = 10;
+    pub const BURSTS: u16 = 11;
+    pub const COMMON_MODE: u16 = 12;
+    pub const HELD_SAMPLES: u16 = 13;
+    /// `timing`: the stamps' jitter.
+    pub const TIMING: u16 = 14;
+    /// `timing`: the lost samples.
+    pub const TIMING_LOSS: u16 = 15;
+}
+
+/// Owner of a triad's streams.
+#[must_use]
+pub fn triad_owner(triad: Triad) -> u32 {
+    256 + match triad {
+        Triad::Attitude => 0,
+        Triad::Mag => 1,
+        Triad::Accel => 2,
+        Triad::Gyro => 3,
+    }
+}
+
+/// Owner of the streams that the whole sensor shares.
+pub const SENSOR_OWNER: u32 = 260;
 
 /// Which stream: see the module's table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -30,7 +70,7 @@ pub struct StreamId {
     pub instance: u16,
 }
 
-/// A stream of standard normal numbers.
+/// A stream of random numbers.
 #[derive(Debug, Clone)]
 pub struct Stream(ChaCha8Rng);
 
@@ -50,6 +90,17 @@ impl Stream {
     #[inline]
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
+    }
+
+    /// The next number from 0 to below 1, all multiples of 2⁻⁵³ equally likely.
+    #[inline]
+    pub fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+    }
+
+    /// The next number of a distribution.
+    pub(super) fn draw(&mut self, distribution: &impl Distribution<f64>) -> f64 {
+        distribution.sample(&mut self.0)
     }
 }
 

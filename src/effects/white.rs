@@ -1,6 +1,9 @@
 //! White noise (N): angle random walk of a gyroscope, velocity random walk of an accelerometer.
 
-use super::{Effect, Sampler, Stream};
+use super::spec::{Parameter, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
 
 /// White noise with two-sided PSD N².
 ///
@@ -11,15 +14,31 @@ pub struct White {
     pub n: f64,
 }
 
+const PARAMETERS: [Parameter; 1] = [number("N", Range::FromZero, "N in U/√Hz")];
+static SPEC: Spec = Spec {
+    name: "white",
+    stream: streams::WHITE,
+    stage: Stage::Noise,
+    parameters: &PARAMETERS,
+    forms: &[],
+    meaning: "white noise, two-sided density N²",
+};
+
 impl Effect for White {
-    fn name(&self) -> &'static str {
-        "white"
+    fn spec(&self) -> &'static Spec {
+        &SPEC
     }
-    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> f64 {
-        self.n * self.n
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("N", self.n.into())]
     }
-    fn allan_variance(&self, m: u64, rate_hz: f64) -> f64 {
-        self.n * self.n * rate_hz / m as f64
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(self.n * self.n)
+    }
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        Some(self.n * self.n * record.rate_hz / m as f64)
+    }
+    fn moments(&self, record: Record) -> Option<Moments> {
+        Some(Moments { variance: self.n * self.n * record.rate_hz, kurtosis: Some(3.0) })
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         Box::new(WhiteSampler { sigma: self.n * rate_hz.sqrt(), stream })
@@ -34,7 +53,7 @@ struct WhiteSampler {
 }
 
 impl Sampler for WhiteSampler {
-    fn apply(&mut self, values: &mut [f64]) {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
         for value in values {
             *value += self.sigma * self.stream.normal();
         }

@@ -10,7 +10,7 @@ use crate::sample::Channel;
 /// of N, B and K. Angles lie away from ±180°, so that none wraps.
 #[must_use]
 pub fn default_model() -> SensorModel {
-    let noise = |n, b, k, bias| ChannelModel { n, b, k, bias: Some(bias) };
+    let noise = |n, b, k, bias| ChannelModel { n, b, k, bias: Some(bias), ..ChannelModel::default() };
     let channels = [
         (Channel::Yaw, noise(5e-4, 0.0, 0.0, 62.0)),
         (Channel::Pitch, noise(2e-4, 0.0, 0.0, -0.44)),
@@ -27,7 +27,12 @@ pub fn default_model() -> SensorModel {
         (Channel::Temperature, noise(0.01, 0.0, 5e-4, 25.0)),
         (Channel::Pressure, noise(0.002, 0.0, 0.0, 101.3)),
     ];
-    SensorModel { name: "VN-100 (emulated)".to_owned(), rate_hz: 40.0, channels: channels.into() }
+    SensorModel {
+        name: "VN-100 (emulated)".to_owned(),
+        rate_hz: 40.0,
+        channels: channels.into(),
+        ..SensorModel::default()
+    }
 }
 
 #[cfg(test)]
@@ -39,7 +44,7 @@ mod tests {
         let model = default_model();
         assert_eq!(model.channels.len(), Channel::COUNT);
         let found = [Channel::AccelX, Channel::AccelY, Channel::AccelZ].map(|channel| {
-            let parameters = model.channels[&channel];
+            let parameters = &model.channels[&channel];
             (parameters.n, parameters.b, parameters.k)
         });
         assert_eq!(found, [(0.0021, 0.0011, 3.19e-4), (0.0017, 5.3e-4, 7.39e-5), (0.0028, 0.0018, 6.56e-4)]);

@@ -1,27 +1,42 @@
 //! The simulator: a sensor model, a seed and a rate in, endless samples out. Pure.
 //!
-//! Per channel it adds bias, random walk, flicker and white noise, each from a random stream of its own
-//! ([`crate::effects::stream`]): the same model, seed, rate and record length give the same values on every run.
-//! Memory is bounded: one block of [`BLOCK`] samples per channel, however long it runs.
+//! The chain, in the order nature has it ([`crate::effects::Stage`]): reference motion → latency → misalignment and
+//! cross-axis sensitivity → scale factor and nonlinearity → bias, temperature, g-sensitivity → noise → bandwidth →
+//! saturation → sampling (the sensor's boxcar and decimation, so that what is faster folds by itself) → resolution → held
+//! samples → stamps and lost samples. Without a motion the sensor is at rest and its biases are what it shows.
 //!
-//! Channels that the model does not name are absent.
+//! Every effect draws from a random stream of its own ([`crate::effects::stream`]): the same model, seed, rate and record
+//! length give the same values on every run, on any number of threads.
+//!
+//! **Temperature.** The sensor's temperature is that of [`Simulator::with_temperature`], else that of the motion, else
+//! constant: the temperature channel's bias, or 25 °C if the model has none. Where it is not constant, the temperature
+//! channel shows it, in place of the channel's bias, and its noise.
+//!
+//! Memory is bounded however long it runs: a block of [`BLOCK`] internal samples per channel ([`THREADED_BLOCK`] on several
+//! threads), at least one sample sent.
+//!
+//! Channels that the model does not name are absent. Attitude, magnetometer and pressure do not follow the motion.
 
+mod chain;
 pub mod default_model;
 pub mod model;
+pub mod reference;
+mod response;
 
 pub use default_model::default_model;
-pub use model::{ChannelModel, ModelError, SensorModel};
+pub use model::{ChannelModel, Fault, ModelError, Sampling, SensorModel, TriadModel};
+pub use reference::{Motion, Reference, TemperatureCourse};
 
-use crate::effects::{Effect, Flicker, RandomWalk, Sampler, Stream, StreamId, White};
-use crate::sample::{Channel, ChannelSet};
+use crate::effects::stream::{SENSOR_OWNER, number};
+use crate::effects::{Stream, StreamId, Temperature, Timing, USUAL_TEMPERATURE_C};
+use crate::sample::{Channel, ChannelSet, Triad};
+use chain::{Chain, Level, Terms};
+use response::Response;
 
-/// Samples per channel that are made at a time.
+/// Internal samples per channel that are made at a time.
 pub const BLOCK: usize = 512;
-
-/// Numbers of the effects' streams; see [`crate::effects::stream`].
-const WHITE_STREAM: u16 = 1;
-const FLICKER_STREAM: u16 = 2;
-const RANDOM_WALK_STREAM: u16 = 3;
+/// Likewise on several threads: enough work for each to outweigh its start.
+pub const THREADED_BLOCK: usize = 16_384;
 
 /// Why a simulation was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -39,33 +54,112 @@ pub enum SimulatorError {
         /// The length as it was given.
         found: f64,
     },
+    /// The model has something that makes no sense, at all or at this rate.
+    #[error("cannot simulate `{model}` at {rate_hz} Hz: {fault}")]
+    Model {
+        /// The model's name.
+        model: String,
+        /// The output's rate.
+        rate_hz: f64,
+        /// What and where.
+        fault: Fault,
+    },
 }
 
-/// One channel's error sources in the order in which they act.
-#[derive(Debug)]
-struct Source {
-    channel: Channel,
-    bias: f64,
-    samplers: Vec<Box<dyn Sampler>>,
-    block: Vec<f64>,
+/// One sample as it would be recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "what a recorder writes")]
+pub struct SimulatedSample {
+    /// Its number from 0, lost ones counted.
+    pub index: u64,
+    /// Its stamp, s: index/rate and jitter.
+    pub time_s: f64,
+    /// Whether it was lost on the way: a recording does not have it.
+    pub lost: bool,
+    /// One value per channel in column order and the channel's unit, 0 where the model has none.
+    pub values: [f64; Channel::COUNT],
+}
+
+/// A stretch of samples, channel by channel.
+#[derive(Debug, Clone, Copy)]
+pub struct Block<'a> {
+    /// The number of the first sample.
+    pub first_index: u64,
+    /// The samples' stamps, s.
+    pub time_s: &'a [f64],
+    /// Whether each was lost.
+    pub lost: &'a [bool],
+    chains: &'a [Chain],
+}
+
+impl<'a> Block<'a> {
+    /// How many samples there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+    /// A channel's values in its unit; `None` if the model does not have it.
+    #[must_use]
+    pub fn values(&self, channel: Channel) -> Option<&'a [f64]> {
+        let chain = self.chains.iter().find(|chain| chain.channel == channel)?;
+        chain.output.get(..self.time_s.len())
+    }
+    fn sample(&self, place: usize) -> SimulatedSample {
+        let mut values = [0.0; Channel::COUNT];
+        for chain in self.chains {
+            values[chain.channel as usize] = chain.output[place];
+        }
+        let (time_s, lost) = (self.time_s[place], self.lost[place]);
+        SimulatedSample { index: self.first_index + place as u64, time_s, lost, values }
+    }
 }
 
 /// A running simulation.
-#[derive(Debug)]
 pub struct Simulator {
-    rate_hz: f64,
+    terms: Terms,
     channels: ChannelSet,
-    sources: Vec<Source>,
-    /// Samples of the present block that were given out.
+    triads: Vec<Response>,
+    chains: Vec<Chain>,
+    motion: Option<Box<dyn Reference>>,
+    course: Option<Box<dyn TemperatureCourse>>,
+    rest_temperature_c: f64,
+    threads: usize,
+    timing: Vec<(Timing, Stream, Stream)>,
+    motions: Vec<Motion>,
+    temperatures: Vec<f64>,
+    time_s: Vec<f64>,
+    lost: Vec<bool>,
+    /// Samples made before the present block, and how many of it were given out.
+    before: u64,
     given: usize,
+    ended: bool,
+    last: [f64; Channel::COUNT],
+}
+
+impl std::fmt::Debug for Simulator {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("Simulator")
+            .field("terms", &self.terms)
+            .field("motion", &self.motion.is_some())
+            .field("course", &self.course.is_some())
+            .field("index", &(self.before + self.given as u64))
+            .finish_non_exhaustive()
+    }
 }
 
 impl Simulator {
-    /// A simulation of `model` at `rate_hz` from its first sample. Spectra hold down to 1/`record_length_s`; the simulation
-    /// may run longer.
+    /// A simulation of `model` at `rate_hz` from its first sample, at rest. Spectra hold down to 1/`record_length_s`; the
+    /// simulation may run longer.
     ///
     /// # Errors
-    /// [`SimulatorError`] for a rate or length that is not a finite number above 0.
+    /// [`SimulatorError`] for a rate or length that is not a finite number above 0, and for a model that cannot be
+    /// simulated at this rate.
     pub fn new(model: &SensorModel, seed: u64, rate_hz: f64, record_length_s: f64) -> Result<Self, SimulatorError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         if !positive(rate_hz) {
@@ -74,24 +168,61 @@ impl Simulator {
         if !positive(record_length_s) {
             return Err(SimulatorError::RecordLength { found: record_length_s });
         }
-        let sources: Vec<Source> = model
-            .channels
-            .iter()
-            .map(|(channel, parameters)| Source {
-                channel: *channel,
-                bias: parameters.bias.unwrap_or(0.0),
-                samplers: effects(parameters)
-                    .into_iter()
-                    .map(|(number, effect)| {
-                        let id = StreamId { owner: *channel as u32, effect: number, instance: 0 };
-                        effect.sampler(rate_hz, record_length_s, Stream::new(seed, id))
-                    })
-                    .collect(),
-                block: vec![0.0; BLOCK],
-            })
-            .collect();
-        let channels = model.channels.keys().copied().collect();
-        Ok(Self { rate_hz, channels, sources, given: BLOCK })
+        model.check(rate_hz).map_err(|fault| SimulatorError::Model { model: model.name.clone(), rate_hz, fault })?;
+        let terms = Terms {
+            seed,
+            rate_hz,
+            internal_rate_hz: model.internal_rate_hz(rate_hz),
+            ratio: model.sampling.and_then(|sampling| sampling.decimation(rate_hz)).unwrap_or(1),
+            record_length_s,
+        };
+        let triads = [Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gyro].into_iter().filter_map(|triad| {
+            let effects = model.triads.get(&triad).map(|triad| triad.effects.as_slice()).unwrap_or_default();
+            let named = model.channels.keys().any(|channel| channel.triad() == Some(triad));
+            named.then(|| Response::new(triad, effects, terms.internal_rate_hz))
+        });
+        let temperature = model.channels.get(&Channel::Temperature).and_then(|channel| channel.bias);
+        Ok(Self {
+            terms,
+            channels: model.channels.keys().copied().collect(),
+            triads: triads.collect(),
+            chains: model.channels.keys().map(|channel| Chain::new(model, *channel, terms)).collect(),
+            motion: None,
+            course: None,
+            rest_temperature_c: temperature.unwrap_or(USUAL_TEMPERATURE_C),
+            threads: 1,
+            timing: timing(model, seed),
+            motions: Vec::new(),
+            temperatures: Vec::new(),
+            time_s: Vec::new(),
+            lost: Vec::new(),
+            before: 0,
+            given: 0,
+            ended: false,
+            last: [0.0; Channel::COUNT],
+        })
+    }
+
+    /// Lets the sensor follow a motion, given at [`Simulator::internal_rate_hz`]. The simulation ends with it. To be told
+    /// before the first sample.
+    #[must_use]
+    pub fn with_motion(mut self, motion: impl Reference + 'static) -> Self {
+        self.motion = Some(Box::new(motion));
+        self
+    }
+
+    /// Lets the sensor's temperature follow a course; it counts more than the motion's. To be told before the first sample.
+    #[must_use]
+    pub fn with_temperature(mut self, course: impl TemperatureCourse + 'static) -> Self {
+        self.course = Some(Box::new(course));
+        self
+    }
+
+    /// Spreads the channels over this many threads (0 counts as 1); the values are the same.
+    #[must_use]
+    pub fn with_threads(mut self, threads: usize) -> Self {
+        self.threads = threads.max(1);
+        self
     }
 
     /// The channels that the model gives.
@@ -100,49 +231,180 @@ impl Simulator {
         self.channels
     }
 
-    /// Samples per second.
+    /// Samples sent per second.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
-        self.rate_hz
+        self.terms.rate_hz
     }
 
-    /// The next sample: one value per channel in column order and the channel's unit, 0 where the model has none.
+    /// The rate at which the chain runs before sampling, and at which a motion is given.
+    #[must_use]
+    pub fn internal_rate_hz(&self) -> f64 {
+        self.terms.internal_rate_hz
+    }
+
+    /// The next sample's values: one per channel in column order and the channel's unit, 0 where the model has none. After
+    /// a motion's end, its last values again.
     pub fn next_values(&mut self) -> [f64; Channel::COUNT] {
-        if self.given == BLOCK {
-            self.make_block();
-        }
-        let mut values = [0.0; Channel::COUNT];
-        for source in &self.sources {
-            values[source.channel as usize] = source.block[self.given];
-        }
-        self.given += 1;
-        values
+        self.next_sample().map_or(self.last, |sample| sample.values)
     }
 
-    fn make_block(&mut self) {
-        for source in &mut self.sources {
-            source.block.fill(source.bias);
-            for sampler in &mut source.samplers {
-                sampler.apply(&mut source.block);
+    /// The next sample; `None` after the motion's end.
+    pub fn next_sample(&mut self) -> Option<SimulatedSample> {
+        if self.given == self.time_s.len() && !self.make_block() {
+            return None;
+        }
+        let sample = self.block().sample(self.given);
+        self.given += 1;
+        self.last = sample.values;
+        Some(sample)
+    }
+
+    /// The samples up to the present block's end, at least one; `None` after the motion's end.
+    pub fn next_block(&mut self) -> Option<Block<'_>> {
+        if self.given != 0 && self.given < self.time_s.len() {
+            // Samples of this block were taken one by one: the rest is given out as a block of its own.
+            self.drop_given();
+        } else if !self.make_block() {
+            return None;
+        }
+        self.given = self.time_s.len();
+        Some(self.block())
+    }
+
+    fn drop_given(&mut self) {
+        for chain in &mut self.chains {
+            chain.output.drain(..self.given);
+        }
+        self.time_s.drain(..self.given);
+        self.lost.drain(..self.given);
+        self.before += self.given as u64;
+        self.given = 0;
+    }
+
+    fn block(&self) -> Block<'_> {
+        Block { first_index: self.before, time_s: &self.time_s, lost: &self.lost, chains: &self.chains }
+    }
+
+    /// Makes the next block; `false` if there is none.
+    fn make_block(&mut self) -> bool {
+        self.before += self.time_s.len() as u64;
+        self.given = 0;
+        self.time_s.clear();
+        self.lost.clear();
+        if self.ended {
+            return false;
+        }
+        let ratio = self.terms.ratio;
+        let wanted = if self.threads > 1 { THREADED_BLOCK } else { BLOCK };
+        let sent = (wanted / ratio).max(1);
+        let internal = sent * ratio;
+        let felt = self.feel(internal);
+        // A sample goes out at the first internal sample of its period.
+        let sent = felt.div_ceil(ratio);
+        if sent == 0 {
+            return false;
+        }
+        self.run_chains(internal);
+        for place in 0..sent {
+            let (time_s, lost) = self.stamp(self.before + place as u64);
+            self.time_s.push(time_s);
+            self.lost.push(lost);
+        }
+        true
+    }
+
+    /// Takes the next motions and temperatures; returns how many internal samples there are before the motion's end.
+    fn feel(&mut self, internal: usize) -> usize {
+        let mut felt = internal;
+        if let Some(motion) = &mut self.motion {
+            let rest = self.motions.last().copied().unwrap_or_default();
+            self.motions.resize(internal, rest);
+            felt = motion.fill(&mut self.motions).min(internal);
+            self.ended = felt < internal;
+            let last = felt.checked_sub(1).map_or(rest, |last| self.motions[last]);
+            self.motions[felt..].fill(last);
+        } else if self.motions.len() != internal {
+            self.motions.resize(internal, Motion::default());
+        }
+        self.temperatures.clear();
+        let first = self.before * self.terms.ratio as u64;
+        if let Some(course) = &mut self.course {
+            let time_s = |place: usize| (first + place as u64) as f64 / self.terms.internal_rate_hz;
+            self.temperatures.extend((0..internal).map(|place| course.temperature_c(time_s(place))));
+        } else if self.motion.is_some() {
+            for motion in &self.motions {
+                self.rest_temperature_c = motion.temperature_c.unwrap_or(self.rest_temperature_c);
+                self.temperatures.push(self.rest_temperature_c);
+            }
+            if self.motions.iter().all(|motion| motion.temperature_c.is_none()) {
+                self.temperatures.clear();
             }
         }
-        self.given = 0;
+        felt
+    }
+
+    fn run_chains(&mut self, internal: usize) {
+        let moved = self.motion.is_some();
+        for response in self.triads.iter_mut().filter(|response| response.acts(moved)) {
+            response.run(&self.motions);
+        }
+        let temperature = if self.temperatures.is_empty() {
+            Temperature::Constant(self.rest_temperature_c)
+        } else {
+            Temperature::Series(&self.temperatures)
+        };
+        let (triads, temperatures) = (&self.triads, &self.temperatures);
+        let level = |channel: Channel| {
+            let axis = |response: &Response| response.triad().channels().iter().position(|other| *other == channel);
+            let response = triads
+                .iter()
+                .filter(|r| r.acts(moved))
+                .find_map(|response| axis(response).map(|axis| &response.axes[axis]));
+            match response {
+                Some(values) => Level::Response(values),
+                None if channel == Channel::Temperature && !temperatures.is_empty() => Level::Course(temperatures),
+                None => Level::Rest,
+            }
+        };
+        let run = |chains: &mut [Chain]| {
+            for chain in chains {
+                chain.run(internal, level(chain.channel), temperature);
+            }
+        };
+        if self.threads == 1 {
+            run(&mut self.chains);
+            return;
+        }
+        let each = self.chains.len().div_ceil(self.threads).max(1);
+        std::thread::scope(|scope| {
+            for chains in self.chains.chunks_mut(each) {
+                scope.spawn(move || run(chains));
+            }
+        });
+    }
+
+    /// The stamp of a sample, and whether it is lost.
+    fn stamp(&mut self, index: u64) -> (f64, bool) {
+        let rate_hz = self.terms.rate_hz;
+        let (mut time_s, mut lost) = (index as f64 / rate_hz, false);
+        for (timing, jitter, loss) in &mut self.timing {
+            time_s += timing.deviation_s(jitter.normal(), rate_hz);
+            lost |= loss.uniform() < timing.drop_probability;
+        }
+        (time_s, lost)
     }
 }
 
-/// A channel's effects with the numbers of their streams, in the order in which they act.
-fn effects(parameters: &ChannelModel) -> Vec<(u16, Box<dyn Effect>)> {
-    let mut effects: Vec<(u16, Box<dyn Effect>)> = Vec::new();
-    if parameters.k > 0.0 {
-        effects.push((RANDOM_WALK_STREAM, Box::new(RandomWalk { k: parameters.k })));
-    }
-    if parameters.b > 0.0 {
-        effects.push((FLICKER_STREAM, Box::new(Flicker { b: parameters.b })));
-    }
-    if parameters.n > 0.0 {
-        effects.push((WHITE_STREAM, Box::new(White { n: parameters.n })));
-    }
-    effects
+/// The model's `timing`, from the first channel that names it (others agree), with its streams.
+fn timing(model: &SensorModel, seed: u64) -> Vec<(Timing, Stream, Stream)> {
+    let of =
+        |parameters: &ChannelModel| parameters.effects.iter().filter_map(|effect| effect.timing()).collect::<Vec<_>>();
+    // Several on one channel: the longest list of any channel, of which the others' are beginnings.
+    let timings = model.channels.values().map(of).max_by_key(Vec::len).unwrap_or_default();
+    let stream = |effect, instance| Stream::new(seed, StreamId { owner: SENSOR_OWNER, effect, instance });
+    let both = |(instance, timing)| (timing, stream(number::TIMING, instance), stream(number::TIMING_LOSS, instance));
+    (0..).zip(timings).map(both).collect()
 }
 
 #[cfg(test)]
@@ -150,7 +412,12 @@ mod tests {
     use super::*;
 
     fn one_channel(channel: Channel, parameters: ChannelModel) -> SensorModel {
-        SensorModel { name: "test".into(), rate_hz: 40.0, channels: [(channel, parameters)].into() }
+        SensorModel {
+            name: "test".into(),
+            rate_hz: 40.0,
+            channels: [(channel, parameters)].into(),
+            ..SensorModel::default()
+        }
     }
 
     #[test]
@@ -171,9 +438,9 @@ mod tests {
     #[test]
     fn a_channel_does_not_change_when_another_one_or_another_effect_is_added() {
         let white = ChannelModel { n: 1e-3, ..ChannelModel::default() };
-        let alone = one_channel(Channel::GyroX, white);
+        let alone = one_channel(Channel::GyroX, white.clone());
         let mut together = alone.clone();
-        together.channels.insert(Channel::GyroY, white);
+        together.channels.insert(Channel::GyroY, white.clone());
         together.channels.insert(Channel::GyroX, ChannelModel { bias: Some(1.0), ..white });
         let mut alone = Simulator::new(&alone, 5, 40.0, 100.0).unwrap();
         let mut together = Simulator::new(&together, 5, 40.0, 100.0).unwrap();

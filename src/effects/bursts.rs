@@ -1,0 +1,144 @@
+//! Bursts: stretches of extra noise, such as knocks and handling.
+
+use super::spec::{Form, Kind, Need, Parameter, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, sampled};
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// White noise of root mean square `sigma` per sample inside the intervals; overlapping intervals count once.
+///
+/// An interval holds the samples from its first instant to before its last. Spectrum: flat, but only inside; averaged over
+/// a record it is σ²/rate times the share of the samples inside, which is not the parameters' alone (`None`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bursts {
+    /// From, to in s after the start.
+    pub intervals: Vec<(f64, f64)>,
+    /// Root mean square per sample, U.
+    pub sigma: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "bursts",
+    stream: streams::BURSTS,
+    stage: Stage::Noise,
+    parameters: &[
+        Parameter {
+            name: "intervals",
+            form: Form::Intervals,
+            need: Need::Always,
+            meaning: "[from_s, to_s] after the start",
+        },
+        number("sigma", Range::FromZero, "root mean square per sample, U"),
+    ],
+    forms: &[],
+    meaning: "white noise inside intervals: knocks, handling",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| Arc::new(Bursts { intervals: values.pairs("intervals"), sigma: values.number("sigma") }),
+};
+
+impl Bursts {
+    /// The samples inside as ranges that neither overlap nor touch, in order.
+    fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
+        let index = |time_s| sampled::index_at(time_s, rate_hz);
+        let mut ranges: Vec<_> = self.intervals.iter().map(|(from, to)| (index(*from), index(*to))).collect();
+        ranges.sort_unstable();
+        let mut merged: Vec<(u64, u64)> = Vec::new();
+        for (from, to) in ranges {
+            match merged.last_mut() {
+                Some(last) if from <= last.1 => last.1 = last.1.max(to),
+                _ => merged.push((from, to)),
+            }
+        }
+        merged
+    }
+
+    /// How many of the record's samples are inside.
+    fn inside(&self, record: Record) -> u64 {
+        let until = |index: u64| index.min(record.samples);
+        self.ranges(record.rate_hz).iter().map(|(from, to)| until(*to) - until(*from)).sum()
+    }
+}
+
+impl Effect for Bursts {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        let intervals: Vec<Value> = self.intervals.iter().map(|(from, to)| json!([from, to])).collect();
+        vec![("intervals", intervals.into()), ("sigma", self.sigma.into())]
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        None
+    }
+    /// A sample inside is in as many of the n − 2m + 1 windows of 2m as reach it, and adds σ²/m² to each one's difference.
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        let last_start = record.samples.checked_sub(2 * m).filter(|_| m > 0)?;
+        let windows = |index: u64| index.min(last_start) - (index + 1).saturating_sub(2 * m).min(last_start + 1) + 1;
+        let ranges = self.ranges(record.rate_hz);
+        let samples = ranges.iter().flat_map(|(from, to)| *from..(*to).min(record.samples));
+        let count: f64 = samples.map(|index| windows(index) as f64).sum();
+        Some(0.5 * self.sigma * self.sigma * count / (last_start as f64 + 1.0) / (m as f64 * m as f64))
+    }
+    fn moments(&self, record: Record) -> Option<Moments> {
+        let share = self.inside(record) as f64 / record.samples.max(1) as f64;
+        Some(Moments { variance: self.sigma * self.sigma * share, kurtosis: (share > 0.0).then(|| 3.0 / share) })
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+        let mut ranges = self.ranges(rate_hz);
+        ranges.reverse();
+        Box::new(BurstSampler { ranges, sigma: self.sigma, index: 0, stream })
+    }
+}
+
+/// The ranges still to come, the next one last, and the next sample's index.
+#[derive(Debug)]
+struct BurstSampler {
+    ranges: Vec<(u64, u64)>,
+    sigma: f64,
+    index: u64,
+    stream: Stream,
+}
+
+impl Sampler for BurstSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            while self.ranges.last().is_some_and(|range| range.1 <= self.index) {
+                self.ranges.pop();
+            }
+            if self.ranges.last().is_some_and(|range| range.0 <= self.index) {
+                *value += self.sigma * self.stream.normal();
+            }
+            self.index += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn allan_variance_and_moments_are_those_of_noise_inside_the_intervals() {
+        let intervals = vec![(300.0, 500.0), (10.0, 11.0), (10.5, 40.0)];
+        check::agrees_with_its_closed_forms(&Bursts { intervals, sigma: 0.6 }, 40.0);
+    }
+
+    #[test]
+    fn nothing_is_added_outside_and_overlaps_count_once() {
+        let bursts = Bursts { intervals: vec![(1.0, 2.0), (1.5, 2.5), (3.0, 3.1)], sigma: 1.0 };
+        let values = check::draw(&bursts, 10.0, 50, 2);
+        let inside = |index: usize| (10..25).contains(&index) || index == 30;
+        assert!((0..50).all(|index| (values[index] != 0.0) == inside(index)));
+    }
+
+    #[test]
+    fn an_interval_that_ends_before_it_begins_is_refused() {
+        let refusal = Bursts { intervals: vec![(0.0, 1.0), (3.0, 2.0)], sigma: 1.0 }.check(40.0).unwrap_err();
+        assert_eq!((refusal.parameter.as_str(), refusal.found.as_str()), ("intervals[1]", "[3.0,2.0]"));
+        assert!(Bursts { intervals: Vec::new(), sigma: 1.0 }.check(40.0).is_err());
+    }
+}

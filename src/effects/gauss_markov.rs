@@ -1,0 +1,116 @@
+//! Gauss-Markov noise: exponentially correlated, the hump of an Allan curve.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, sampled};
+use serde_json::Value;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// A first-order Gauss-Markov process with autocovariance σ²·exp(−|t|/Tc), sampled; it starts in its stationary state.
+///
+/// With φ = exp(−dt/Tc): two-sided PSD σ²(1 − φ²)dt/(1 + φ² − 2φ cos 2πf·dt), which is 2σ²Tc/(1 + (2πfTc)²) far below
+/// half the rate. Source: IEEE Std 952-1997, annex C (exponentially correlated noise, with qc² Tc/2 = σ²).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GaussMarkov {
+    /// Root mean square, U.
+    pub sigma: f64,
+    /// Correlation time, s.
+    pub tc_s: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "gauss_markov",
+    stream: streams::GAUSS_MARKOV,
+    stage: Stage::Noise,
+    parameters: &[
+        number("sigma", Range::FromZero, "root mean square, U"),
+        number("tc_s", Range::Above(0.0), "correlation time, s"),
+    ],
+    forms: &[],
+    meaning: "exponentially correlated noise",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| Arc::new(GaussMarkov { sigma: values.number("sigma"), tc_s: values.number("tc_s") }),
+};
+
+/// Two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay` per sample, at
+/// `cycles` per sample; `decay` may be as small as one likes.
+pub(super) fn lorentzian(cycles: f64, decay: f64, rate_hz: f64) -> f64 {
+    let half = (PI * cycles).sin();
+    // 1 + φ² − 2φ cos ω = (1 − φ)² + 4φ sin²(ω/2).
+    let below = (-decay).exp_m1().powi(2) + 4.0 * (-decay).exp() * half * half;
+    -(-2.0 * decay).exp_m1() / (below * rate_hz)
+}
+
+impl Effect for GaussMarkov {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("sigma", self.sigma.into()), ("tc_s", self.tc_s.into())]
+    }
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        Some(self.sigma * self.sigma * lorentzian(frequency_hz / rate_hz, 1.0 / (rate_hz * self.tc_s), rate_hz))
+    }
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        let decay = 1.0 / (record.rate_hz * self.tc_s);
+        Some(self.sigma * self.sigma * sampled::allan_variance(m, |k| -(-decay * k as f64).exp_m1()))
+    }
+    fn moments(&self, _record: Record) -> Option<Moments> {
+        Some(Moments { variance: self.sigma * self.sigma, kurtosis: Some(3.0) })
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let decay = 1.0 / (rate_hz * self.tc_s);
+        Box::new(GaussMarkovSampler {
+            pole: (-decay).exp(),
+            drive: self.sigma * (-(-2.0 * decay).exp_m1()).sqrt(),
+            state: self.sigma * stream.normal(),
+            stream,
+        })
+    }
+}
+
+/// The next value and what it takes to go on.
+#[derive(Debug)]
+struct GaussMarkovSampler {
+    pole: f64,
+    drive: f64,
+    state: f64,
+    stream: Stream,
+}
+
+impl Sampler for GaussMarkovSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            *value += self.state;
+            self.state = self.pole * self.state + self.drive * self.stream.normal();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn spectrum_allan_variance_and_moments_are_those_of_the_process() {
+        for tc_s in [0.05, 3.0] {
+            check::agrees_with_its_closed_forms(&GaussMarkov { sigma: 0.02, tc_s }, 40.0);
+        }
+    }
+
+    #[test]
+    fn the_allan_variance_is_the_standards_for_long_correlations() {
+        // σ²·(T/τ)²·(2τ/T − 3 + 4e^(−τ/T) − e^(−2τ/T)), IEEE Std 952 (continuous time).
+        let process = GaussMarkov { sigma: 1.0, tc_s: 10.0 };
+        for m in [1000_u64, 10_000, 100_000] {
+            let x = m as f64 / 100.0 / 10.0;
+            let standard = (2.0 * x - 3.0 + 4.0 * (-x).exp() - (-2.0 * x).exp()) / (x * x);
+            let found = process.allan_variance(m, Record { rate_hz: 100.0, samples: 1_000_000 }).unwrap();
+            assert!((found / standard - 1.0).abs() < 1e-3, "m = {m}: {found} {standard}");
+        }
+    }
+}

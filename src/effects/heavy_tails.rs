@@ -1,0 +1,105 @@
+//! Heavy tails: the white part follows Student's t distribution.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, WhiteMoments};
+use rand_distr::ChiSquared;
+use serde_json::Value;
+use std::sync::Arc;
+
+/// Makes the white part Student t distributed and keeps its variance, and with it spectrum and Allan variance.
+///
+/// Each white value z becomes z·√((ν − 2)/χ²), χ² drawn with ν degrees of freedom: t with ν degrees of freedom, scaled to
+/// the variance of z. Kurtosis 3 + 6/(ν − 4) for ν above 4, infinite below.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeavyTails {
+    /// ν, above 2.
+    pub degrees_of_freedom: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "heavy_tails",
+    stream: streams::HEAVY_TAILS,
+    stage: Stage::WhitePart,
+    parameters: &[number("degrees_of_freedom", Range::Above(2.0), "of Student's t distribution")],
+    forms: &[],
+    meaning: "the white part is Student t distributed, its variance kept",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| Arc::new(HeavyTails { degrees_of_freedom: values.number("degrees_of_freedom") }),
+};
+
+impl Effect for HeavyTails {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("degrees_of_freedom", self.degrees_of_freedom.into())]
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(0.0)
+    }
+    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
+        Some(0.0)
+    }
+    fn white_moments(&self, _record: Record) -> Option<WhiteMoments> {
+        let above = self.degrees_of_freedom - 4.0;
+        Some(Moments { variance: 1.0, kurtosis: (above > 0.0).then(|| 3.0 + 6.0 / above) })
+    }
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+        // Refused by `check` if it is not above 2; such a sampler leaves the values as they are.
+        let law = ChiSquared::new(self.degrees_of_freedom).ok().filter(|_| self.degrees_of_freedom > 2.0);
+        Box::new(TailSampler { law, excess: self.degrees_of_freedom - 2.0, stream })
+    }
+}
+
+#[derive(Debug)]
+struct TailSampler {
+    law: Option<ChiSquared<f64>>,
+    excess: f64,
+    stream: Stream,
+}
+
+impl Sampler for TailSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        let Some(law) = &self.law else { return };
+        for value in values {
+            *value *= (self.excess / self.stream.draw(law)).sqrt();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn variance_spectrum_and_kurtosis_are_those_of_student_t() {
+        check::agrees_with_its_closed_forms(&HeavyTails { degrees_of_freedom: 12.0 }, 40.0);
+    }
+
+    #[test]
+    fn the_distribution_is_student_t() {
+        // Share of |t| above the two-sided 5 % and 0.1 % quantiles of t with 4 degrees of freedom (2.776, 8.610), after
+        // scaling to variance 1 by √(2/4).
+        let values = check::draw_on_white(&HeavyTails { degrees_of_freedom: 4.0 }, 40.0, 1_000_000, 3);
+        for (quantile, share) in [(2.776_445, 0.05), (8.610_302, 0.001)] {
+            let beyond = values.iter().filter(|value| value.abs() > quantile * 0.5_f64.sqrt()).count() as f64 / 1e6;
+            assert!((beyond - share).abs() < 5.0 * (share / 1e6_f64).sqrt(), "{quantile}: {beyond}");
+        }
+    }
+
+    #[test]
+    fn the_values_are_stable() {
+        let values = check::draw_on_white(&HeavyTails { degrees_of_freedom: 5.0 }, 40.0, 3, 3);
+        assert_eq!(values, check::draw_on_white(&HeavyTails { degrees_of_freedom: 5.0 }, 40.0, 100, 3)[..3]);
+    }
+
+    #[test]
+    fn two_degrees_of_freedom_have_no_variance_and_are_refused() {
+        assert!(HeavyTails { degrees_of_freedom: 2.0 }.check(40.0).is_err());
+        assert!(HeavyTails { degrees_of_freedom: f64::INFINITY }.check(40.0).is_err());
+    }
+}

@@ -1,0 +1,107 @@
+//! Held samples: the sensor sends its last sample again.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Record, Sampler, Scope, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// With this probability a sample is the one before it again; all channels of the triad repeat together.
+///
+/// One channel that names it is enough. White noise keeps its variance and has the power gain of
+/// [`HeldSamples::white_gain`]; on anything else the outcome depends on its spectrum: psd and Allan variance are `None`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeldSamples {
+    /// From 0 to below 1.
+    pub probability: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "held_samples",
+    stream: streams::HELD_SAMPLES,
+    stage: Stage::Hold,
+    parameters: &[number("probability", Range::Probability, "that a sample is the one before it again")],
+    forms: &[],
+    meaning: "the sensor sends its last sample again; all channels of the triad repeat together",
+};
+pub(super) static KIND: Kind<dyn Effect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(HeldSamples { probability: values.number("probability") }) };
+
+impl HeldSamples {
+    /// What becomes of a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives
+    /// (1 − p²)/(1 + p² − 2p cos 2πf·dt).
+    #[must_use]
+    pub fn white_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+        let p = self.probability;
+        (1.0 - p * p) / (1.0 + p * p - 2.0 * p * (TAU * frequency_hz / rate_hz).cos())
+    }
+}
+
+impl Effect for HeldSamples {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("probability", self.probability.into())]
+    }
+    fn scope(&self) -> Scope {
+        Scope::Triad
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        None
+    }
+    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
+        None
+    }
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+        Box::new(HoldSampler { probability: self.probability, last: None, stream })
+    }
+}
+
+#[derive(Debug)]
+struct HoldSampler {
+    probability: f64,
+    last: Option<f64>,
+    stream: Stream,
+}
+
+impl Sampler for HoldSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            let held = self.stream.uniform() < self.probability;
+            match self.last {
+                Some(last) if held => *value = last,
+                _ => self.last = Some(*value),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn white_noise_gets_the_spectrum_of_held_samples() {
+        let held = HeldSamples { probability: 0.3 };
+        let cases = |seed| check::draw_on_white(&held, 40.0, check::SAMPLES, seed);
+        check::spectrum_agrees("held_samples", check::Window::Hann, cases, 40.0, |f| held.white_gain(f, 40.0) / 40.0);
+    }
+
+    #[test]
+    fn as_many_samples_repeat_as_the_probability_says() {
+        let values = check::draw_on_white(&HeldSamples { probability: 0.02 }, 40.0, 1_000_000, 8);
+        let repeats = values.windows(2).filter(|pair| pair[0] == pair[1]).count() as f64 / 1e6;
+        assert!((repeats - 0.02).abs() < 5.0 * (0.02 * 0.98 / 1e6_f64).sqrt(), "{repeats}");
+    }
+
+    #[test]
+    fn a_probability_outside_its_range_is_refused() {
+        for probability in [-0.1, 1.0, f64::NAN] {
+            let refusal = HeldSamples { probability }.check(40.0).unwrap_err();
+            assert_eq!(refusal.allowed, "a probability from 0 to below 1");
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Low pass: the sensor's bandwidth.
+
+use super::spec::{Form, Kind, Need, Parameter, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// A Butterworth filter of everything before it in the chain, motion and noise alike.
+///
+/// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
+/// there for ever.
+///
+/// Source: the bilinear transform of Butterworth's filter, prewarped to its cutoff, in sections of first and second order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LowPass {
+    /// −3 dB, Hz.
+    pub cutoff_hz: f64,
+    /// 1 to [`LowPass::ORDER_MAX`].
+    pub order: u64,
+}
+
+impl LowPass {
+    /// The highest order.
+    pub const ORDER_MAX: u64 = 8;
+}
+
+static SPEC: Spec = Spec {
+    name: "low_pass",
+    stream: streams::NONE,
+    stage: Stage::Bandwidth,
+    parameters: &[
+        number("cutoff_hz", Range::Above(0.0), "−3 dB, Hz; below half the rate at which it acts"),
+        Parameter {
+            name: "order",
+            form: Form::Whole(1, LowPass::ORDER_MAX),
+            need: Need::Default(1.0),
+            meaning: "of Butterworth's filter",
+        },
+    ],
+    forms: &[],
+    meaning: "the sensor's bandwidth: a Butterworth filter of motion and noise",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| Arc::new(LowPass { cutoff_hz: values.number("cutoff_hz"), order: values.whole("order") }),
+};
+
+impl Effect for LowPass {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("cutoff_hz", self.cutoff_hz.into()), ("order", self.order.into())]
+    }
+    fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
+        SPEC.below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(0.0)
+    }
+    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
+        Some(0.0)
+    }
+    fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+        let warped = |frequency_hz: f64| (PI * frequency_hz / rate_hz).tan();
+        let ratio = warped(frequency_hz) / warped(self.cutoff_hz);
+        1.0 / (1.0 + ratio.powi(2).powf(self.order as f64))
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        let warped = (PI * self.cutoff_hz / rate_hz).tan();
+        let mut sections = Vec::new();
+        if self.order % 2 == 1 {
+            let below = 1.0 + warped;
+            sections.push(Section::new([warped / below, warped / below, 0.0], [(warped - 1.0) / below, 0.0]));
+        }
+        for pair in 0..self.order / 2 {
+            let damping = 2.0 * (PI * (2 * pair + 1) as f64 / (2 * self.order) as f64).sin();
+            let below = 1.0 + warped * damping + warped * warped;
+            let gain = warped * warped / below;
+            let back = [2.0 * (warped * warped - 1.0) / below, (1.0 - warped * damping + warped * warped) / below];
+            sections.push(Section::new([gain, 2.0 * gain, gain], back));
+        }
+        Box::new(LowPassSampler { sections, started: false })
+    }
+}
+
+/// y = b·(x, x₁, x₂) − a·(y₁, y₂).
+#[derive(Debug)]
+struct Section {
+    forward: [f64; 3],
+    back: [f64; 2],
+    inputs: [f64; 2],
+    outputs: [f64; 2],
+}
+
+impl Section {
+    fn new(forward: [f64; 3], back: [f64; 2]) -> Self {
+        Self { forward, back, inputs: [0.0; 2], outputs: [0.0; 2] }
+    }
+    fn next(&mut self, input: f64) -> f64 {
+        let output = self.forward[0] * input + self.forward[1] * self.inputs[0] + self.forward[2] * self.inputs[1]
+            - self.back[0] * self.outputs[0]
+            - self.back[1] * self.outputs[1];
+        self.inputs = [input, self.inputs[0]];
+        self.outputs = [output, self.outputs[0]];
+        output
+    }
+}
+
+#[derive(Debug)]
+struct LowPassSampler {
+    sections: Vec<Section>,
+    started: bool,
+}
+
+impl Sampler for LowPassSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        if let (false, Some(first)) = (self.started, values.first()) {
+            for section in &mut self.sections {
+                (section.inputs, section.outputs) = ([*first; 2], [*first; 2]);
+            }
+            self.started = true;
+        }
+        for section in &mut self.sections {
+            for value in values.iter_mut() {
+                *value = section.next(*value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn white_noise_behind_it_has_its_gain() {
+        for (cutoff_hz, order) in [(6.0, 1), (3.0, 2), (8.0, 5)] {
+            check::agrees_with_its_closed_forms(&LowPass { cutoff_hz, order }, 40.0);
+        }
+    }
+
+    #[test]
+    fn the_gain_is_half_at_the_cutoff_and_a_level_passes() {
+        for order in 1..=LowPass::ORDER_MAX {
+            let filter = LowPass { cutoff_hz: 5.0, order };
+            assert!((filter.power_gain(5.0, 40.0) - 0.5).abs() < 1e-12);
+            let mut values = vec![7.0; 1000];
+            filter.sampler(40.0, 1.0, check::stream(1)).apply(&mut values);
+            assert!(values.iter().all(|value| (value - 7.0).abs() < 1e-9), "order {order}");
+        }
+    }
+
+    #[test]
+    fn orders_and_cutoffs_outside_their_ranges_are_refused() {
+        assert!(LowPass { cutoff_hz: 20.0, order: 1 }.check(40.0).is_err());
+        assert!(LowPass { cutoff_hz: 5.0, order: 0 }.check(40.0).is_err());
+        assert!(LowPass { cutoff_hz: 5.0, order: 9 }.check(40.0).is_err());
+    }
+}

@@ -1,0 +1,145 @@
+//! Moving average: the mean of the last samples, as a sensor's own filter makes it.
+
+use super::spec::{Form, Kind, Need, Parameter};
+use super::stream::number as streams;
+use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// The mean of the last `window` samples of everything before it in the chain, at the rate at which it acts.
+///
+/// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MovingAverage {
+    /// W in samples, 1 to [`MovingAverage::WINDOW_MAX`].
+    pub window: u64,
+}
+
+impl MovingAverage {
+    /// The longest window: more than a minute of the VN-100's internal samples.
+    pub const WINDOW_MAX: u64 = 65_536;
+}
+
+static SPEC: Spec = Spec {
+    name: "moving_average",
+    stream: streams::NONE,
+    stage: Stage::Bandwidth,
+    parameters: &[Parameter {
+        name: "window",
+        form: Form::Whole(1, MovingAverage::WINDOW_MAX),
+        need: Need::Always,
+        meaning: "samples that are averaged, at the rate at which it acts",
+    }],
+    forms: &[],
+    meaning: "the mean of the last samples of motion and noise",
+};
+pub(super) static KIND: Kind<dyn Effect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(MovingAverage { window: values.whole("window") }) };
+
+/// |H|² of the mean over `window` samples at `cycles` per sample.
+#[must_use]
+pub fn boxcar_gain(window: u64, cycles: f64) -> f64 {
+    let (window, x) = (window as f64, PI * cycles);
+    if x.sin().abs() < 1e-12 { 1.0 } else { ((window * x).sin() / (window * x.sin())).powi(2) }
+}
+
+impl Effect for MovingAverage {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("window", self.window.into())]
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(0.0)
+    }
+    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
+        Some(0.0)
+    }
+    fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
+        boxcar_gain(self.window, frequency_hz / rate_hz)
+    }
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        Box::new(AverageSampler(RunningMean::new(self.window)))
+    }
+}
+
+/// The mean of the last values; the sum is made anew once per window, so that rounding never piles up.
+#[derive(Debug)]
+pub struct RunningMean {
+    window: usize,
+    last: Vec<f64>,
+    place: usize,
+    sum: f64,
+}
+
+impl RunningMean {
+    /// Over `window` values (0 counts as 1).
+    #[must_use]
+    pub fn new(window: u64) -> Self {
+        let window = usize::try_from(window).unwrap_or(usize::MAX).max(1);
+        Self { window, last: Vec::new(), place: 0, sum: 0.0 }
+    }
+
+    /// Takes a value and returns the mean of the last ones, itself included.
+    pub fn next(&mut self, value: f64) -> f64 {
+        if self.window == 1 {
+            return value;
+        }
+        if self.last.len() < self.window {
+            self.last.push(value);
+            self.sum += value;
+            return self.sum / self.last.len() as f64;
+        }
+        self.sum += value - self.last[self.place];
+        self.last[self.place] = value;
+        self.place += 1;
+        if self.place == self.window {
+            self.place = 0;
+            self.sum = self.last.iter().sum();
+        }
+        self.sum / self.window as f64
+    }
+}
+
+#[derive(Debug)]
+struct AverageSampler(RunningMean);
+
+impl Sampler for AverageSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            *value = self.0.next(*value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn white_noise_behind_it_has_its_gain() {
+        for window in [2, 5] {
+            check::agrees_with_its_closed_forms(&MovingAverage { window }, 40.0);
+        }
+    }
+
+    #[test]
+    fn each_value_is_the_mean_of_those_that_went_before() {
+        let input: Vec<f64> = (0..200).map(|i| f64::from(i * i % 37)).collect();
+        let mut mean = RunningMean::new(7);
+        for index in 0..200 {
+            let from = (index + 1_usize).saturating_sub(7);
+            let expected = input[from..=index].iter().sum::<f64>() / (index + 1 - from) as f64;
+            assert!((mean.next(input[index]) - expected).abs() < 1e-12, "{index}");
+        }
+    }
+
+    #[test]
+    fn an_empty_window_is_refused() {
+        assert!(MovingAverage { window: 0 }.check(40.0).is_err());
+        assert!(MovingAverage { window: 1 }.check(40.0).is_ok());
+    }
+}

@@ -1,0 +1,83 @@
+//! Quantization noise (Q): independent errors of the angle (or velocity), so that the rate shows their differences.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// White angle noise of standard deviation Q per sample.
+///
+/// The rate is its difference over one period dt: two-sided PSD 4Q² sin²(πf·dt)/dt, Allan variance 3Q²/τ² exactly.
+///
+/// Source: IEEE Std 952-1997, annex C (quantization noise), in sampled form.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct QuantizationNoise {
+    /// Q in U·s.
+    pub q: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "quantization_noise",
+    stream: streams::QUANTIZATION_NOISE,
+    stage: Stage::Noise,
+    parameters: &[number("Q", Range::FromZero, "standard deviation of the white angle noise, U·s")],
+    forms: &[],
+    meaning: "IEEE's quantization noise: white noise of the angle or velocity, seen in the rate",
+};
+pub(super) static KIND: Kind<dyn Effect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(QuantizationNoise { q: values.number("Q") }) };
+
+impl Effect for QuantizationNoise {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("Q", self.q.into())]
+    }
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        let sine = 2.0 * (PI * frequency_hz / rate_hz).sin();
+        Some(self.q * self.q * sine * sine * rate_hz)
+    }
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        Some(3.0 * (self.q * record.rate_hz / m as f64).powi(2))
+    }
+    fn moments(&self, record: Record) -> Option<Moments> {
+        Some(Moments { variance: 2.0 * (self.q * record.rate_hz).powi(2), kurtosis: Some(3.0) })
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let scale = self.q * rate_hz;
+        let last = scale * stream.normal();
+        Box::new(QuantizationSampler { scale, last, stream })
+    }
+}
+
+/// The last angle's error over dt.
+#[derive(Debug)]
+struct QuantizationSampler {
+    scale: f64,
+    last: f64,
+    stream: Stream,
+}
+
+impl Sampler for QuantizationSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            let error = self.scale * self.stream.normal();
+            *value += error - self.last;
+            self.last = error;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn spectrum_allan_variance_and_moments_are_those_of_white_angle_noise() {
+        check::agrees_with_its_closed_forms(&QuantizationNoise { q: 3e-5 }, 200.0);
+    }
+}

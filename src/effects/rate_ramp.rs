@@ -1,0 +1,82 @@
+//! Rate ramp (R): a bias that drifts steadily.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// A bias of R·t, from 0 at the start.
+///
+/// Allan variance R²τ²/2, the same in every record that is long enough. Source: IEEE Std 952-1997, annex C (rate ramp).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RateRamp {
+    /// R in U/s.
+    pub r: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "rate_ramp",
+    stream: streams::NONE,
+    stage: Stage::Bias,
+    parameters: &[number("R", Range::Any, "slope, U/s")],
+    forms: &[],
+    meaning: "a bias that grows by R every second, from 0 at the start",
+};
+pub(super) static KIND: Kind<dyn Effect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(RateRamp { r: values.number("R") }) };
+
+impl Effect for RateRamp {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("R", self.r.into())]
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        Some(0.0)
+    }
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        let tau_s = m as f64 / record.rate_hz;
+        (2 * m <= record.samples).then_some((self.r * tau_s).powi(2) / 2.0)
+    }
+    fn mean_response(&self, input: f64, at: At) -> f64 {
+        input + self.r * at.time_s
+    }
+    fn regressors(&self) -> usize {
+        1
+    }
+    fn regress(&self, at: At, row: &mut [f64]) {
+        row[0] = at.time_s;
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        Box::new(RampSampler { slope: self.r / rate_hz, index: 0 })
+    }
+}
+
+/// The next sample's index.
+#[derive(Debug)]
+struct RampSampler {
+    slope: f64,
+    index: u64,
+}
+
+impl Sampler for RampSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            *value += self.slope * self.index as f64;
+            self.index += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn allan_variance_and_course_are_those_of_a_ramp() {
+        check::agrees_with_its_closed_forms(&RateRamp { r: -2e-4 }, 40.0);
+    }
+}

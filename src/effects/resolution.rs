@@ -1,0 +1,94 @@
+//! Resolution: what is sent is rounded.
+
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{At, Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// Each value sent is the nearest multiple of `step`.
+///
+/// The error is white with variance step²/12, evenly spread, where the values' own noise exceeds about half a step per
+/// sample (at half a step the relative error of that variance is 3 %, at one step 1e-7); where they hardly move, rounding
+/// keeps them at one multiple and the closed forms do not hold.
+///
+/// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Resolution {
+    /// U.
+    pub step: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "resolution",
+    stream: streams::NONE,
+    stage: Stage::Resolution,
+    parameters: &[number("step", Range::Above(0.0), "distance of the values that are sent, U")],
+    forms: &[],
+    meaning: "output rounded to the nearest multiple",
+};
+pub(super) static KIND: Kind<dyn Effect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(Resolution { step: values.number("step") }) };
+
+impl Effect for Resolution {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("step", self.step.into())]
+    }
+    fn psd(&self, _frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        Some(self.step * self.step / 12.0 / rate_hz)
+    }
+    fn allan_variance(&self, m: u64, _record: Record) -> Option<f64> {
+        Some(self.step * self.step / 12.0 / m as f64)
+    }
+    fn mean_response(&self, input: f64, _at: At) -> f64 {
+        (input / self.step).round() * self.step
+    }
+    fn moments(&self, _record: Record) -> Option<Moments> {
+        Some(Moments { variance: self.step * self.step / 12.0, kurtosis: Some(1.8) })
+    }
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        Box::new(Rounding(self.step))
+    }
+}
+
+#[derive(Debug)]
+struct Rounding(f64);
+
+impl Sampler for Rounding {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            *value = (*value / self.0).round() * self.0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn the_error_is_white_with_a_twelfth_of_the_squared_step() {
+        check::agrees_with_its_closed_forms(&Resolution { step: 0.7 }, 40.0);
+    }
+
+    #[test]
+    fn every_value_is_the_nearest_multiple() {
+        let values = check::draw_on_white(&Resolution { step: 0.25 }, 40.0, 1000, 5);
+        let before = check::draw_on_white(&Resolution { step: 1e-9 }, 40.0, 1000, 5);
+        for (value, before) in values.iter().zip(before) {
+            assert_eq!((value / 0.25).fract(), 0.0);
+            assert!((value - before).abs() <= 0.125 + 1e-8);
+        }
+        let at = At { time_s: 0.0, temperature_c: 25.0 };
+        assert_eq!(Resolution { step: 0.25 }.mean_response(0.4, at), 0.5);
+    }
+
+    #[test]
+    fn a_step_of_nothing_is_refused() {
+        assert!(Resolution { step: 0.0 }.check(40.0).is_err());
+    }
+}

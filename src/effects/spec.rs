@@ -1,0 +1,409 @@
+//! What an effect's entry in a model's file may hold: names, ranges and meanings in one table per effect.
+//!
+//! In: the parameters as JSON. Out: checked values, or a [`Refusal`] with the parameter, what was found and what is
+//! allowed. Messages, the JSON Schema and the documentation's tables are made of the same entries.
+
+use super::Stage;
+use serde_json::{Map, Value, json};
+use std::sync::Arc;
+
+/// Why a parameter was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{effect}: `{parameter}`: found {found}; allowed is {allowed}")]
+#[expect(clippy::exhaustive_structs, reason = "made by every effect's own check")]
+pub struct Refusal {
+    /// The effect's name.
+    pub effect: &'static str,
+    /// The parameter, with the place inside it: `intervals[2]`.
+    pub parameter: String,
+    /// What stood there.
+    pub found: String,
+    /// What may stand there.
+    pub allowed: String,
+}
+
+/// A range of numbers. The numbers are finite in any case.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary of ranges")]
+pub enum Range {
+    /// Any number.
+    Any,
+    /// 0 or more.
+    FromZero,
+    /// Above the number.
+    Above(f64),
+    /// From 0 to below 1.
+    Probability,
+}
+
+impl Range {
+    fn contains(self, number: f64) -> bool {
+        number.is_finite()
+            && match self {
+                Self::Any => true,
+                Self::FromZero => number >= 0.0,
+                Self::Above(least) => number > least,
+                Self::Probability => (0.0..1.0).contains(&number),
+            }
+    }
+    /// In words: "a number above 0".
+    #[must_use]
+    pub fn words(self) -> String {
+        match self {
+            Self::Any => "a finite number".to_owned(),
+            Self::FromZero => "a number of 0 or more".to_owned(),
+            Self::Above(least) => format!("a number above {least}"),
+            Self::Probability => "a probability from 0 to below 1".to_owned(),
+        }
+    }
+    fn schema(self) -> Value {
+        match self {
+            Self::Any => json!({"type": "number"}),
+            Self::FromZero => json!({"type": "number", "minimum": 0}),
+            Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least}),
+            Self::Probability => json!({"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
+        }
+    }
+}
+
+/// The form of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary of forms")]
+pub enum Form {
+    /// One number.
+    Number(Range),
+    /// A whole number between the two, both included.
+    Whole(u64, u64),
+    /// One or more numbers.
+    Numbers(Range),
+    /// One or more pairs [from, to] in s, from 0 on, each ending after it begins.
+    Intervals,
+    /// Two or more pairs [time in s, factor of 0 or more], the times rising.
+    Profile,
+    /// Three rows of three numbers.
+    Matrix,
+    /// One of these words.
+    Choice(&'static [&'static str]),
+}
+
+/// Whether a parameter has to stand there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary")]
+pub enum Need {
+    /// Always.
+    Always,
+    /// No; this is what it is without.
+    Default(f64),
+    /// Where the form it belongs to is chosen ([`Spec::forms`]).
+    InItsForm,
+}
+
+/// One parameter of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
+pub struct Parameter {
+    /// Its key.
+    pub name: &'static str,
+    /// What stands there.
+    pub form: Form,
+    /// Whether it has to.
+    pub need: Need,
+    /// What it is, with its unit (U: the channel's).
+    pub meaning: &'static str,
+}
+
+/// A parameter that is a number and has to be there.
+pub(super) const fn number(name: &'static str, range: Range, meaning: &'static str) -> Parameter {
+    Parameter { name, form: Form::Number(range), need: Need::Always, meaning }
+}
+
+/// One kind of effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
+pub struct Spec {
+    /// Its name in files and messages.
+    pub name: &'static str,
+    /// The number of its random stream ([`super::stream::number`]); 0 if it draws nothing.
+    pub stream: u16,
+    /// Where in the chain it acts.
+    pub stage: Stage,
+    /// Its parameters.
+    pub parameters: &'static [Parameter],
+    /// Sets of parameters of which exactly one is given; empty if there is no choice.
+    pub forms: &'static [&'static [&'static str]],
+    /// What it is, in a sentence.
+    pub meaning: &'static str,
+}
+
+/// A kind of effect and how one is made of a file's entry; `E` is the trait object.
+#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
+pub struct Kind<E: ?Sized> {
+    /// Its table.
+    pub spec: &'static Spec,
+    /// Makes one of values that were checked.
+    pub make: fn(&Values<'_>) -> Arc<E>,
+}
+
+impl<E: ?Sized> Kind<E> {
+    /// Reads an effect from its entry's keys (without `effect`).
+    ///
+    /// # Errors
+    /// [`Refusal`] for unknown and missing keys and for values outside their ranges.
+    pub fn read(&self, entry: &Map<String, Value>) -> Result<Arc<E>, Refusal> {
+        self.spec.check_map(entry)?;
+        Ok((self.make)(&Values { spec: self.spec, map: entry }))
+    }
+}
+
+impl Spec {
+    /// Whether `parameters` are what the table allows.
+    pub(super) fn check(&self, parameters: &[(&'static str, Value)]) -> Result<(), Refusal> {
+        self.check_map(&parameters.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
+    }
+
+    /// The parameters' names.
+    #[must_use]
+    pub fn names(&self) -> Vec<&'static str> {
+        self.parameters.iter().map(|parameter| parameter.name).collect()
+    }
+
+    /// A refusal of one of its parameters.
+    pub(super) fn refuse(
+        &self,
+        parameter: impl Into<String>,
+        found: impl ToString,
+        allowed: impl Into<String>,
+    ) -> Refusal {
+        Refusal { effect: self.name, parameter: parameter.into(), found: found.to_string(), allowed: allowed.into() }
+    }
+
+    /// Refuses a frequency of half the rate or more.
+    pub(super) fn below_nyquist(&self, parameter: &str, frequency_hz: f64, rate_hz: f64) -> Result<(), Refusal> {
+        if frequency_hz < 0.5 * rate_hz {
+            return Ok(());
+        }
+        let allowed = format!("a frequency below {} Hz, half the rate at which it acts", 0.5 * rate_hz);
+        Err(self.refuse(parameter, format!("{frequency_hz} Hz"), allowed))
+    }
+
+    fn check_map(&self, entry: &Map<String, Value>) -> Result<(), Refusal> {
+        let names = self.names();
+        if let Some(unknown) = entry.keys().find(|key| !names.contains(&key.as_str())) {
+            return Err(self.refuse(unknown.clone(), format!("the unknown key `{unknown}`"), self.keys_in_words()));
+        }
+        for parameter in self.parameters {
+            match entry.get(parameter.name) {
+                Some(value) => parameter.check(value).map_err(|(place, found, allowed)| {
+                    self.refuse(format!("{}{place}", parameter.name), found, allowed)
+                })?,
+                None if parameter.need == Need::Always => {
+                    let allowed = format!("`{}`: {}, {}", parameter.name, parameter.form.words(), parameter.meaning);
+                    return Err(self.refuse(parameter.name, format!("no `{}`", parameter.name), allowed));
+                }
+                None => {}
+            }
+        }
+        if self.forms.is_empty() {
+            return Ok(());
+        }
+        let given = |form: &&&[&str]| form.iter().any(|name| entry.contains_key(*name));
+        let begun: Vec<_> = self.forms.iter().filter(given).collect();
+        let complete = |form: &[&str]| form.iter().all(|name| entry.contains_key(*name));
+        if begun.len() == 1 && begun.iter().all(|form| complete(form)) {
+            return Ok(());
+        }
+        let found = entry.keys().map(|key| format!("`{key}`")).collect::<Vec<_>>().join(", ");
+        let found = if found.is_empty() { "no parameter".to_owned() } else { found };
+        Err(self.refuse(
+            self.forms.first().and_then(|form| form.first()).copied().unwrap_or_default(),
+            found,
+            self.keys_in_words(),
+        ))
+    }
+
+    fn keys_in_words(&self) -> String {
+        let free = self.parameters.iter().filter(|parameter| parameter.need != Need::InItsForm).map(|p| p.name);
+        let free = free.collect::<Vec<_>>().join(", ");
+        if self.forms.is_empty() {
+            return if free.is_empty() { "no key".to_owned() } else { format!("one of {free}") };
+        }
+        let forms = self.forms.iter().map(|form| form.join(" with ")).collect::<Vec<_>>().join("; or ");
+        if free.is_empty() { forms } else { format!("{forms}; and {free}") }
+    }
+
+    /// The JSON Schema of an entry.
+    #[must_use]
+    pub fn schema(&self) -> Value {
+        let mut properties = Map::new();
+        properties.insert("effect".to_owned(), json!({"const": self.name}));
+        let mut required = vec!["effect"];
+        for parameter in self.parameters {
+            let mut schema = parameter.form.schema();
+            schema["description"] = json!(parameter.meaning);
+            if let Need::Default(default) = parameter.need {
+                schema["default"] = json!(default);
+            }
+            if parameter.need == Need::Always {
+                required.push(parameter.name);
+            }
+            properties.insert(parameter.name.to_owned(), schema);
+        }
+        let mut schema = json!({
+            "type": "object",
+            "description": self.meaning,
+            "properties": properties,
+            "required": required,
+            "additionalProperties": false,
+        });
+        if !self.forms.is_empty() {
+            let forms: Vec<Value> = self.forms.iter().map(|form| json!({"required": form})).collect();
+            schema["oneOf"] = Value::Array(forms);
+        }
+        schema
+    }
+}
+
+/// Where inside the parameter, what was found, what is allowed.
+type Wrong = (String, String, String);
+
+impl Parameter {
+    fn check(&self, value: &Value) -> Result<(), Wrong> {
+        let wrong = |place: String, found: &Value| (place, found.to_string(), self.form.words());
+        let whole = || wrong(String::new(), value);
+        let list = || value.as_array().filter(|list| !list.is_empty()).ok_or_else(whole);
+        let pairs = || -> Result<Vec<(f64, f64)>, Wrong> {
+            list()?
+                .iter()
+                .enumerate()
+                .map(|(index, pair)| pair_of(pair).ok_or_else(|| wrong(format!("[{index}]"), pair)))
+                .collect()
+        };
+        let at = |index: usize| wrong(format!("[{index}]"), &value[index]);
+        match self.form {
+            Form::Number(range) => {
+                value.as_f64().filter(|number| range.contains(*number)).map(|_| ()).ok_or_else(whole)
+            }
+            Form::Whole(from, to) => match whole_of(value) {
+                Some(number) if (from..=to).contains(&number) => Ok(()),
+                _ => Err(whole()),
+            },
+            Form::Numbers(range) => {
+                let fits = |value: &Value| value.as_f64().is_some_and(|number| range.contains(number));
+                list()?.iter().position(|value| !fits(value)).map_or(Ok(()), |index| Err(at(index)))
+            }
+            Form::Intervals => {
+                let fits = |(from, to): &(f64, f64)| 0.0 <= *from && from < to;
+                pairs()?.iter().position(|pair| !fits(pair)).map_or(Ok(()), |index| Err(at(index)))
+            }
+            Form::Profile => {
+                let pairs = pairs()?;
+                if pairs.len() < 2 {
+                    return Err(whole());
+                }
+                let rises = |index: usize| index == 0 || pairs[index - 1].0 < pairs[index].0;
+                let fits = |index: usize| pairs[index].0 >= 0.0 && pairs[index].1 >= 0.0 && rises(index);
+                (0..pairs.len()).find(|index| !fits(*index)).map_or(Ok(()), |index| Err(at(index)))
+            }
+            Form::Matrix => matrix_of(value).map(|_| ()).ok_or_else(whole),
+            Form::Choice(words) => match value.as_str() {
+                Some(word) if words.contains(&word) => Ok(()),
+                _ => Err(whole()),
+            },
+        }
+    }
+}
+
+impl Form {
+    /// In words, for messages and tables.
+    #[must_use]
+    pub fn words(self) -> String {
+        match self {
+            Self::Number(range) => range.words(),
+            Self::Whole(from, to) => format!("a whole number from {from} to {to}"),
+            Self::Numbers(range) => format!("a list of one or more, each {}", range.words()),
+            Self::Intervals => "a list of one or more [from_s, to_s] with 0 ≤ from_s < to_s".to_owned(),
+            Self::Profile => {
+                "a list of two or more [t_s, factor] with rising times and factors, all of 0 or more".to_owned()
+            }
+            Self::Matrix => "three rows of three numbers".to_owned(),
+            Self::Choice(words) => format!("one of \"{}\"", words.join("\", \"")),
+        }
+    }
+
+    fn schema(self) -> Value {
+        let list = |items: Value, least: usize| json!({"type": "array", "items": items, "minItems": least});
+        let exactly =
+            |items: Value, count: usize| json!({"type": "array", "items": items, "minItems": count, "maxItems": count});
+        match self {
+            Self::Number(range) => range.schema(),
+            Self::Whole(from, to) => json!({"type": "integer", "minimum": from, "maximum": to}),
+            Self::Numbers(range) => list(range.schema(), 1),
+            Self::Intervals => list(exactly(Range::FromZero.schema(), 2), 1),
+            Self::Profile => list(exactly(Range::FromZero.schema(), 2), 2),
+            Self::Matrix => exactly(exactly(Range::Any.schema(), 3), 3),
+            Self::Choice(words) => json!({"enum": words}),
+        }
+    }
+}
+
+fn whole_of(value: &Value) -> Option<u64> {
+    // 4.0 is the whole number 4 in JSON.
+    value.as_u64().or_else(|| value.as_f64().filter(|n| n.fract() == 0.0 && (0.0..1e15).contains(n)).map(|n| n as u64))
+}
+
+fn pair_of(value: &Value) -> Option<(f64, f64)> {
+    match value.as_array()?.as_slice() {
+        [first, second] => Some((first.as_f64()?, second.as_f64()?)),
+        _ => None,
+    }
+}
+
+fn matrix_of(value: &Value) -> Option<[[f64; 3]; 3]> {
+    let mut matrix = [[0.0; 3]; 3];
+    let rows = value.as_array().filter(|rows| rows.len() == 3)?;
+    for (row, places) in rows.iter().zip(&mut matrix) {
+        let numbers = row.as_array().filter(|numbers| numbers.len() == 3)?;
+        for (number, place) in numbers.iter().zip(places) {
+            *place = number.as_f64()?;
+        }
+    }
+    Some(matrix)
+}
+
+/// An entry's values, after [`Spec`] has checked them.
+#[derive(Debug)]
+pub struct Values<'a> {
+    spec: &'static Spec,
+    map: &'a Map<String, Value>,
+}
+
+impl Values<'_> {
+    /// The number, or what it is without.
+    pub(super) fn number(&self, name: &str) -> f64 {
+        self.optional(name).unwrap_or_else(|| {
+            let need = self.spec.parameters.iter().find(|parameter| parameter.name == name).map(|found| found.need);
+            if let Some(Need::Default(default)) = need { default } else { 0.0 }
+        })
+    }
+    pub(super) fn optional(&self, name: &str) -> Option<f64> {
+        self.map.get(name)?.as_f64()
+    }
+    pub(super) fn whole(&self, name: &str) -> u64 {
+        self.map.get(name).and_then(whole_of).unwrap_or_else(|| self.number(name) as u64)
+    }
+    pub(super) fn numbers(&self, name: &str) -> Vec<f64> {
+        self.map.get(name).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
+    }
+    pub(super) fn pairs(&self, name: &str) -> Vec<(f64, f64)> {
+        self.map.get(name).and_then(Value::as_array).into_iter().flatten().filter_map(pair_of).collect()
+    }
+    pub(super) fn matrix(&self, name: &str) -> [[f64; 3]; 3] {
+        self.map.get(name).and_then(matrix_of).unwrap_or_default()
+    }
+    pub(super) fn word(&self, name: &str) -> &str {
+        self.map.get(name).and_then(Value::as_str).unwrap_or_default()
+    }
+    pub(super) fn axes(&self) -> [f64; 3] {
+        ["x", "y", "z"].map(|axis| self.number(axis))
+    }
+}

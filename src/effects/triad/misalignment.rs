@@ -1,0 +1,121 @@
+//! Misalignment and cross-axis sensitivity: the two halves of a small matrix, antisymmetric and symmetric.
+
+use super::{Axes, Drive, TriadEffect, xyz};
+use crate::effects::spec::{Kind, Range, number};
+use crate::effects::stream::number as streams;
+use crate::effects::{Spec, Stage};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// The triad as a whole is turned by a small rotation vector θ: measured = true + θ × true.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Misalignment {
+    /// θ, rad.
+    pub rotation: Axes,
+}
+
+/// Axes see one another alike: measured = true + S·true with S symmetric and zero on its diagonal. With misalignment it
+/// makes the orthogonality errors of single axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CrossAxisSensitivity {
+    /// Between x and y.
+    pub xy: f64,
+    /// Between x and z.
+    pub xz: f64,
+    /// Between y and z.
+    pub yz: f64,
+}
+
+static MISALIGNMENT_SPEC: Spec = Spec {
+    name: "misalignment",
+    stream: streams::NONE,
+    stage: Stage::CrossAxis,
+    parameters: &[
+        number("x", Range::Any, "rotation about the x axis, rad"),
+        number("y", Range::Any, "rotation about the y axis, rad"),
+        number("z", Range::Any, "rotation about the z axis, rad"),
+    ],
+    forms: &[],
+    meaning: "the triad is turned by a small rotation vector θ: measured = true + θ × true",
+};
+pub(in crate::effects) static MISALIGNMENT: Kind<dyn TriadEffect> =
+    Kind { spec: &MISALIGNMENT_SPEC, make: |values| Arc::new(Misalignment { rotation: values.axes() }) };
+
+static CROSS_AXIS_SPEC: Spec = Spec {
+    name: "cross_axis_sensitivity",
+    stream: streams::NONE,
+    stage: Stage::CrossAxis,
+    parameters: &[
+        number("xy", Range::Any, "what x shows of y, and y of x, a fraction"),
+        number("xz", Range::Any, "what x shows of z, and z of x, a fraction"),
+        number("yz", Range::Any, "what y shows of z, and z of y, a fraction"),
+    ],
+    forms: &[],
+    meaning: "axes show a fraction of one another, alike in both directions",
+};
+pub(in crate::effects) static CROSS_AXIS_SENSITIVITY: Kind<dyn TriadEffect> = Kind {
+    spec: &CROSS_AXIS_SPEC,
+    make: |values| {
+        Arc::new(CrossAxisSensitivity { xy: values.number("xy"), xz: values.number("xz"), yz: values.number("yz") })
+    },
+};
+
+impl TriadEffect for Misalignment {
+    fn spec(&self) -> &'static Spec {
+        &MISALIGNMENT_SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        xyz(self.rotation)
+    }
+    fn deviation(&self, drive: Drive) -> Axes {
+        let ([x, y, z], [a, b, c]) = (self.rotation, drive.input);
+        [y * c - z * b, z * a - x * c, x * b - y * a]
+    }
+    fn coefficients(&self) -> Vec<f64> {
+        self.rotation.to_vec()
+    }
+    fn regress(&self, drive: Drive) -> Vec<Axes> {
+        let [a, b, c] = drive.input;
+        vec![[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]]
+    }
+}
+
+impl TriadEffect for CrossAxisSensitivity {
+    fn spec(&self) -> &'static Spec {
+        &CROSS_AXIS_SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("xy", self.xy.into()), ("xz", self.xz.into()), ("yz", self.yz.into())]
+    }
+    fn deviation(&self, drive: Drive) -> Axes {
+        let [a, b, c] = drive.input;
+        [self.xy * b + self.xz * c, self.xy * a + self.yz * c, self.xz * a + self.yz * b]
+    }
+    fn coefficients(&self) -> Vec<f64> {
+        vec![self.xy, self.xz, self.yz]
+    }
+    fn regress(&self, drive: Drive) -> Vec<Axes> {
+        let [a, b, c] = drive.input;
+        vec![[b, a, 0.0], [c, 0.0, a], [0.0, c, b]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rotation_about_z_turns_x_towards_y() {
+        let drive = Drive { input: [1.0, 0.0, 0.0], accel_m_s2: [0.0; 3] };
+        assert_eq!(Misalignment { rotation: [0.0, 0.0, 0.01] }.deviation(drive), [0.0, 0.01, 0.0]);
+    }
+
+    #[test]
+    fn both_axes_of_a_pair_show_the_same_fraction_of_one_another() {
+        let cross = CrossAxisSensitivity { xy: 0.01, xz: 0.02, yz: 0.03 };
+        let drive = |input| Drive { input, accel_m_s2: [0.0; 3] };
+        assert_eq!(cross.deviation(drive([1.0, 0.0, 0.0])), [0.0, 0.01, 0.02]);
+        assert_eq!(cross.deviation(drive([0.0, 1.0, 0.0])), [0.01, 0.0, 0.03]);
+        assert_eq!(cross.deviation(drive([0.0, 0.0, 1.0])), [0.02, 0.03, 0.0]);
+    }
+}

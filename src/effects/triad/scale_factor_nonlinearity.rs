@@ -1,0 +1,94 @@
+//! Scale-factor nonlinearity: the scale factor depends on the input.
+
+use super::{Axes, Drive, TriadEffect, diagonal, xyz};
+use crate::effects::spec::{Form, Kind, Need, Parameter, Range, number};
+use crate::effects::stream::number as streams;
+use crate::effects::{Spec, Stage};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// Each axis deviates by a fraction x of full scale F at full scale: x·ω²/F, or x·ω·|ω|/F.
+///
+/// Source: IEEE Std 528-2019 (scale-factor nonlinearity); the quadratic terms of IEEE Std 952-1997's model equation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScaleFactorNonlinearity {
+    /// Deviation at full scale over full scale, per axis.
+    pub axes: Axes,
+    /// F, U.
+    pub full_scale: f64,
+    /// Whether the deviation keeps the input's sign (ω·|ω|) or not (ω²).
+    pub signed: bool,
+}
+
+static SPEC: Spec = Spec {
+    name: "scale_factor_nonlinearity",
+    stream: streams::NONE,
+    stage: Stage::Scale,
+    parameters: &[
+        number("x", Range::Any, "deviation of the x axis at full scale, a fraction of it"),
+        number("y", Range::Any, "deviation of the y axis at full scale, a fraction of it"),
+        number("z", Range::Any, "deviation of the z axis at full scale, a fraction of it"),
+        number("full_scale", Range::Above(0.0), "U"),
+        Parameter {
+            name: "form",
+            form: Form::Choice(&["unsigned", "signed"]),
+            need: Need::Always,
+            meaning: "unsigned: ω²; signed: ω·|ω|",
+        },
+    ],
+    forms: &[],
+    meaning: "the deviation grows with the square of the input",
+};
+pub(in crate::effects) static KIND: Kind<dyn TriadEffect> = Kind {
+    spec: &SPEC,
+    make: |values| {
+        Arc::new(ScaleFactorNonlinearity {
+            axes: values.axes(),
+            full_scale: values.number("full_scale"),
+            signed: values.word("form") == "signed",
+        })
+    },
+};
+
+impl ScaleFactorNonlinearity {
+    fn squares(&self, input: Axes) -> Axes {
+        input.map(|input| input * if self.signed { input.abs() } else { input } / self.full_scale)
+    }
+}
+
+impl TriadEffect for ScaleFactorNonlinearity {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        let mut parameters = xyz(self.axes);
+        parameters.push(("full_scale", self.full_scale.into()));
+        parameters.push(("form", if self.signed { "signed" } else { "unsigned" }.into()));
+        parameters
+    }
+    fn deviation(&self, drive: Drive) -> Axes {
+        let squares = self.squares(drive.input);
+        std::array::from_fn(|axis| self.axes[axis] * squares[axis])
+    }
+    fn coefficients(&self) -> Vec<f64> {
+        self.axes.to_vec()
+    }
+    fn regress(&self, drive: Drive) -> Vec<Axes> {
+        diagonal(self.squares(drive.input))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_full_scale_the_deviation_is_the_fraction_of_full_scale() {
+        let drive = Drive { input: [35.0, -35.0, 17.5], accel_m_s2: [0.0; 3] };
+        let deviation = |signed| {
+            ScaleFactorNonlinearity { axes: [1e-3; 3], full_scale: 35.0, signed }.deviation(drive).map(|d| d / 0.035)
+        };
+        assert_eq!(deviation(false), [1.0, 1.0, 0.25]);
+        assert_eq!(deviation(true), [1.0, -1.0, 0.25]);
+    }
+}

@@ -1,0 +1,209 @@
+//! Change of variance: the white part's amplitude depends on time or temperature.
+
+use super::spec::{Form, Kind, Need, Parameter, Range};
+use super::stream::number as streams;
+use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments};
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// A factor on the amplitude of the white part; the other noise is left alone.
+///
+/// What it adds to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's mean
+/// square over a record, by which the white density grows.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_enums, reason = "the contract's three forms")]
+pub enum VarianceChange {
+    /// A factor inside an interval, 1 outside.
+    Interval {
+        /// First instant, s after the start.
+        from_s: f64,
+        /// First instant after it, s.
+        to_s: f64,
+        /// On the amplitude.
+        factor: f64,
+    },
+    /// Factors at instants, linear between them and constant before the first and after the last.
+    Profile(Vec<(f64, f64)>),
+    /// exp(`per_c`·(T − `reference_c`)): for small changes, `per_c` is the relative growth per °C.
+    PerDegree {
+        /// 1/°C.
+        per_c: f64,
+        /// The temperature at which the factor is 1, °C.
+        reference_c: f64,
+    },
+}
+
+const fn in_form(name: &'static str, form: Form, meaning: &'static str) -> Parameter {
+    Parameter { name, form, need: Need::InItsForm, meaning }
+}
+
+static SPEC: Spec = Spec {
+    name: "variance_change",
+    stream: streams::NONE,
+    stage: Stage::WhitePart,
+    parameters: &[
+        in_form("from_s", Form::Number(Range::FromZero), "begin of the interval, s after the start"),
+        in_form("to_s", Form::Number(Range::FromZero), "its end, s; after `from_s`"),
+        in_form("factor", Form::Number(Range::FromZero), "on the amplitude of the white part, inside"),
+        in_form("profile", Form::Profile, "[t_s, factor], linear in between"),
+        in_form("per_c", Form::Number(Range::Any), "the factor is exp(per_c·(T − reference_c)), 1/°C"),
+        Parameter {
+            name: "reference_c",
+            form: Form::Number(Range::Above(-273.15)),
+            need: Need::Default(USUAL_TEMPERATURE_C),
+            meaning: "with `per_c`: the temperature at which the factor is 1, °C",
+        },
+    ],
+    forms: &[&["from_s", "to_s", "factor"], &["profile"], &["per_c"]],
+    meaning: "a factor on the amplitude of the white part, in an interval, by a profile or by temperature",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| {
+        Arc::new(if let Some(per_c) = values.optional("per_c") {
+            VarianceChange::PerDegree { per_c, reference_c: values.number("reference_c") }
+        } else if let Some(factor) = values.optional("factor") {
+            VarianceChange::Interval { from_s: values.number("from_s"), to_s: values.number("to_s"), factor }
+        } else {
+            VarianceChange::Profile(values.pairs("profile"))
+        })
+    },
+};
+
+impl VarianceChange {
+    /// The factor at an instant.
+    #[must_use]
+    pub fn factor(&self, time_s: f64, temperature_c: f64) -> f64 {
+        match self {
+            Self::Interval { from_s, to_s, factor } => {
+                if (*from_s..*to_s).contains(&time_s) {
+                    *factor
+                } else {
+                    1.0
+                }
+            }
+            Self::Profile(points) => {
+                let after = points.partition_point(|point| point.0 <= time_s);
+                match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
+                    (Some((t0, f0)), Some((t1, f1))) => f0 + (f1 - f0) * (time_s - t0) / (t1 - t0),
+                    (Some((_, factor)), None) | (None, Some((_, factor))) => *factor,
+                    (None, None) => 1.0,
+                }
+            }
+            Self::PerDegree { per_c, reference_c } => (per_c * (temperature_c - reference_c)).exp(),
+        }
+    }
+
+    /// Mean of the factor's `power`th power over `length_s`, without temperature; each piece by Gauss's three points, which
+    /// is exact for the fourth power of a straight line.
+    fn mean_power(&self, length_s: f64, power: i32) -> Option<f64> {
+        let mut cuts = match self {
+            Self::Interval { from_s, to_s, .. } => vec![*from_s, *to_s],
+            Self::Profile(points) => points.iter().map(|point| point.0).collect(),
+            Self::PerDegree { .. } => return None,
+        };
+        cuts.retain(|cut| *cut > 0.0 && *cut < length_s);
+        cuts.insert(0, 0.0);
+        cuts.push(length_s);
+        let reach = 0.6_f64.sqrt();
+        let piece = |from: f64, to: f64| {
+            let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
+            let at = |offset: f64| self.factor(middle + offset * half, 0.0).powi(power);
+            half * (5.0 * at(-reach) + 8.0 * at(0.0) + 5.0 * at(reach)) / 9.0
+        };
+        Some(cuts.windows(2).map(|cut| piece(cut[0], cut[1])).sum::<f64>() / length_s)
+    }
+}
+
+impl Effect for VarianceChange {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        match self {
+            Self::Interval { from_s, to_s, factor } => {
+                vec![("from_s", (*from_s).into()), ("to_s", (*to_s).into()), ("factor", (*factor).into())]
+            }
+            Self::Profile(points) => {
+                let points: Vec<Value> = points.iter().map(|(time, factor)| json!([time, factor])).collect();
+                vec![("profile", points.into())]
+            }
+            Self::PerDegree { per_c, reference_c } => {
+                vec![("per_c", (*per_c).into()), ("reference_c", (*reference_c).into())]
+            }
+        }
+    }
+    fn check_at(&self, _rate_hz: f64) -> Result<(), super::Refusal> {
+        match self {
+            Self::Interval { from_s, to_s, .. } if from_s >= to_s => {
+                Err(SPEC.refuse("to_s", format!("{to_s} s"), format!("a time after `from_s`, {from_s} s")))
+            }
+            _ => Ok(()),
+        }
+    }
+    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
+        None
+    }
+    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
+        None
+    }
+    fn white_moments(&self, record: Record) -> Option<WhiteMoments> {
+        let variance = self.mean_power(record.length_s(), 2)?;
+        let fourth = 3.0 * self.mean_power(record.length_s(), 4)?;
+        Some(Moments { variance, kurtosis: (variance > 0.0).then(|| fourth / (variance * variance)) })
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        Box::new(ChangeSampler { change: self.clone(), rate_hz, index: 0 })
+    }
+}
+
+#[derive(Debug)]
+struct ChangeSampler {
+    change: VarianceChange,
+    rate_hz: f64,
+    index: u64,
+}
+
+impl Sampler for ChangeSampler {
+    fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>) {
+        for (place, value) in values.iter_mut().enumerate() {
+            *value *= self.change.factor(self.index as f64 / self.rate_hz, temperature.at(place));
+            self.index += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    #[test]
+    fn the_white_part_grows_as_the_factor_says() {
+        let interval = VarianceChange::Interval { from_s: 100.0, to_s: 200.0, factor: 3.0 };
+        let profile = VarianceChange::Profile(vec![(50.0, 0.5), (200.0, 2.0), (300.0, 1.0)]);
+        for change in [interval, profile] {
+            check::agrees_with_its_closed_forms(&change, 40.0);
+        }
+    }
+
+    #[test]
+    fn the_factor_follows_interval_profile_and_temperature() {
+        let interval = VarianceChange::Interval { from_s: 1.0, to_s: 2.0, factor: 3.0 };
+        assert_eq!([0.9, 1.0, 1.9, 2.0].map(|t| interval.factor(t, 0.0)), [1.0, 3.0, 3.0, 1.0]);
+        let profile = VarianceChange::Profile(vec![(1.0, 1.0), (3.0, 2.0)]);
+        assert_eq!([0.0, 1.0, 2.0, 3.0, 9.0].map(|t| profile.factor(t, 0.0)), [1.0, 1.0, 1.5, 2.0, 2.0]);
+        let warm = VarianceChange::PerDegree { per_c: 0.02, reference_c: 25.0 };
+        assert!((warm.factor(0.0, 35.0) - 0.2_f64.exp()).abs() < 1e-15);
+        let mut values = [1.0, 1.0];
+        warm.sampler(1.0, 1.0, check::stream(1)).act(&mut values, Temperature::Series(&[25.0, 26.0]));
+        assert_eq!(values, [1.0, 0.02_f64.exp()]);
+    }
+
+    #[test]
+    fn an_interval_that_ends_before_it_begins_is_refused() {
+        assert!(VarianceChange::Interval { from_s: 2.0, to_s: 1.0, factor: 1.0 }.check(40.0).is_err());
+        assert!(VarianceChange::Profile(vec![(0.0, 1.0)]).check(40.0).is_err());
+        assert!(VarianceChange::Profile(vec![(1.0, 1.0), (1.0, 2.0)]).check(40.0).is_err());
+    }
+}

@@ -1,0 +1,229 @@
+//! Sensor models: the file format of the contract, section 5. JSON text in, checked parameters out, and back.
+//!
+//! Refused with the file, the path inside it, what was found and what is allowed: unknown keys, channels and effects,
+//! parameters outside their ranges, tones from half the rate up, rates that do not divide one another, effects that
+//! channels share and disagree about. Nothing is ignored silently. The lists in the messages, and the JSON Schema
+//! ([`schema`], committed as `docs/sensor-model.schema.json`), come from [`crate::effects::registry`].
+//!
+//! `provenance` (top level) and `uncertainty` (per channel, entries for N, B, K and bias) are kept as they are and written
+//! back.
+
+mod check;
+mod place;
+mod read;
+pub mod schema;
+mod write;
+
+pub use check::Fault;
+
+use crate::effects::{Effect, TriadEffect};
+use crate::sample::{Channel, Triad};
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The format's name; a change that old readers would misread gets a new number.
+pub const FORMAT: &str = "vn100d-sensor-model-1";
+
+/// Keys of a file, a channel, a triad, and of `sampling`.
+const KEYS: [&str; 7] = ["format", "name", "rate_hz", "channels", "triads", "sampling", "provenance"];
+const CHANNEL_KEYS: [&str; 6] = ["N", "B", "K", "bias", "effects", "uncertainty"];
+const TRIAD_KEYS: [&str; 1] = ["effects"];
+const SAMPLING_KEYS: [&str; 2] = ["internal_rate_hz", "filter_window"];
+/// Parameters whose uncertainty a channel may state.
+const UNCERTAIN_KEYS: [&str; 4] = ["N", "B", "K", "bias"];
+/// The triads that may carry effects.
+const TRIADS: [Triad; 4] = [Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gyro];
+
+/// Why a sensor model was refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// The text is not JSON.
+    #[error("{file} is not JSON: {source}")]
+    Syntax {
+        /// Where the text came from.
+        file: String,
+        /// What the parser found, with line and column.
+        source: serde_json::Error,
+    },
+    /// Something in it is not allowed.
+    #[error("{file}: {path}: found {found}; expected {expected}")]
+    Content {
+        /// Where the text came from.
+        file: String,
+        /// The place inside it, such as `channels.gyro_x.N`.
+        path: String,
+        /// What stood there.
+        found: String,
+        /// What may stand there.
+        expected: String,
+    },
+}
+
+/// The parameters of one channel; U is the channel's unit.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
+pub struct ChannelModel {
+    /// White noise, U/√Hz (two-sided PSD N²).
+    pub n: f64,
+    /// Flicker noise, U (two-sided PSD B²/(2πf)).
+    pub b: f64,
+    /// Rate random walk, U/√s (two-sided PSD (K/2πf)²).
+    pub k: f64,
+    /// A constant, U.
+    pub bias: Option<f64>,
+    /// Further error sources. Their order matters only among several of one kind: each has a random stream of its own, the
+    /// first, the second…
+    pub effects: Vec<Arc<dyn Effect>>,
+    /// What is known about the parameters' accuracy: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`.
+    pub uncertainty: Option<Map<String, Value>>,
+}
+
+/// The effects of one triad.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
+pub struct TriadModel {
+    /// How its axes answer a motion.
+    pub effects: Vec<Arc<dyn TriadEffect>>,
+}
+
+/// How a sensor makes its output of its own samples: the mean of the last `filter_window` of them, every n-th sent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "the contract's two keys")]
+pub struct Sampling {
+    /// The sensor's own rate, a whole multiple of the output's.
+    pub internal_rate_hz: f64,
+    /// Samples of that rate that are averaged, from 1.
+    pub filter_window: u64,
+}
+
+/// A sensor: what the simulator runs on.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
+pub struct SensorModel {
+    /// A name for people.
+    pub name: String,
+    /// The output rate in Hz.
+    pub rate_hz: f64,
+    /// The channels it has, in column order.
+    pub channels: BTreeMap<Channel, ChannelModel>,
+    /// Effects on triads.
+    pub triads: BTreeMap<Triad, TriadModel>,
+    /// Where it is given, N, B and K are the sensor's own, before its boxcar and decimation; else they are what is seen at
+    /// `rate_hz`.
+    pub sampling: Option<Sampling>,
+    /// Where the model comes from, in any form.
+    pub provenance: Option<Map<String, Value>>,
+}
+
+impl SensorModel {
+    /// The rate at which the chain runs before sampling, for an output at `rate_hz`.
+    #[must_use]
+    pub fn internal_rate_hz(&self, rate_hz: f64) -> f64 {
+        self.sampling.map_or(rate_hz, |sampling| sampling.internal_rate_hz)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(text: &str) -> String {
+        SensorModel::from_json(text, "m.json").unwrap_err().to_string()
+    }
+    fn with_gyro_x(body: &str) -> String {
+        format!(r#"{{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,"channels":{{"gyro_x":{body}}}}}"#)
+    }
+
+    #[test]
+    fn a_model_is_read_with_missing_parameters_as_zero() {
+        let model = SensorModel::from_json(&with_gyro_x(r#"{"N":1.2e-4,"K":4e-7,"effects":[]}"#), "m.json").unwrap();
+        let expected = ChannelModel { n: 1.2e-4, k: 4e-7, ..ChannelModel::default() };
+        assert_eq!(model.channels, [(Channel::GyroX, expected)].into());
+        assert_eq!((model.name.as_str(), model.rate_hz), ("t", 40.0));
+    }
+
+    #[test]
+    fn a_model_written_is_read_back() {
+        let model = super::super::default_model();
+        let text = serde_json::to_string_pretty(&model).unwrap();
+        assert_eq!(SensorModel::from_json(&text, "m.json").unwrap(), model);
+    }
+
+    #[test]
+    fn errors_name_file_path_and_what_is_allowed() {
+        for (text, parts) in [
+            (with_gyro_x(r#"{"N":-1}"#), ["m.json", "channels.gyro_x.N", "found -1", "0 or more"]),
+            (with_gyro_x(r#"{"N":"1"}"#), ["m.json", "channels.gyro_x.N", "found \"1\"", "a number"]),
+            (with_gyro_x(r#"{"M":1}"#), ["m.json", "channels.gyro_x.M", "unknown key `M`", "N, B, K, bias, effects, uncertainty"]),
+            (with_gyro_x("[]"), ["m.json", "channels.gyro_x:", "found []", "an object"]),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"wobble"}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].effect", "found \"wobble\"", "one of resolution"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"tone","frequency_hz":11}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].amplitude", "no `amplitude`", "0 or more, peak"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"tone","frequency_hz":25,"amplitude":1}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].frequency_hz", "found 25 Hz", "below 20 Hz"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"warm_up","amplitude":1,"tau":3}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].tau:", "unknown key `tau`", "one of amplitude, tau_s"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"bursts","intervals":[[0,1],[3,2]],"sigma":1}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].intervals[1]", "found [3,2]", "from_s < to_s"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"variance_change","from_s":1,"factor":2}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].from_s", "`factor`, `from_s`", "profile; or per_c"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"Q":{}}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.Q", "unknown key `Q`", "one of N, B, K, bias"],
+            ),
+            (with_gyro_x("{}").replace("gyro_x", "gyro_w"), ["m.json", "channels.gyro_w", "gyro_w", "gyro_x, gyro_y"]),
+            (with_gyro_x("{}").replace("model-1", "model-2"), ["m.json", "format", "model-2", FORMAT]),
+            (with_gyro_x("{}").replace("\"rate_hz\":40,", ""), ["m.json", "top level", "no `rate_hz`", "output rate"]),
+            (with_gyro_x("{}").replace("40", "0"), ["m.json", "rate_hz", "found 0", "above 0"]),
+            (
+                with_gyro_x("{}").replace(
+                    "\"rate_hz\"",
+                    "\"triads\":{\"gyro\":{\"effects\":[{\"effect\":\"scale_factor\",\"x\":1}]}},\"rate_hz\"",
+                ),
+                ["m.json", "triads.gyro.effects[0].y", "no `y`", "fraction that the y axis"],
+            ),
+            (
+                with_gyro_x("{}")
+                    .replace("\"rate_hz\"", "\"triads\":{\"gyro\":{\"effects\":[{\"effect\":\"tone\"}]}},\"rate_hz\""),
+                ["m.json", "triads.gyro.effects[0].effect", "found \"tone\"", "one of bias, scale_factor"],
+            ),
+            (
+                with_gyro_x("{}").replace(
+                    "\"rate_hz\"",
+                    "\"triads\":{\"accel\":{\"effects\":[{\"effect\":\"latency\",\"seconds\":0.1}]}},\"rate_hz\"",
+                ),
+                ["m.json", "triads.accel:", "no accel channel", "the model has"],
+            ),
+            (
+                with_gyro_x("{}").replace("\"rate_hz\"", "\"sampling\":{\"internal_rate_hz\":800},\"rate_hz\""),
+                ["m.json", "sampling:", "no `filter_window`", "from 1"],
+            ),
+            (
+                with_gyro_x("{}")
+                    .replace("\"rate_hz\"", "\"sampling\":{\"internal_rate_hz\":790,\"filter_window\":4},\"rate_hz\""),
+                ["m.json", "sampling.internal_rate_hz", "found 790 Hz", "multiple of the output's rate, 40 Hz"],
+            ),
+            ("{".to_owned(), ["m.json", "not JSON", "line 1", "column"]),
+        ] {
+            let message = message(&text);
+            for part in parts {
+                assert!(message.contains(part), "{part:?} is not in {message:?}");
+            }
+        }
+    }
+}

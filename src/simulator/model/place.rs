@@ -1,0 +1,74 @@
+//! A value inside a model's file and where it stands, for messages that name both.
+
+use super::ModelError;
+use serde_json::Value;
+
+/// "one of a, b, c".
+pub(super) fn one_of(names: &[&str]) -> String {
+    format!("one of {}", names.join(", "))
+}
+
+/// A value and where it stands.
+pub(super) struct Place<'a> {
+    pub(super) file: &'a str,
+    pub(super) path: String,
+    pub(super) value: &'a Value,
+}
+
+impl<'a> Place<'a> {
+    fn child(&self, key: &str, value: &'a Value) -> Self {
+        let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
+        Self { file: self.file, path, value }
+    }
+    pub(super) fn optional(&self, key: &str) -> Option<Self> {
+        self.value.get(key).map(|value| self.child(key, value))
+    }
+    pub(super) fn key(&self, key: &str, meaning: &str) -> Result<Self, ModelError> {
+        self.optional(key).ok_or_else(|| ModelError::Content {
+            file: self.file.to_owned(),
+            path: self.shown_path(),
+            found: format!("no `{key}`"),
+            expected: format!("`{key}`: {meaning}"),
+        })
+    }
+    pub(super) fn last_key(&self) -> &str {
+        self.path.rsplit('.').next().unwrap_or_default()
+    }
+    pub(super) fn entries(&self, expected: &str) -> Result<Vec<Self>, ModelError> {
+        let object = self.value.as_object().ok_or_else(|| self.refuse(expected))?;
+        Ok(object.iter().map(|(key, value)| self.child(key, value)).collect())
+    }
+    pub(super) fn items(&self, expected: &str) -> Result<Vec<Self>, ModelError> {
+        let list = self.value.as_array().ok_or_else(|| self.refuse(expected))?;
+        let item = |(index, value)| Self { file: self.file, path: format!("{}[{index}]", self.path), value };
+        Ok(list.iter().enumerate().map(item).collect())
+    }
+    pub(super) fn only_keys(&self, allowed: &[&str]) -> Result<(), ModelError> {
+        match self.entries("an object")?.iter().find(|entry| !allowed.contains(&entry.last_key())) {
+            None => Ok(()),
+            Some(unknown) => Err(unknown.refuse_key(&one_of(allowed))),
+        }
+    }
+    pub(super) fn number(&self) -> Result<f64, ModelError> {
+        self.value.as_f64().filter(|number| number.is_finite()).ok_or_else(|| self.refuse("a number"))
+    }
+    pub(super) fn shown_path(&self) -> String {
+        if self.path.is_empty() { "top level".to_owned() } else { self.path.clone() }
+    }
+    pub(super) fn refuse(&self, expected: &str) -> ModelError {
+        ModelError::Content {
+            file: self.file.to_owned(),
+            path: self.shown_path(),
+            found: self.value.to_string(),
+            expected: expected.to_owned(),
+        }
+    }
+    pub(super) fn refuse_key(&self, expected: &str) -> ModelError {
+        ModelError::Content {
+            file: self.file.to_owned(),
+            path: self.shown_path(),
+            found: format!("the unknown key `{}`", self.last_key()),
+            expected: expected.to_owned(),
+        }
+    }
+}
