@@ -63,6 +63,21 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
+    fn the_documentation_has_a_row_for_every_effect_with_all_its_parameters() {
+        let page = include_str!("../../docs/effects.md");
+        let (channel, triad) = page.split_once("## On a triad").unwrap();
+        let row = |page: &str, spec: &Spec| {
+            let row = page.lines().find(|line| line.starts_with(&format!("| `{}` |", spec.name)));
+            let row = row.unwrap_or_else(|| panic!("docs/effects.md has no row for {}", spec.name));
+            for name in spec.names() {
+                assert!(row.contains(&format!("`{name}`")), "docs/effects.md, {}: `{name}` is missing", spec.name);
+            }
+        };
+        CHANNEL.iter().for_each(|kind| row(channel, kind.spec));
+        TRIAD.iter().for_each(|kind| row(triad, kind.spec));
+    }
+
+    #[test]
     fn names_differ_and_streams_are_given_once() {
         let channel: BTreeSet<_> = names(&CHANNEL).into_iter().collect();
         assert_eq!(channel.len(), CHANNEL.len());

@@ -206,9 +206,9 @@ impl Spec {
         if self.forms.is_empty() {
             return Ok(());
         }
-        let given = |form: &&&[&str]| form.iter().any(|name| entry.contains_key(*name));
-        let begun: Vec<_> = self.forms.iter().filter(given).collect();
-        let complete = |form: &[&str]| form.iter().all(|name| entry.contains_key(*name));
+        let begun: Vec<_> =
+            self.forms.iter().filter(|form| form.iter().any(|name| entry.contains_key(*name))).collect();
+        let complete = |form: &[&'static str]| self.needed(form).iter().all(|name| entry.contains_key(*name));
         if begun.len() == 1 && begun.iter().all(|form| complete(form)) {
             return Ok(());
         }
@@ -221,14 +221,31 @@ impl Spec {
         ))
     }
 
+    /// The parameters that a form cannot do without.
+    fn needed(&self, form: &[&'static str]) -> Vec<&'static str> {
+        let optional = |name: &str| {
+            let parameter = self.parameters.iter().find(|parameter| parameter.name == name);
+            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_)))
+        };
+        form.iter().copied().filter(|name| !optional(name)).collect()
+    }
+
     fn keys_in_words(&self) -> String {
-        let free = self.parameters.iter().filter(|parameter| parameter.need != Need::InItsForm).map(|p| p.name);
-        let free = free.collect::<Vec<_>>().join(", ");
         if self.forms.is_empty() {
-            return if free.is_empty() { "no key".to_owned() } else { format!("one of {free}") };
+            return if self.parameters.is_empty() {
+                "no key".to_owned()
+            } else {
+                format!("one of {}", self.names().join(", "))
+            };
         }
-        let forms = self.forms.iter().map(|form| form.join(" with ")).collect::<Vec<_>>().join("; or ");
-        if free.is_empty() { forms } else { format!("{forms}; and {free}") }
+        let words = |form: &&[&'static str]| {
+            let needed = self.needed(form);
+            let optional: Vec<_> = form.iter().copied().filter(|name| !needed.contains(name)).collect();
+            let optional =
+                if optional.is_empty() { String::new() } else { format!(", optionally {}", optional.join(", ")) };
+            format!("{}{optional}", needed.join(" with "))
+        };
+        self.forms.iter().map(words).collect::<Vec<_>>().join("; or ")
     }
 
     /// The JSON Schema of an entry.
@@ -256,8 +273,13 @@ impl Spec {
             "additionalProperties": false,
         });
         if !self.forms.is_empty() {
-            let forms: Vec<Value> = self.forms.iter().map(|form| json!({"required": form})).collect();
-            schema["oneOf"] = Value::Array(forms);
+            let of_others = |form: &[&'static str]| {
+                let others = self.forms.iter().flat_map(|other| other.iter()).filter(|name| !form.contains(name));
+                others.map(|name| json!({"required": [name]})).collect::<Vec<_>>()
+            };
+            let forms =
+                self.forms.iter().map(|form| json!({"required": self.needed(form), "not": {"anyOf": of_others(form)}}));
+            schema["oneOf"] = forms.collect();
         }
         schema
     }

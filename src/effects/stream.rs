@@ -119,6 +119,22 @@ mod tests {
     }
 
     #[test]
+    fn uniform_numbers_are_evenly_spread() {
+        let mut stream = Stream::new(1, ID);
+        let n = 1_000_000;
+        let mut counts = [0_u32; 10];
+        for _ in 0..n {
+            let value = stream.uniform();
+            assert!((0.0..1.0).contains(&value));
+            counts[(value * 10.0) as usize] += 1;
+        }
+        // χ² with nine degrees of freedom: 33.7 is exceeded once in 10,000.
+        let expected = f64::from(n) / 10.0;
+        let chi2: f64 = counts.iter().map(|count| (f64::from(*count) - expected).powi(2) / expected).sum();
+        assert!(chi2 < 33.7, "{chi2}");
+    }
+
+    #[test]
     fn streams_differ_by_seed_owner_effect_and_instance() {
         let first = |seed, id| Stream::new(seed, id).normal();
         let reference = first(1, ID);

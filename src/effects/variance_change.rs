@@ -54,7 +54,7 @@ static SPEC: Spec = Spec {
             meaning: "with `per_c`: the temperature at which the factor is 1, °C",
         },
     ],
-    forms: &[&["from_s", "to_s", "factor"], &["profile"], &["per_c"]],
+    forms: &[&["from_s", "to_s", "factor"], &["profile"], &["per_c", "reference_c"]],
     meaning: "a factor on the amplitude of the white part, in an interval, by a profile or by temperature",
 };
 pub(super) static KIND: Kind<dyn Effect> = Kind {
@@ -198,6 +198,19 @@ mod tests {
         let mut values = [1.0, 1.0];
         warm.sampler(1.0, 1.0, check::stream(1)).act(&mut values, Temperature::Series(&[25.0, 26.0]));
         assert_eq!(values, [1.0, 0.02_f64.exp()]);
+    }
+
+    #[test]
+    fn the_forms_are_not_mixed() {
+        let read = |entry: Value| KIND.read(entry.as_object().unwrap()).map_err(|refusal| refusal.found);
+        assert!(read(json!({"per_c": 0.01})).is_ok());
+        assert!(read(json!({"per_c": 0.01, "reference_c": 20.0})).is_ok());
+        assert_eq!(read(json!({"reference_c": 20.0})).unwrap_err(), "`reference_c`");
+        assert_eq!(
+            read(json!({"profile": [[0, 1], [1, 2]], "reference_c": 20.0})).unwrap_err(),
+            "`profile`, `reference_c`"
+        );
+        assert_eq!(read(json!({})).unwrap_err(), "no parameter");
     }
 
     #[test]

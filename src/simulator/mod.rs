@@ -22,10 +22,14 @@ pub mod default_model;
 pub mod model;
 pub mod reference;
 mod response;
+pub mod spectrum;
+#[cfg(test)]
+mod whole;
 
 pub use default_model::default_model;
 pub use model::{ChannelModel, Fault, ModelError, Sampling, SensorModel, TriadModel};
 pub use reference::{Motion, Reference, TemperatureCourse};
+pub use spectrum::Spectrum;
 
 use crate::effects::stream::{SENSOR_OWNER, number};
 use crate::effects::{Stream, StreamId, Temperature, Timing, USUAL_TEMPERATURE_C};

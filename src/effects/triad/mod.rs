@@ -18,7 +18,7 @@ pub use bias::Bias;
 pub use g_sensitivity::GSensitivity;
 pub use latency::{DelayLine, Latency};
 pub use misalignment::{CrossAxisSensitivity, Misalignment};
-pub use saturation::Range;
+pub use saturation::Saturation;
 pub use scale_factor::ScaleFactor;
 pub use scale_factor_nonlinearity::ScaleFactorNonlinearity;
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// No axis shows more than ± the range, motion and noise alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Range {
+pub struct Saturation {
     /// U.
     pub range: f64,
 }
@@ -24,9 +24,9 @@ static SPEC: Spec = Spec {
     meaning: "values beyond ± the range become its ends",
 };
 pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(Range { range: values.number("range") }) };
+    Kind { spec: &SPEC, make: |values| Arc::new(Saturation { range: values.number("range") }) };
 
-impl TriadEffect for Range {
+impl TriadEffect for Saturation {
     fn spec(&self) -> &'static Spec {
         &SPEC
     }

@@ -11,6 +11,8 @@
 mod check;
 mod place;
 mod read;
+#[cfg(test)]
+mod round_trip;
 pub mod schema;
 mod write;
 
@@ -156,7 +158,10 @@ mod tests {
         for (text, parts) in [
             (with_gyro_x(r#"{"N":-1}"#), ["m.json", "channels.gyro_x.N", "found -1", "0 or more"]),
             (with_gyro_x(r#"{"N":"1"}"#), ["m.json", "channels.gyro_x.N", "found \"1\"", "a number"]),
-            (with_gyro_x(r#"{"M":1}"#), ["m.json", "channels.gyro_x.M", "unknown key `M`", "N, B, K, bias, effects, uncertainty"]),
+            (
+                with_gyro_x(r#"{"M":1}"#),
+                ["m.json", "channels.gyro_x.M", "unknown key `M`", "N, B, K, bias, effects, uncertainty"],
+            ),
             (with_gyro_x("[]"), ["m.json", "channels.gyro_x:", "found []", "an object"]),
             (
                 with_gyro_x(r#"{"effects":[{"effect":"wobble"}]}"#),

@@ -1,0 +1,46 @@
+//! What a simulation costs: five hours of nine channels with N, B and K, at 40 Hz and at 800 Hz, and through the sensor's
+//! boxcar; time and peak memory. `cargo bench --bench simulator`; `benches/simulator.py` does the same in numpy.
+
+#![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
+
+use peak_alloc::PeakAlloc;
+use std::time::Instant;
+use vn100d::sample::Channel;
+use vn100d::simulator::{Sampling, SensorModel, Simulator, default_model};
+
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+const LENGTH_S: f64 = 18_000.0;
+
+fn nine() -> SensorModel {
+    let mut model = default_model();
+    model.channels.retain(|channel, _| Channel::ANALYSED.contains(channel));
+    model
+}
+
+fn measure(name: &str, model: &SensorModel, rate_hz: f64, threads: usize) {
+    ALLOCATOR.reset_peak_usage();
+    let begun = Instant::now();
+    let simulator = Simulator::new(model, 1, rate_hz, LENGTH_S).expect("a model that can be simulated");
+    let mut simulator = simulator.with_threads(threads);
+    let wanted = (LENGTH_S * rate_hz) as u64;
+    let (mut made, mut sum) = (0, 0.0);
+    while made < wanted {
+        let block = simulator.next_block().expect("there is no end at rest");
+        made += block.len() as u64;
+        sum += block.values(Channel::GyroX).expect("the channel").iter().sum::<f64>();
+    }
+    let (took_s, peak) = (begun.elapsed().as_secs_f64(), ALLOCATOR.peak_usage_as_mb());
+    println!("{name:<34} {threads} threads: {took_s:>7.3} s, {peak:>6.1} MB (mean of gyro_x {:.6})", sum / made as f64);
+}
+
+fn main() {
+    let plain = nine();
+    let sampled = SensorModel { sampling: Some(Sampling { internal_rate_hz: 800.0, filter_window: 4 }), ..nine() };
+    for threads in [1, 2] {
+        measure("5 h at 40 Hz", &plain, 40.0, threads);
+        measure("5 h at 800 Hz", &plain, 800.0, threads);
+        measure("5 h at 40 Hz behind the boxcar", &sampled, 40.0, threads);
+    }
+}

@@ -1,0 +1,99 @@
+//! What a channel's spectrum is in closed form: the whole chain's, of the same effects that the simulator samples.
+
+use super::chain::in_order;
+use super::model::SensorModel;
+use crate::effects::moving_average::boxcar_gain;
+use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, White};
+use crate::sample::Channel;
+
+/// The closed forms of one channel of a model, for a record.
+#[derive(Debug)]
+pub struct Spectrum<'a> {
+    model: &'a SensorModel,
+    channel: Channel,
+    record: Record,
+}
+
+impl<'a> Spectrum<'a> {
+    /// Of `channel` over a record of what is sent (its rate and length).
+    #[must_use]
+    pub fn new(model: &'a SensorModel, channel: Channel, record: Record) -> Self {
+        Self { model, channel, record }
+    }
+
+    /// Two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the channel's noise: with
+    /// every filter's gain, with what folds in sampling, with what rounding adds. Lines apart ([`Spectrum::lines`]).
+    ///
+    /// `None` where it is not the parameters' alone: held samples, changes of variance by temperature, bursts (which are
+    /// not the same all the time) and temperature bias. A saturation counts as never reached.
+    #[must_use]
+    pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
+        let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);
+        let Some(sampling) = self.model.sampling else {
+            return Some(self.internal_psd(frequency_hz, internal_hz)? + self.sent_psd()?);
+        };
+        let images = sampling.decimation(self.record.rate_hz)?;
+        let mut folded = 0.0;
+        for image in 0..images {
+            let at_hz = frequency_hz + image as f64 * self.record.rate_hz;
+            // Beyond half the internal rate a spectrum is its own mirror image.
+            let own_hz = at_hz.min(internal_hz - at_hz).abs();
+            let gain = boxcar_gain(sampling.filter_window, own_hz / internal_hz);
+            folded += gain * self.internal_psd(own_hz, internal_hz)?;
+        }
+        Some(folded + self.sent_psd()?)
+    }
+
+    /// The channel's lines as they are sent: folded below half the record's rate, with every filter's gain.
+    #[must_use]
+    pub fn lines(&self) -> Vec<Line> {
+        let (rate_hz, internal_hz) = (self.record.rate_hz, self.model.internal_rate_hz(self.record.rate_hz));
+        let effects = self.effects();
+        let window = self.model.sampling.map_or(1, |sampling| sampling.filter_window);
+        let own = effects.iter().flat_map(|effect| effect.lines());
+        own.map(|line| {
+            let gain = self.bandwidth(line.frequency_hz, internal_hz);
+            let within = line.frequency_hz.rem_euclid(rate_hz);
+            Line {
+                frequency_hz: within.min(rate_hz - within),
+                power: line.power * gain * boxcar_gain(window, line.frequency_hz / internal_hz),
+            }
+        })
+        .collect()
+    }
+
+    fn effects(&self) -> Vec<std::sync::Arc<dyn Effect>> {
+        let parameters = self.model.channels.get(&self.channel);
+        let list = parameters.map(|parameters| in_order(&parameters.effects)).unwrap_or_default();
+        list.into_iter().map(|(effect, _)| effect).collect()
+    }
+
+    /// Gain of the sensor's bandwidth.
+    fn bandwidth(&self, frequency_hz: f64, internal_hz: f64) -> f64 {
+        self.effects().iter().map(|effect| effect.power_gain(frequency_hz, internal_hz)).product()
+    }
+
+    /// Before sampling.
+    fn internal_psd(&self, frequency_hz: f64, internal_hz: f64) -> Option<f64> {
+        let parameters = self.model.channels.get(&self.channel)?;
+        let record = Record { rate_hz: internal_hz, samples: (self.record.length_s() * internal_hz).round() as u64 };
+        let mut white = White { n: parameters.n }.psd(frequency_hz, internal_hz)?;
+        let mut noise = Flicker { b: parameters.b }.psd(frequency_hz, internal_hz)?
+            + RandomWalk { k: parameters.k }.psd(frequency_hz, internal_hz)?;
+        for effect in self.effects() {
+            match effect.stage() {
+                Stage::WhitePart => white *= effect.white_moments(record)?.variance,
+                Stage::Bias | Stage::Noise => noise += effect.psd(frequency_hz, internal_hz)?,
+                _ => {}
+            }
+        }
+        Some((white + noise) * self.bandwidth(frequency_hz, internal_hz))
+    }
+
+    /// What comes after sampling.
+    fn sent_psd(&self) -> Option<f64> {
+        let sent = self.effects();
+        let sent = sent.iter().filter(|effect| matches!(effect.stage(), Stage::Resolution | Stage::Hold));
+        sent.map(|effect| effect.psd(0.0, self.record.rate_hz)).sum()
+    }
+}
