@@ -28,6 +28,9 @@ impl Fault {
     }
 }
 
+/// A shared effect: its name, the triad that shares it (else the whole sensor), and which of several it is.
+type Shared<'a> = (&'a str, Option<Triad>, usize);
+
 impl SensorModel {
     /// Whether the model can be simulated with an output of `rate_hz`.
     ///
@@ -58,7 +61,7 @@ impl SensorModel {
 
     /// Channels that share an effect have to agree about it.
     fn check_shared(&self) -> Result<(), Fault> {
-        let mut told: BTreeMap<(&str, Option<Triad>, usize), (Channel, &Arc<dyn Effect>)> = BTreeMap::new();
+        let mut told: BTreeMap<Shared<'_>, (Channel, &Arc<dyn Effect>)> = BTreeMap::new();
         for (channel, parameters) in &self.channels {
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
             for (index, effect) in parameters.effects.iter().enumerate() {
