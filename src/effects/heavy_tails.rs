@@ -92,6 +92,13 @@ mod tests {
     }
 
     #[test]
+    fn the_factors_are_value_stable() {
+        let mut values = [1.0; 3];
+        HeavyTails { degrees_of_freedom: 5.0 }.sampler(40.0, 1.0, check::stream(3)).apply(&mut values);
+        assert_eq!(values, [0.6156795759486486, 1.226834689437512, 0.6228973259537627]);
+    }
+
+    #[test]
     fn two_degrees_of_freedom_have_no_variance_and_are_refused() {
         assert!(HeavyTails { degrees_of_freedom: 2.0 }.check(40.0).is_err());
         assert!(HeavyTails { degrees_of_freedom: f64::INFINITY }.check(40.0).is_err());

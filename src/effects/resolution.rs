@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// Each value sent is the nearest multiple of `step`.
 ///
 /// The error is white with variance step²/12, evenly spread, where the values' own noise exceeds about half a step per
-/// sample (at half a step the relative error of that variance is 3 %, at one step 1e-7); where they hardly move, rounding
+/// sample (at half a step that variance is off by 0.9 %, at one step by 3e-9); where they hardly move, rounding
 /// keeps them at one multiple and the closed forms do not hold.
 ///
 /// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
