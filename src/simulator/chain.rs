@@ -72,7 +72,7 @@ pub(super) fn in_order(effects: &[Arc<dyn Effect>]) -> Vec<Numbered> {
 }
 
 /// All effects that act on `channel`: its own, and those that another channel of its triad names for all of them.
-fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered> {
+pub(super) fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered> {
     let own = model.channels.get(&channel).map(|parameters| in_order(&parameters.effects)).unwrap_or_default();
     let of_triad =
         |other: &Channel| *other == channel || (channel.triad().is_some() && other.triad() == channel.triad());

@@ -20,6 +20,7 @@
 mod chain;
 pub mod default_model;
 pub mod model;
+pub mod records;
 pub mod reference;
 mod response;
 pub mod spectrum;
@@ -113,7 +114,9 @@ impl<'a> Block<'a> {
         let chain = self.chains.iter().find(|chain| chain.channel == channel)?;
         chain.output.get(..self.time_s.len())
     }
-    fn sample(&self, place: usize) -> SimulatedSample {
+    /// The sample at a place from 0, below [`Block::len`].
+    #[must_use]
+    pub fn sample(&self, place: usize) -> SimulatedSample {
         let mut values = [0.0; Channel::COUNT];
         for chain in self.chains {
             values[chain.channel as usize] = chain.output[place];
@@ -132,6 +135,8 @@ pub struct Simulator {
     motion: Option<Box<dyn Reference>>,
     course: Option<Box<dyn TemperatureCourse>>,
     rest_temperature_c: f64,
+    /// Whether the motion told a temperature so far.
+    motion_told_temperature: bool,
     threads: usize,
     timing: Vec<(Timing, Stream, Stream)>,
     motions: Vec<Motion>,
@@ -194,6 +199,7 @@ impl Simulator {
             motion: None,
             course: None,
             rest_temperature_c: temperature.unwrap_or(USUAL_TEMPERATURE_C),
+            motion_told_temperature: false,
             threads: 1,
             timing: timing(model, seed),
             motions: Vec::new(),
@@ -239,6 +245,12 @@ impl Simulator {
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.terms.rate_hz
+    }
+
+    /// Whether stamps deviate from their places.
+    #[must_use]
+    pub fn has_jitter(&self) -> bool {
+        self.timing.iter().any(|(timing, ..)| timing.jitter_s > 0.0)
     }
 
     /// The rate at which the chain runs before sampling, and at which a motion is given.
@@ -338,10 +350,11 @@ impl Simulator {
             self.temperatures.extend((0..internal).map(|place| course.temperature_c(time_s(place))));
         } else if self.motion.is_some() {
             for motion in &self.motions {
+                self.motion_told_temperature |= motion.temperature_c.is_some();
                 self.rest_temperature_c = motion.temperature_c.unwrap_or(self.rest_temperature_c);
                 self.temperatures.push(self.rest_temperature_c);
             }
-            if self.motions.iter().all(|motion| motion.temperature_c.is_none()) {
+            if !self.motion_told_temperature {
                 self.temperatures.clear();
             }
         }
@@ -396,7 +409,9 @@ impl Simulator {
             time_s += timing.deviation_s(jitter.normal(), rate_hz);
             lost |= loss.uniform() < timing.drop_probability;
         }
-        (time_s, lost)
+        // Several together must not let a stamp run back either.
+        let (place_s, most_s) = (index as f64 / rate_hz, crate::effects::timing::DEVIATION_MAX / rate_hz);
+        (time_s.clamp(place_s - most_s, place_s + most_s), lost)
     }
 }
 

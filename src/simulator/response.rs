@@ -14,6 +14,8 @@ const STAGES: [Stage; 3] = [Stage::CrossAxis, Stage::Scale, Stage::Bias];
 pub(super) struct Response {
     triad: Triad,
     delay: Option<DelayLine>,
+    /// The specific force that acts on a gyroscope is as late.
+    force_delay: Option<DelayLine>,
     stages: [Vec<Arc<dyn TriadEffect>>; 3],
     /// Whether there is anything to answer at rest.
     acts_at_rest: bool,
@@ -28,6 +30,7 @@ impl Response {
         Self {
             triad,
             delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
+            force_delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
             acts_at_rest: effects.iter().any(|effect| STAGES.contains(&effect.stage())),
             stages: STAGES.map(of),
             axes: Default::default(),
@@ -57,8 +60,12 @@ impl Response {
             if let Some(delay) = &mut self.delay {
                 values = delay.next(values);
             }
+            let accel_m_s2 = match &mut self.force_delay {
+                Some(delay) => delay.next(motion.accel_m_s2),
+                None => motion.accel_m_s2,
+            };
             for effects in &self.stages {
-                values = stage(effects, Drive { input: values, accel_m_s2: motion.accel_m_s2 });
+                values = stage(effects, Drive { input: values, accel_m_s2 });
             }
             for (axis, value) in self.axes.iter_mut().zip(values) {
                 axis.push(value);

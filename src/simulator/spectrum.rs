@@ -1,6 +1,6 @@
 //! What a channel's spectrum is in closed form: the whole chain's, of the same effects that the simulator samples.
 
-use super::chain::in_order;
+use super::chain::effects_on;
 use super::model::SensorModel;
 use crate::effects::moving_average::boxcar_gain;
 use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, White};
@@ -24,8 +24,8 @@ impl<'a> Spectrum<'a> {
     /// Two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the channel's noise: with
     /// every filter's gain, with what folds in sampling, with what rounding adds. Lines apart ([`Spectrum::lines`]).
     ///
-    /// `None` where it is not the parameters' alone: held samples, changes of variance by temperature, bursts (which are
-    /// not the same all the time) and temperature bias. A saturation counts as never reached.
+    /// `None` where it is not the parameters' alone: held samples, changes of variance by temperature or several of them,
+    /// bursts (which are not the same all the time) and temperature bias. A saturation counts as never reached.
     #[must_use]
     pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
         let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);
@@ -63,9 +63,7 @@ impl<'a> Spectrum<'a> {
     }
 
     fn effects(&self) -> Vec<std::sync::Arc<dyn Effect>> {
-        let parameters = self.model.channels.get(&self.channel);
-        let list = parameters.map(|parameters| in_order(&parameters.effects)).unwrap_or_default();
-        list.into_iter().map(|(effect, _)| effect).collect()
+        effects_on(self.model, self.channel).into_iter().map(|(effect, _)| effect).collect()
     }
 
     /// Gain of the sensor's bandwidth.
@@ -80,7 +78,12 @@ impl<'a> Spectrum<'a> {
         let mut white = White { n: parameters.n }.psd(frequency_hz, internal_hz)?;
         let mut noise = Flicker { b: parameters.b }.psd(frequency_hz, internal_hz)?
             + RandomWalk { k: parameters.k }.psd(frequency_hz, internal_hz)?;
-        for effect in self.effects() {
+        let effects = self.effects();
+        if effects.iter().filter(|effect| effect.name() == "variance_change").count() > 1 {
+            // The mean square of their product is not the product of their mean squares.
+            return None;
+        }
+        for effect in effects {
             match effect.stage() {
                 Stage::WhitePart => white *= effect.white_moments(record)?.variance,
                 Stage::Bias | Stage::Noise => noise += effect.psd(frequency_hz, internal_hz)?,

@@ -100,6 +100,19 @@ pub struct Sampling {
     pub filter_window: u64,
 }
 
+impl Sampling {
+    /// Factor from the sensor's own white density to the one that is seen at `rate_hz`, at low frequencies: √Σ |H(kR)|² over the
+    /// images k of the output's rate R, H the boxcar's response. 1 where the rates do not divide one another.
+    #[must_use]
+    pub fn density_factor(self, rate_hz: f64) -> f64 {
+        let images = self.decimation(rate_hz).unwrap_or(1);
+        let gain = |image: usize| {
+            crate::effects::moving_average::boxcar_gain(self.filter_window, image as f64 / images as f64)
+        };
+        (0..images).map(gain).sum::<f64>().sqrt()
+    }
+}
+
 /// A sensor: what the simulator runs on.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write models out")]

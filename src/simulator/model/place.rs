@@ -12,13 +12,19 @@ pub(super) fn one_of(names: &[&str]) -> String {
 pub(super) struct Place<'a> {
     pub(super) file: &'a str,
     pub(super) path: String,
+    /// The last key of the path; it may have a dot in it.
+    key: String,
     pub(super) value: &'a Value,
 }
 
 impl<'a> Place<'a> {
+    /// The whole file.
+    pub(super) fn root(file: &'a str, value: &'a Value) -> Self {
+        Self { file, path: String::new(), key: String::new(), value }
+    }
     fn child(&self, key: &str, value: &'a Value) -> Self {
         let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
-        Self { file: self.file, path, value }
+        Self { file: self.file, path, key: key.to_owned(), value }
     }
     pub(super) fn optional(&self, key: &str) -> Option<Self> {
         self.value.get(key).map(|value| self.child(key, value))
@@ -32,7 +38,7 @@ impl<'a> Place<'a> {
         })
     }
     pub(super) fn last_key(&self) -> &str {
-        self.path.rsplit('.').next().unwrap_or_default()
+        &self.key
     }
     pub(super) fn entries(&self, expected: &str) -> Result<Vec<Self>, ModelError> {
         let object = self.value.as_object().ok_or_else(|| self.refuse(expected))?;
@@ -40,7 +46,12 @@ impl<'a> Place<'a> {
     }
     pub(super) fn items(&self, expected: &str) -> Result<Vec<Self>, ModelError> {
         let list = self.value.as_array().ok_or_else(|| self.refuse(expected))?;
-        let item = |(index, value)| Self { file: self.file, path: format!("{}[{index}]", self.path), value };
+        let item = |(index, value)| Self {
+            file: self.file,
+            path: format!("{}[{index}]", self.path),
+            key: self.key.clone(),
+            value,
+        };
         Ok(list.iter().enumerate().map(item).collect())
     }
     pub(super) fn only_keys(&self, allowed: &[&str]) -> Result<(), ModelError> {

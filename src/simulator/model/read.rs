@@ -27,7 +27,7 @@ impl SensorModel {
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.
     pub fn from_value(value: &Value, file: &str) -> Result<Self, ModelError> {
-        let root = Place { file, path: String::new(), value };
+        let root = Place::root(file, value);
         root.only_keys(&KEYS)?;
         let format = root.key("format", "the format's name")?;
         if format.value.as_str() != Some(FORMAT) {
