@@ -25,6 +25,8 @@ pub mod units;
 pub mod datasheet;
 pub mod effects;
 pub mod export;
+pub mod model_fit;
+pub mod motion;
 pub mod noise;
 pub mod protocol;
 pub mod simulator;

@@ -14,7 +14,7 @@ const WALK_S: f64 = 3.6e6;
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "<!-- {}. stddev is that of one sample at this rate; keep update_rate.", noise.origin());
+    let _ = writeln!(text, "<!-- {}. stddev is that of one sample at this rate; keep update_rate.", noise.origin);
     text.push_str(
         "     dynamic_bias_stddev is K (per root second) with a correlation time so long that the bias walks, or a Gauss-Markov\n\
          \x20    process as it was found. Bias instability B cannot be expressed. Where K is not identified there is none. -->\n",

@@ -13,7 +13,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
     const DEG: f64 = 1.0 / RAD_PER_DEG;
     // Long enough to walk over the whole record.
     let walk_s = (10.0 * noise.duration_s).max(1.0);
-    let mut text = format!("# {}\n", noise.origin());
+    let mut text = format!("# {}\n", noise.origin);
     let _ = write!(
         text,
         "# Biases are first-order Gauss-Markov processes here: K stands as one of {walk_s:?} s with sigma K*sqrt(Tc/2), which walks\n\

@@ -20,8 +20,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
     let note = format!(
         "{}. Part name: VN100. 0 where a parameter was not identified. Units m/s^2, rad/s, uT. \
          Set SampleRate to {}. A Gauss-Markov process cannot be expressed.",
-        noise.origin(),
-        noise.rate_hz
+        noise.origin, noise.rate_hz
     );
     let document = json!({ "VN100": part, "Comment": note });
     // An object of strings and numbers can be written.

@@ -15,6 +15,7 @@ mod tests;
 use crate::noise::NoiseReport;
 use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::{Channel, Triad};
+use crate::simulator::SensorModel;
 use serde::{Deserialize, Serialize};
 
 /// Where parameters can go.
@@ -142,8 +143,8 @@ impl Axis {
 /// What all makers write from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImuNoise {
-    /// Name of the capture.
-    pub name: String,
+    /// Where the parameters come from, and what of it no target can hold: one line for a comment.
+    pub origin: String,
     /// Rate of the samples, Hz.
     pub rate_hz: f64,
     /// Length of the record, s.
@@ -163,13 +164,9 @@ impl ImuNoise {
         let axes = |triad: Triad| {
             triad.channels().map(|channel: Channel| report.channels.get(&channel).map_or(Axis::UNKNOWN, Axis::of))
         };
+        let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
-            // A name goes into comments: it must not end them.
-            name: report
-                .capture
-                .chars()
-                .map(|c| if c.is_control() || "<>-\"'".contains(c) { '_' } else { c })
-                .collect(),
+            origin: format!("VN-100 capture {name}: {duration_s} s at {} Hz", report.rate_hz),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
             accel: axes(Triad::Accel),
@@ -178,8 +175,52 @@ impl ImuNoise {
         }
     }
 
-    fn origin(&self) -> String {
-        format!("VN-100 capture {}: {} s at {} Hz", self.name, self.duration_s, self.rate_hz)
+    /// The parameters of a sensor model. A Gauss–Markov process counts where an axis has one; all other effects, and how the
+    /// sensor samples, are named as left out.
+    #[must_use]
+    pub fn of_model(model: &SensorModel) -> Self {
+        let mut omitted = Vec::new();
+        let mut axis = |channel: Channel| {
+            let Some(of) = model.channels.get(&channel) else { return Axis::UNKNOWN };
+            let mut gauss_markov = None;
+            for effect in &of.effects {
+                let number = |key: &str| {
+                    let found = effect.parameters().into_iter().find(|(name, _)| *name == key);
+                    found.and_then(|(_, value)| value.as_f64())
+                };
+                let process = number("sigma").zip(number("tc_s")).filter(|_| effect.name() == "gauss_markov");
+                match (process, gauss_markov) {
+                    (Some(process), None) => gauss_markov = Some(process),
+                    _ => omitted.push(format!("{} of {channel}", effect.name())),
+                }
+            }
+            omitted.extend(of.bias.filter(|bias| *bias != 0.0).map(|_| format!("bias of {channel}")));
+            let known = |value: f64, key: &str| {
+                let limit = of.uncertainty.as_ref().and_then(|of| of.get(key)?.get("upper_limit95")?.as_f64());
+                match limit {
+                    Some(limit) if value == 0.0 => Known::Below(limit),
+                    _ => Known::Value(value),
+                }
+            };
+            // What is faster than half the output's rate folds into it; slow noise is left as it is.
+            let folded = model.sampling.map_or(1.0, |sampling| sampling.density_factor(model.rate_hz));
+            Axis { n: scaled(known(of.n, "N"), folded), b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov }
+        };
+        let [accel, gyro, mag] = [Triad::Accel, Triad::Gyro, Triad::Mag].map(|triad| triad.channels().map(&mut axis));
+        for (triad, of) in &model.triads {
+            omitted.extend(of.effects.iter().map(|effect| format!("{} of {}", effect.name(), triad.name())));
+        }
+        let mut origin = format!("Sensor model {} at {} Hz", harmless(&model.name), model.rate_hz);
+        if let Some(sampling) = model.sampling {
+            let (own_hz, window) = (sampling.internal_rate_hz, sampling.filter_window);
+            origin = format!("{origin}, N with what folds from {own_hz} Hz through means of {window}");
+        }
+        if !omitted.is_empty() {
+            origin = format!("{origin}. Left out here: {}", omitted.join(", "));
+        }
+        let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
+        // Where no record is behind it: a day, over which its walks would be seen.
+        Self { origin, rate_hz: model.rate_hz, duration_s: told.unwrap_or(86_400.0), accel, gyro, mag }
     }
 
     fn has_mag(&self) -> bool {
@@ -187,14 +228,22 @@ impl ImuNoise {
     }
 }
 
-/// `x, y, z` of a parameter in words.
-fn each(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known, factor: f64) -> String {
-    let scaled = |known| match known {
+fn scaled(known: Known, factor: f64) -> Known {
+    match known {
         Known::Value(value) => Known::Value(value * factor),
         Known::Below(value) => Known::Below(value * factor),
         Known::Nothing => Known::Nothing,
-    };
-    axes.iter().map(|axis| scaled(of(axis)).words()).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// A name goes into comments: it must not end them.
+fn harmless(name: &str) -> String {
+    name.chars().map(|c| if c.is_control() || "<>-\"'".contains(c) { '_' } else { c }).collect()
+}
+
+/// `x, y, z` of a parameter in words.
+fn each(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known, factor: f64) -> String {
+    axes.iter().map(|axis| scaled(of(axis), factor).words()).collect::<Vec<_>>().join(", ")
 }
 
 /// What to add to a comment where a number stands for a limit; empty where all are measured.

@@ -9,7 +9,7 @@ fn axis(n: f64, b: f64, k: Known) -> Axis {
 fn noise() -> ImuNoise {
     let gyro = axis(1e-4, 2e-5, Known::Value(4e-7));
     ImuNoise {
-        name: "night".into(),
+        origin: "VN-100 capture night: 18000 s at 40 Hz".into(),
         rate_hz: 40.0,
         duration_s: 18000.0,
         accel: [
@@ -147,4 +147,30 @@ fn a_limit_of_n_is_not_written_as_if_it_were_measured() {
         }
     }
     assert_eq!(Target::Gazebo.write(&noise).matches("95 % upper limit").count(), 3);
+}
+
+#[test]
+fn a_model_is_exported_with_what_no_target_can_hold_in_words() {
+    let model = crate::simulator::SensorModel::from_json(
+        r#"{"format":"vn100d-sensor-model-1","name":"unit <7>","rate_hz":40,
+            "channels":{"gyro_x":{"N":1e-4,"B":2e-5,"K":0,"bias":0.01,"uncertainty":{"K":{"upper_limit95":3e-7}},
+                "effects":[{"effect":"gauss_markov","sigma":1e-5,"tc_s":200},{"effect":"tone","frequency_hz":7,"amplitude":1e-3}]}},
+            "triads":{"gyro":{"effects":[{"effect":"scale_factor","x":0.002,"y":0,"z":0}]}},
+            "sampling":{"internal_rate_hz":800,"filter_window":4}}"#,
+        "m.json",
+    )
+    .unwrap();
+    let noise = ImuNoise::of_model(&model);
+    let [x, y, _] = noise.gyro;
+    assert_eq!((x.k, x.gauss_markov), (Known::Below(3e-7), Some((1e-5, 200.0))));
+    // Means of four of 800 samples, sent at 40 Hz: a density √5 times as high.
+    let Known::Value(n) = x.n else { panic!("{:?}", x.n) };
+    assert!((n / (1e-4 * 5f64.sqrt()) - 1.0).abs() < 1e-9, "{n}");
+    assert_eq!(y, Axis::UNKNOWN);
+    for target in Target::ALL {
+        let text = target.write(&noise);
+        for words in ["unit _7_", "tone of gyro_x", "bias of gyro_x", "scale_factor of gyro", "800 Hz"] {
+            assert!(text.contains(words), "{}: {words:?} is not in\n{text}", target.name());
+        }
+    }
 }

@@ -152,7 +152,7 @@ pub(super) fn vibration(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
         if end > band {
             let (from, to) = (edge(band), edge(end).min(bins));
             let sum: f64 = spectrum.power[from..to].iter().map(|power| (power - level).max(0.0)).sum();
-            let ratio = levels[band..end].iter().fold(0.0f64, |most, value| most.max(value / level));
+            let ratio = spectrum.background[from..to].iter().fold(0.0f64, |most, value| most.max(value / level));
             found.push(Line {
                 frequency_hz: 0.5 * (from + to) as f64 * spectrum.step_hz,
                 band_hz: [from as f64 * spectrum.step_hz, (to as f64 * spectrum.step_hz).min(rate_hz / 2.0)],
