@@ -1,6 +1,7 @@
 //! Arguments: the command line as `clap` reads it.
 
 use crate::datasheet::Datasheet;
+use crate::model_fit::Feature;
 use crate::units::parse_duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -65,6 +66,10 @@ pub enum Command {
     Allan(AllanArgs),
     /// Print noise parameters N, B, K of a capture or a recording
     Noise(NoiseArgs),
+    /// Make samples of a sensor model: noise, effects, motion
+    Simulate(SimulateArgs),
+    /// Sensor models: of a capture, shown, compared, exported
+    Model(ModelArgs),
     /// Copy the database, also while a daemon writes it
     Backup(BackupArgs),
     /// Check structure, checksums and accounting of a database; reads only
@@ -299,6 +304,108 @@ pub struct NoiseArgs {
     pub datasheet: Option<Datasheet>,
 }
 
+/// Arguments of `simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Sensor model (JSON; default: a desk VN-100)
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Sample time to make, such as 5h (default: as long as the motion's file)
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub duration: Option<Duration>,
+    /// Output rate in Hz (default: the model's)
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Seed: the same one makes the same samples
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Motion that the sensor follows: a file (docs/simulation.md), still, tumble or rate-table (default: none, at rest without gravity or Earth rate)
+    #[arg(long, value_name = "FILE|NAME")]
+    pub motion: Option<String>,
+    /// Write the motion, row for row with the samples: the reference of a diagnosis
+    #[arg(long, value_name = "FILE")]
+    pub motion_out: Option<PathBuf>,
+    /// Temperature in °C, or a file with its course: time_s, temperature_c
+    #[arg(long, value_name = "FILE|°C", allow_hyphen_values = true)]
+    pub temperature: Option<String>,
+    /// Write CSV here; `-` is standard output
+    #[arg(long, value_name = "FILE", conflicts_with = "into_db")]
+    pub out: Option<PathBuf>,
+    /// Make a capture of this name in the database, marked as simulated
+    #[arg(long, value_name = "NAME")]
+    pub into_db: Option<String>,
+}
+
+/// Arguments of `model`.
+#[derive(Debug, Args)]
+pub struct ModelArgs {
+    /// What to do
+    #[command(subcommand)]
+    pub command: ModelCommand,
+}
+
+/// What `model` does.
+#[derive(Debug, Subcommand)]
+pub enum ModelCommand {
+    /// Fit a model to a capture or recording
+    Fit {
+        /// Id, name, `latest`, or the path of a recording; several of one sensor give one model
+        #[arg(required = true, value_name = "CAPTURE")]
+        captures: Vec<String>,
+        /// Rate of recordings without stamps in Hz
+        #[arg(long, value_name = "HZ", value_parser = rate)]
+        rate: Option<f64>,
+        /// Effects to look for besides N, B, K and bias: all, or some of quantization_noise, rate_ramp, gauss_markov, tone, resonance, temperature_bias, warm_up, resolution, with commas between
+        #[arg(long, value_name = "NAMES", value_parser = effect_names)]
+        effects: Option<EffectNames>,
+        /// Name of the model (default: the capture's)
+        #[arg(long, value_name = "NAME")]
+        name: Option<String>,
+        /// Write the model here (default: standard output)
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Show a model's parameters with their intervals
+    Show {
+        /// The model
+        file: PathBuf,
+    },
+    /// Say what two models say differently
+    Diff {
+        /// A model
+        first: PathBuf,
+        /// Another one
+        second: PathBuf,
+    },
+    /// Write a model's parameters for another program
+    Export {
+        /// The model
+        file: PathBuf,
+        /// For which program
+        #[arg(long, value_enum)]
+        format: ModelFormat,
+    },
+}
+
+/// Effects by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EffectNames(pub Vec<Feature>);
+
+/// Programs that models are exported for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ModelFormat {
+    /// imu.yaml
+    Kalibr,
+    /// Covariances of sensor_msgs/Imu
+    Ros,
+    /// Noise elements of an SDF sensor
+    Gazebo,
+    /// The imu_err dictionary
+    GnssInsSim,
+    /// JSON for imuSensor's loadparams
+    Matlab,
+}
+
 /// Arguments of `backup`.
 #[derive(Debug, Args)]
 pub struct BackupArgs {
@@ -329,6 +436,10 @@ fn speed(text: &str) -> Result<f64, String> {
         .ok()
         .filter(|speed: &f64| (0.01..=10_000.0).contains(speed))
         .ok_or_else(|| "a number from 0.01 to 10000".to_owned())
+}
+
+fn effect_names(text: &str) -> Result<EffectNames, String> {
+    Feature::from_names(text).map(EffectNames)
 }
 
 fn rate(text: &str) -> Result<f64, String> {

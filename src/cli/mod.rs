@@ -13,12 +13,14 @@ mod emulate;
 mod generate;
 mod import;
 mod jobs;
+mod model;
 mod noise;
 mod notify;
 mod probe;
 mod recover;
 mod run;
 mod show;
+mod simulate;
 mod status;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};
@@ -221,6 +223,8 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Show { capture, rate } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
+        Command::Simulate(args) => simulate::run(&context, &args),
+        Command::Model(args) => model::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),
         Command::Check { database } => check::run(&context, database),
         Command::Recover(args) => recover::run(&context, args),
