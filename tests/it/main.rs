@@ -12,6 +12,7 @@ mod night;
 mod recordings;
 mod replay;
 mod restart;
+mod simulation;
 mod tidy;
 mod unattended;
 #[path = "../world/mod.rs"]

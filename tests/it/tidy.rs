@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 21] = [
+const MAY_USE: [(&str, &[&str]); 23] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
     ("protocol", &["sample", "units"]),
     ("noise", &["sample", "units"]),
     ("datasheet", &["noise", "sample", "units"]),
-    ("export", &["noise", "sample", "units"]),
+    ("export", &["noise", "simulator", "sample", "units"]),
+    ("motion", &["simulator", "sample", "units"]),
+    ("model_fit", &["effects", "noise", "simulator", "sample"]),
     ("effects", &["sample", "units"]),
     ("simulator", &["effects", "sample", "units"]),
     ("observe", &["sample", "units", "clock"]),
@@ -27,7 +29,8 @@ const MAY_USE: [(&str, &[&str]); 21] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 8] = ["protocol", "sample", "noise", "datasheet", "export", "effects", "simulator", "retention"];
+const PURE: [&str; 10] =
+    ["protocol", "sample", "noise", "datasheet", "export", "motion", "model_fit", "effects", "simulator", "retention"];
 /// Files of shells that are pure all the same.
 const PURE_FILES: &[&str] = &[
     "capture/host_watch.rs",

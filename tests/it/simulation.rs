@@ -1,0 +1,319 @@
+//! Sensor models and their simulator, from the command line: what is simulated is found again, motions are followed, what is
+//! wrong is refused; and what a plain N-B-K model of a real record lacks.
+
+use crate::world::skip::real_data;
+use crate::world::vn100d;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Writes a model; answers its path.
+fn model(folder: &Path, channels: Value, more: Value) -> String {
+    let mut model = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": 40, "channels": channels});
+    for (key, value) in more.as_object().unwrap() {
+        model[key] = value.clone();
+    }
+    let path = folder.join("model.json");
+    std::fs::write(&path, model.to_string()).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+fn done(arguments: &[&str]) -> String {
+    let ended = vn100d(arguments);
+    assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    String::from_utf8(ended.stdout).unwrap()
+}
+
+fn json_of(arguments: &[&str]) -> Value {
+    serde_json::from_str(&done(arguments)).unwrap()
+}
+
+fn refused(arguments: &[&str]) -> (Option<i32>, String) {
+    let ended = vn100d(arguments);
+    assert!(ended.stdout.is_empty(), "{arguments:?}");
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(said.trim().lines().count(), 1, "{said}");
+    (ended.status.code(), said)
+}
+
+/// The number of an effect's parameter in a fitted model.
+fn parameter(model: &Value, channel: &str, effect: &str, key: &str) -> f64 {
+    let effects = model["channels"][channel]["effects"].as_array().unwrap();
+    let found = effects.iter().find(|of| of["effect"] == effect);
+    found.unwrap_or_else(|| panic!("no {effect} on {channel}: {effects:?}"))[key].as_f64().unwrap()
+}
+
+#[test]
+fn what_is_simulated_is_what_a_fit_finds() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let channels = json!({
+        "accel_x": {"N": 0.002, "B": 5e-4, "K": 3e-4, "bias": 0.1},
+        "accel_y": {"N": 0.002, "effects": [{"effect": "tone", "frequency_hz": 7.31, "amplitude": 0.004}]},
+        "accel_z": {"N": 0.002, "bias": -9.8, "effects": [{"effect": "resolution", "step": 0.001}]},
+        "gyro_x": {"N": 1e-4, "effects": [{"effect": "gauss_markov", "sigma": 3e-4, "tc_s": 30}]},
+        "gyro_y": {"N": 1e-4, "effects": [{"effect": "warm_up", "amplitude": -0.002, "tau_s": 600}]},
+        "gyro_z": {"N": 1e-4, "effects": [{"effect": "temperature_bias", "per_c": 5e-4, "reference_c": 25}]},
+        "mag_x": {"N": 1e-5, "effects": [{"effect": "quantization_noise", "Q": 4e-6}]},
+        "mag_y": {"N": 3e-4, "effects": [{"effect": "rate_ramp", "R": 2e-6}]},
+        "mag_z": {"N": 3e-4, "effects": [{"effect": "resonance", "frequency_hz": 9, "bandwidth_hz": 0.6, "sigma": 0.001}]},
+        "temperature": {"N": 0.002},
+    });
+    let file = model(folder.path(), channels.clone(), json!({}));
+    // Up, down and up again: no drift.
+    let course = path("course.csv");
+    std::fs::write(&course, "time_s,temperature_c\n0,20\n1500,26\n3200,21\n5000,27\n7200,22\n").unwrap();
+    let (csv, fitted) = (path("sim.csv"), path("fitted.json"));
+    let simulate = ["simulate", "--model", &file, "--duration", "2h", "--seed", "11", "--temperature", &course];
+    done(&[&simulate[..], &["--out", &csv]].concat());
+    done(&["model", "fit", &csv, "--effects", "all", "--out", &fitted]);
+    let found: Value = serde_json::from_str(&std::fs::read_to_string(&fitted).unwrap()).unwrap();
+    // Of 95 % intervals and limits one in twenty does not hold.
+    let (mut held, mut failed) = (0, Vec::new());
+    for (channel, truth) in channels.as_object().unwrap().iter().filter(|(channel, _)| *channel != "temperature") {
+        for key in ["N", "B", "K"] {
+            let truth = truth[key].as_f64().unwrap_or(0.0);
+            // Rounding to 0.001 adds a step's twelfth squared per sample: 0.001²/12/40 to N².
+            let truth =
+                if channel == "accel_z" && key == "N" { f64::hypot(truth, 0.001 / 480f64.sqrt()) } else { truth };
+            let about = &found["channels"][channel]["uncertainty"][key];
+            match (about["ci95"].as_array(), about["upper_limit95"].as_f64()) {
+                (Some(ends), _) => {
+                    let [low, high] = [0, 1].map(|end: usize| ends[end].as_f64().unwrap());
+                    let inside = (low..=high).contains(&truth);
+                    held += usize::from(inside);
+                    failed.extend((!inside).then(|| format!("{channel} {key}: {truth} in {low}–{high}")));
+                }
+                (None, Some(limit)) => {
+                    held += usize::from(truth < limit);
+                    failed.extend((truth >= limit).then(|| format!("{channel} {key}: {truth} < {limit}")));
+                }
+                // A Gauss–Markov process beside a walk may leave nothing to say of one of them.
+                (None, None) => assert_eq!(truth, 0.0, "{channel} {key}: {about}"),
+            }
+        }
+    }
+    assert!(held >= 20 && failed.len() <= 2, "{held} held, not {failed:?}");
+    for (channel, effect, key, truth, share) in [
+        ("accel_y", "tone", "frequency_hz", 7.31, 1e-3),
+        ("accel_y", "tone", "amplitude", 0.004, 0.1),
+        ("accel_z", "resolution", "step", 0.001, 1e-6),
+        ("gyro_x", "gauss_markov", "sigma", 3e-4, 0.25),
+        ("gyro_x", "gauss_markov", "tc_s", 30.0, 0.4),
+        ("gyro_y", "warm_up", "amplitude", -0.002, 0.1),
+        ("gyro_y", "warm_up", "tau_s", 600.0, 0.1),
+        ("gyro_z", "temperature_bias", "per_c", 5e-4, 0.02),
+        ("mag_x", "quantization_noise", "Q", 4e-6, 0.05),
+        ("mag_y", "rate_ramp", "R", 2e-6, 0.02),
+    ] {
+        let value = parameter(&found, channel, effect, key);
+        assert!((value / truth - 1.0).abs() < share, "{channel} {effect} {key}: {value}, simulated {truth}");
+    }
+    // A narrow band may come as a tone and what is beside it: together they have its power.
+    let of_band = found["channels"]["mag_z"]["effects"].as_array().unwrap();
+    let square = |of: &Value, key: &str| of[key].as_f64().map_or(0.0, |value| value * value);
+    let power: f64 = of_band.iter().map(|of| 0.5 * square(of, "amplitude") + square(of, "sigma")).sum();
+    assert!((power / 1e-6 - 1.0).abs() < 0.2, "{of_band:?}");
+    assert!(of_band.iter().all(|of| (of["frequency_hz"].as_f64().unwrap() / 9.0 - 1.0).abs() < 0.05), "{of_band:?}");
+    // What effects add to the level on average is not in the bias as well.
+    for (channel, level, allowed) in
+        [("accel_z", -9.8, 1e-4), ("gyro_y", 0.0, 3e-5), ("gyro_z", 0.0, 1e-3), ("mag_y", 0.0, 1e-4)]
+    {
+        let bias = found["channels"][channel]["bias"].as_f64().unwrap();
+        assert!((bias - level).abs() < allowed, "{channel}: {bias}");
+    }
+    // Effects are fitted where they are asked for, and a model can be simulated again as it is.
+    let plain = json_of(&["model", "fit", &csv]);
+    assert!(plain["channels"].as_object().unwrap().values().all(|of| of.get("effects").is_none()), "{plain}");
+    assert_eq!(plain["provenance"]["capture"], csv.as_str());
+    done(&["simulate", "--model", &fitted, "--duration", "1min", "--out", &path("again.csv")]);
+    let shown = done(&["model", "show", &fitted]);
+    assert!(shown.contains("tone: frequency_hz 7.3") && shown.contains("resolution: step 0.0"), "{shown}");
+    let differ = json_of(&["--json", "model", "diff", &file, &fitted]);
+    let paths: Vec<&str> = differ.as_array().unwrap().iter().map(|of| of["path"].as_str().unwrap()).collect();
+    assert!(paths.contains(&"channels.accel_x.N") && paths.contains(&"channels.gyro_x.effects.gauss_markov.sigma"));
+    assert!(!paths.contains(&"rate_hz"), "{paths:?}");
+    assert!(done(&["model", "diff", &file, &file]).contains("no difference"));
+    let kalibr = done(&["model", "export", &fitted, "--format", "kalibr"]);
+    assert!(kalibr.contains("gyroscope_noise_density: ") && kalibr.contains("tone of accel_y"), "{kalibr}");
+}
+
+#[test]
+fn a_capture_is_made_marked_as_simulated_with_every_lost_sample_accounted_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let channels = json!({"gyro_x": {"N": 1e-4, "effects": [
+        {"effect": "timing", "jitter_s": 1e-4, "drop_probability": 0.01}]}});
+    let file = model(folder.path(), channels, json!({}));
+    let data = path("data");
+    let simulate = ["simulate", "--model", &file, "--duration", "10min", "--seed", "4"];
+    let made = json_of(&[&["--json", "--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
+    // What is lost before the first or after the last sample is not missing between any.
+    let all = made["samples"].as_u64().unwrap() + made["missing"].as_u64().unwrap();
+    assert!((23_990..=24_000).contains(&all), "{made}");
+    let missing = made["missing"].as_u64().unwrap();
+    assert!((150..350).contains(&missing), "{made}");
+    let capture = json_of(&["--json", "--data-dir", &data, "show", "sim"]);
+    assert_eq!((capture["state"].as_str(), capture["source"].as_str()), (Some("simulated"), Some("simulator")));
+    assert_eq!((&capture["samples"], &capture["missing"]), (&made["samples"], &made["missing"]));
+    assert_eq!(capture["configuration"]["seed"], 4);
+    done(&["check", &path("data/vn100d.db")]);
+    // The same samples as in a file, and the same name not twice.
+    let csv = path("sim.csv");
+    done(&[&simulate[..], &["--out", &csv]].concat());
+    let parameters = |arguments: &[&str]| json_of(arguments)["channels"]["gyro_x"]["N"]["value"].as_f64().unwrap();
+    let (one, other) =
+        (parameters(&["--json", "noise", &csv]), parameters(&["--json", "--data-dir", &data, "noise", "sim"]));
+    // The rate of a file is that of its median step, which jitters too.
+    assert!((one / other - 1.0).abs() < 1e-3, "{one} {other}");
+    let (_, said) = refused(&[&["--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
+    assert!(said.contains("sim"), "{said}");
+    let once = std::fs::read(&csv).unwrap();
+    done(&[&simulate[..], &["--out", &csv]].concat());
+    assert_eq!(std::fs::read(&csv).unwrap(), once, "the same seed, the same samples");
+    assert_eq!(done(&[&simulate[..], &["--out", "-"]].concat()).into_bytes(), once);
+}
+
+#[test]
+fn a_motion_is_followed_and_read_back_from_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let axes = |triad: &str, of: Value| {
+        ["x", "y", "z"].map(|axis| (format!("{triad}_{axis}"), of.clone())).into_iter().collect::<Vec<_>>()
+    };
+    let channels: serde_json::Map<String, Value> =
+        axes("gyro", json!({})).into_iter().chain(axes("accel", json!({}))).collect();
+    let triads = json!({"gyro": {"effects": [{"effect": "scale_factor", "x": 0.01, "y": 0, "z": 0}]}});
+    for sampling in [json!({}), json!({"internal_rate_hz": 800, "filter_window": 4})] {
+        let mut more = json!({"triads": triads});
+        if sampling != json!({}) {
+            more["sampling"] = sampling;
+        }
+        let file = model(folder.path(), Value::Object(channels.clone()), more);
+        let (csv, motion, again) = (path("table.csv"), path("motion.csv"), path("again.csv"));
+        let simulate = ["simulate", "--model", &file, "--duration", "5min"];
+        done(&[&simulate[..], &["--motion", "rate-table", "--motion-out", &motion, "--out", &csv]].concat());
+        done(&[&simulate[..], &["--motion", &motion, "--out", &again]].concat());
+        let rows = |path: &str| -> Vec<Vec<f64>> {
+            let text = std::fs::read_to_string(path).unwrap();
+            text.lines().skip(1).map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
+        };
+        let (table, file, motion) = (rows(&csv), rows(&again), rows(&motion));
+        assert_eq!((table.len(), file.len(), motion.len()), (12_000, 12_000, 12_000));
+        let mut fastest = 0.0_f64;
+        for ((table, file), motion) in table.iter().zip(&file).zip(&motion).skip(1) {
+            assert!((table[0] - motion[0]).abs() < 1e-9);
+            // Columns of the samples: time, accel, gyro; of the motion: time, gyro, accel.
+            for axis in 0..3 {
+                let (gyro, accel) = (motion[1 + axis], motion[4 + axis]);
+                let expected = if axis == 0 { 1.01 * gyro } else { gyro };
+                // A mean of four samples of 1/800 s lags by 1.9 ms; the table changes by 1.75 rad/s².
+                assert!((table[4 + axis] - expected).abs() < 0.01, "{table:?} {motion:?}");
+                assert!((table[1 + axis] - accel).abs() < 0.1, "{table:?} {motion:?}");
+                // Between two rows of a file the motion is a straight line.
+                assert!((table[4 + axis] - file[4 + axis]).abs() < 0.01, "{table:?} {file:?}");
+                fastest = fastest.max(gyro.abs());
+            }
+        }
+        assert!((fastest - 200f64.to_radians()).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let out = path("out.csv");
+    for (gyro_x, words) in [
+        (json!({"N": -1e-4}), ["channels.gyro_x.N", "-0.0001"]),
+        (json!({"M": 1}), ["channels.gyro_x", "unknown key `M`"]),
+        (json!({"effects": [{"effect": "wobble"}]}), ["channels.gyro_x.effects[0]", "wobble"]),
+        (
+            json!({"effects": [{"effect": "tone", "frequency_hz": 21, "amplitude": 1e-3}]}),
+            ["channels.gyro_x.effects[0]", "20"],
+        ),
+        (json!({"effects": [{"effect": "gauss_markov", "sigma": 1e-3, "tc_s": 0}]}), ["tc_s", "0"]),
+    ] {
+        let file = model(folder.path(), json!({ "gyro_x": gyro_x }), json!({}));
+        let (code, said) = refused(&["simulate", "--model", &file, "--duration", "1min", "--out", &out]);
+        assert_eq!(code, Some(1), "{said}");
+        for words in words.iter().chain(&["model.json"]) {
+            assert!(said.contains(words), "{words:?} is not in {said}");
+        }
+        assert!(!Path::new(&out).exists());
+    }
+    let file = model(folder.path(), json!({"gyro_x": {"N": 1e-4}}), json!({}));
+    let header = "time_s,ref_gyro_x_rad_s,ref_gyro_y_rad_s,ref_gyro_z_rad_s,ref_accel_x_m_s2,ref_accel_y_m_s2,ref_accel_z_m_s2\n";
+    let row = |time_s: f64| format!("{time_s},0,0,0,0,0,-9.8\n");
+    let motion = path("motion.csv");
+    for (rows, words) in [
+        ([0.0, 0.025, 0.05, 0.2].map(row).concat(), ["line 5", "no gaps"]),
+        ([0.0, 0.01, 0.02, 0.03].map(row).concat(), ["100", "40"]),
+        ("0,0,0,0,0,0,x\n".to_owned(), ["line 2", "`ref_accel_z_m_s2`"]),
+    ] {
+        std::fs::write(&motion, format!("{header}{rows}")).unwrap();
+        let (_, said) = refused(&["simulate", "--model", &file, "--motion", &motion, "--out", &out]);
+        for words in words.iter().chain(&["motion.csv"]) {
+            assert!(said.contains(words), "{words:?} is not in {said}");
+        }
+    }
+    for (arguments, words) in [
+        (vec!["--duration", "20s", "--motion", "tumble", "--out", &out], "tumble"),
+        (vec!["--motion", "still", "--out", &out], "--duration"),
+        (vec!["--duration", "1min", "--motion-out", &motion, "--out", &out], "--motion"),
+        (vec!["--duration", "1min"], "--out"),
+        (vec!["--duration", "1ms", "--out", &out], "less than a sample"),
+        (vec!["--duration", "1min", "--out", &file], "is read"),
+        (vec!["--duration", "1min", "--temperature", "-400", "--out", &out], "-273.15"),
+    ] {
+        let (_, said) = refused(&[&["simulate", "--model", &file], &arguments[..]].concat());
+        assert!(said.contains(words), "{words:?} is not in {said}");
+    }
+}
+
+/// What the plain model of a real record lacks is there to be named, and some of it is, where it is asked for.
+#[test]
+fn a_plain_model_of_the_desk_recording_lacks_its_lines_knocks_creep_and_resolution() {
+    let Some(desk) = real_data("vn100-desk/live_capture.txt.gz") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let desk = desk.to_str().unwrap().to_owned();
+    let kinds = |noise: &Value, channel: &str| -> Vec<String> {
+        let flags = noise["channels"][channel]["flags"].as_array().unwrap();
+        flags.iter().map(|flag| flag["kind"].as_str().unwrap().to_owned()).collect()
+    };
+    let noise_of = |file: &str| json_of(&["--json", "noise", file]);
+    let real = noise_of(&desk);
+    let (plain, rich) = (path("plain.json"), path("rich.json"));
+    done(&["model", "fit", &desk, "--out", &plain]);
+    done(&["model", "fit", &desk, "--effects", "all", "--out", &rich]);
+    let (plain_csv, rich_csv) = (path("plain.csv"), path("rich.csv"));
+    for (model, csv) in [(&plain, &plain_csv), (&rich, &rich_csv)] {
+        done(&["simulate", "--model", model, "--duration", "754s", "--seed", "3", "--out", csv]);
+    }
+    let (plain_noise, rich_noise) = (noise_of(&plain_csv), noise_of(&rich_csv));
+    for (channel, kind) in [("gyro_x", "line"), ("accel_y", "creep"), ("accel_z", "knock")] {
+        assert!(kinds(&real, channel).iter().any(|of| of == kind), "{channel} {kind}: {:?}", kinds(&real, channel));
+        assert!(kinds(&plain_noise, channel).iter().all(|of| of != kind), "{:?}", kinds(&plain_noise, channel));
+    }
+    let lines = |noise: &Value, channel: &str| -> Vec<f64> {
+        let lines = noise["disturbances"][channel]["lines"].as_array().unwrap();
+        lines.iter().map(|line| line["frequency_hz"].as_f64().unwrap()).collect()
+    };
+    assert!(
+        lines(&rich_noise, "gyro_x").iter().any(|at| (at - 13.38).abs() < 0.02),
+        "{:?}",
+        lines(&rich_noise, "gyro_x")
+    );
+    // One LSB of the text is 0.001 m/s².
+    let step = |file: &str| {
+        let fitted = json_of(&["model", "fit", file, "--effects", "resolution"]);
+        fitted["channels"]["accel_x"]["effects"][0]["step"].as_f64()
+    };
+    assert_eq!(step(&desk).map(|step| (step * 1e6).round()), Some(1000.0));
+    assert_eq!((step(&plain_csv), step(&rich_csv).map(|step| (step * 1e6).round())), (None, Some(1000.0)));
+    // The white level is the real one's.
+    for channel in ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z"] {
+        let n = |noise: &Value| noise["channels"][channel]["N"]["value"].as_f64().unwrap();
+        assert!((n(&plain_noise) / n(&real) - 1.0).abs() < 0.05, "{channel}: {} {}", n(&plain_noise), n(&real));
+    }
+}
