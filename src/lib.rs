@@ -23,6 +23,7 @@ pub mod sample;
 pub mod units;
 
 pub mod datasheet;
+pub mod diagnosis;
 pub mod effects;
 pub mod export;
 pub mod model_fit;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 23] = [
+const MAY_USE: [(&str, &[&str]); 24] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -13,6 +13,7 @@ const MAY_USE: [(&str, &[&str]); 23] = [
     ("export", &["noise", "simulator", "sample", "units"]),
     ("motion", &["simulator", "sample", "units"]),
     ("model_fit", &["effects", "noise", "simulator", "sample"]),
+    ("diagnosis", &["effects", "motion", "noise", "simulator", "sample", "units"]),
     ("effects", &["sample", "units"]),
     ("simulator", &["effects", "sample", "units"]),
     ("observe", &["sample", "units", "clock"]),
@@ -29,8 +30,19 @@ const MAY_USE: [(&str, &[&str]); 23] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 10] =
-    ["protocol", "sample", "noise", "datasheet", "export", "motion", "model_fit", "effects", "simulator", "retention"];
+const PURE: [&str; 11] = [
+    "protocol",
+    "sample",
+    "noise",
+    "datasheet",
+    "diagnosis",
+    "export",
+    "motion",
+    "model_fit",
+    "effects",
+    "simulator",
+    "retention",
+];
 /// Files of shells that are pure all the same.
 const PURE_FILES: &[&str] = &[
     "capture/host_watch.rs",

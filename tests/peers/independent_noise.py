@@ -90,7 +90,7 @@ def arguments():
 
 
 def their_channel(random, n, b, k):
-    """One channel by allantools, which draws from NumPy's global generator, and colorednoise, which draws from `random`.
+    """One channel: allantools draws from NumPy's global generator, colorednoise from `random`.
 
     White: `white(b0)` has the one-sided density b0, that is twice the two-sided N²: b0 = 2 N².
 
