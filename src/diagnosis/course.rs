@@ -1,0 +1,148 @@
+//! Courses: functions of time that a level may follow, with their transforms at low frequencies.
+
+use super::transform::Cosines;
+use std::f64::consts::PI;
+
+/// A level's deterministic course over a record of n samples, for a coefficient of 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Course {
+    /// From −½ to ½ over the record.
+    Ramp,
+    /// The temperature about its mean, °C.
+    Temperature,
+    /// exp(−t/τ), τ in samples.
+    WarmUp(f64),
+    /// 0 before this sample, 1 from it on.
+    Step(usize),
+}
+
+/// What courses need to know of a record.
+#[derive(Debug, Clone)]
+pub struct Courses {
+    samples: usize,
+    kept: usize,
+    ramp: Vec<f64>,
+    /// The temperature about its mean, °C, and its transform.
+    temperature: Option<(Vec<f64>, Vec<f64>)>,
+}
+
+impl Courses {
+    /// Coefficients that are looked at: courses are slow.
+    pub const KEPT: usize = 4096;
+
+    /// For records as long as the transform's; `temperature_c` is the sensor's at every sample, if it was measured: rounded
+    /// readings are to be smoothed before.
+    #[must_use]
+    pub fn new(transform: &mut Cosines, temperature_c: Option<&[f64]>) -> Self {
+        let samples = transform.length();
+        let kept = Self::KEPT.min(samples);
+        let mut ramp: Vec<f64> = (0..samples).map(|t| ramp(t, samples)).collect();
+        transform.forward(&mut ramp);
+        ramp.truncate(kept);
+        let temperature = temperature_c.filter(|values| values.len() == samples).map(|values| {
+            let mean = values.iter().sum::<f64>() / samples as f64;
+            let about: Vec<f64> = values.iter().map(|value| value - mean).collect();
+            let mut coefficients = about.clone();
+            transform.forward(&mut coefficients);
+            coefficients.truncate(kept);
+            (about, coefficients)
+        });
+        Self { samples, kept, ramp, temperature }
+    }
+
+    /// Samples of the record.
+    #[must_use]
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// The temperature about its mean, °C.
+    #[must_use]
+    pub fn temperature(&self) -> Option<&[f64]> {
+        self.temperature.as_ref().map(|(about, _)| about.as_slice())
+    }
+
+    /// The first coefficients of a course's transform, [`Courses::KEPT`] at most; the first, a constant's, is 0.
+    #[must_use]
+    pub fn coefficients(&self, course: Course) -> Vec<f64> {
+        let n = self.samples as f64;
+        let scale = (2.0 / n).sqrt();
+        let mut found = match course {
+            Course::Ramp => self.ramp.clone(),
+            Course::Temperature => match &self.temperature {
+                Some((_, coefficients)) => coefficients.clone(),
+                None => vec![0.0; self.kept],
+            },
+            // The geometric series of exp(−t/τ + iθ(t + ½)).
+            Course::WarmUp(tau) => {
+                let pole = (-1.0 / tau).exp();
+                let end = (-n / tau).exp();
+                let of = |k: usize| {
+                    let theta = PI * k as f64 / n;
+                    let last = if k % 2 == 0 { 1.0 - end } else { 1.0 + end };
+                    // Re e^(iθ/2)/(1 − p e^(iθ)) = (1 − p) cos(θ/2)/(1 − 2p cos θ + p²).
+                    let below = (1.0 - pole).powi(2) + 4.0 * pole * (0.5 * theta).sin().powi(2);
+                    scale * last * (1.0 - pole) * (0.5 * theta).cos() / below
+                };
+                (0..self.kept).map(of).collect()
+            }
+            Course::Step(at) => {
+                let of = |k: usize| {
+                    let theta = PI * k as f64 / n;
+                    -scale * (theta * at as f64).sin() / (2.0 * (0.5 * theta).sin())
+                };
+                (0..self.kept).map(|k| if k == 0 { 0.0 } else { of(k) }).collect()
+            }
+        };
+        if let Some(constant) = found.first_mut() {
+            *constant = 0.0;
+        }
+        found
+    }
+
+    /// Adds `factor` times a course to values.
+    pub fn add(&self, course: Course, factor: f64, values: &mut [f64]) {
+        match course {
+            Course::Ramp => {
+                values.iter_mut().enumerate().for_each(|(t, value)| *value += factor * ramp(t, self.samples));
+            }
+            Course::Temperature => {
+                let about = self.temperature().unwrap_or_default();
+                values.iter_mut().zip(about).for_each(|(value, t)| *value += factor * t);
+            }
+            Course::WarmUp(tau) => {
+                let rate = -1.0 / tau;
+                values.iter_mut().enumerate().for_each(|(t, value)| *value += factor * (rate * t as f64).exp());
+            }
+            Course::Step(at) => values.iter_mut().skip(at).for_each(|value| *value += factor),
+        }
+    }
+}
+
+fn ramp(t: usize, samples: usize) -> f64 {
+    (t as f64 + 0.5) / samples as f64 - 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn transforms_are_those_of_the_courses() {
+        for n in [37usize, 500, 5001] {
+            let mut transform = Cosines::new(n);
+            let warm: Vec<f64> = (0..n).map(|t| 25.0 + (t as f64 * 0.01).sin()).collect();
+            let courses = Courses::new(&mut transform, Some(&warm));
+            for course in
+                [Course::Ramp, Course::Temperature, Course::WarmUp(11.3), Course::WarmUp(900.0), Course::Step(17)]
+            {
+                let mut values = vec![0.0; n];
+                courses.add(course, 2.0, &mut values);
+                transform.forward(&mut values);
+                for (k, (found, expected)) in courses.coefficients(course).iter().zip(&values).enumerate().skip(1) {
+                    assert!((2.0 * found - expected).abs() < 1e-9, "{course:?} n {n} k {k}: {found} {expected}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! Why a diagnosis was refused.
+
+/// Why nothing can be said of a record and a model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DiagnosisError {
+    /// A channel of the model is not in the recording.
+    #[error("the recording has no {channel}, which the model has; it has {found}")]
+    MissingChannel {
+        /// The channel.
+        channel: String,
+        /// Those there are.
+        found: String,
+    },
+    /// The rates differ.
+    #[error("the recording has {found_hz} Hz, the model {expected_hz} Hz; both have to be the same")]
+    Rate {
+        /// The recording's.
+        found_hz: f64,
+        /// The model's.
+        expected_hz: f64,
+    },
+    /// Too few samples.
+    #[error("the recording has {found} samples; at least {least} are needed ({least_s} s at its rate)")]
+    TooShort {
+        /// Those there are.
+        found: usize,
+        /// Those it takes.
+        least: usize,
+        /// In s.
+        least_s: f64,
+    },
+    /// A channel does not move.
+    #[error("{channel} shows the same value throughout, {value}: there is no noise to compare")]
+    Constant {
+        /// The channel.
+        channel: String,
+        /// Its value.
+        value: f64,
+    },
+    /// A channel has a value that is no number.
+    #[error("{channel} has {value} at sample {index}; mark the sample as missing or leave it out")]
+    NotFinite {
+        /// The channel.
+        channel: String,
+        /// What stands there.
+        value: f64,
+        /// Where, from 0.
+        index: usize,
+    },
+    /// A channel is at its limit for most of the time.
+    #[error("{channel} is at its limit, {value}, in {share_percent} % of the samples: there is no noise to compare")]
+    Saturated {
+        /// The channel.
+        channel: String,
+        /// The limit.
+        value: f64,
+        /// How often.
+        share_percent: f64,
+    },
+    /// Columns of different lengths.
+    #[error("{channel} has {found} samples where the others have {expected}")]
+    Lengths {
+        /// The channel.
+        channel: String,
+        /// Its samples.
+        found: usize,
+        /// The others'.
+        expected: usize,
+    },
+    /// The model cannot be simulated at this rate.
+    #[error("the model cannot be simulated: {0}")]
+    Model(String),
+}

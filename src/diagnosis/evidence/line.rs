@@ -1,0 +1,158 @@
+//! Lines: sines, and bands of noise that are narrow.
+
+use super::{Candidate, Kind};
+use crate::diagnosis::grid::{Grid, Narrow};
+use crate::diagnosis::law::{Data, Shape, Term};
+use crate::diagnosis::series::{Series, Sine, turning};
+use crate::effects::{Effect, Resonance};
+use realfft::RealFftPlanner;
+
+/// Sines are looked for from this many periods in the record up.
+const LEAST_PERIODS: f64 = 12.0;
+
+/// The strongest line of a series' residual: its gain in nats at the present law, and its frequency in cycles per sample.
+fn strongest(residual: &[f64]) -> Option<(f64, f64)> {
+    let n = residual.len();
+    let mut planner = RealFftPlanner::new();
+    let plan = planner.plan_fft_forward(2 * n);
+    let (mut input, mut output) = (plan.make_input_vec(), plan.make_output_vec());
+    input[..n].copy_from_slice(residual);
+    plan.process(&mut input, &mut output).ok()?;
+    let from = (2.0 * LEAST_PERIODS) as usize;
+    let power = |k: usize| output[k].norm_sqr() / n as f64;
+    let k = (from..n.saturating_sub(2)).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+    // A parabola through ln of the power, then its top.
+    let (left, middle, right) = (power(k - 1).ln(), power(k).ln(), power(k + 1).ln());
+    let curvature = left - 2.0 * middle + right;
+    let shift = if curvature < 0.0 { (0.5 * (left - right) / curvature).clamp(-0.5, 0.5) } else { 0.0 };
+    Some((power(k), (k as f64 + shift) / (2.0 * n as f64)))
+}
+
+/// Σ x·cos and Σ x·sin at a frequency.
+fn products(values: &[f64], cycles: f64) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    turning(cycles, values.len(), |t, cosine, sine| {
+        sums[0] += values[t] * cosine;
+        sums[1] += values[t] * sine;
+    });
+    sums
+}
+
+/// The frequency near `cycles` with the greatest power.
+fn peak(values: &[f64], cycles: f64) -> f64 {
+    let power = |cycles: f64| products(values, cycles).iter().map(|sum| sum * sum).sum::<f64>();
+    let mut best = (power(cycles), cycles);
+    let mut width = 0.15 / values.len() as f64;
+    for _ in 0..6 {
+        let (left, right) = (power(best.1 - width), power(best.1 + width));
+        let curvature = left - 2.0 * best.0 + right;
+        let shift = if curvature < 0.0 { (0.5 * width * (left - right) / curvature).clamp(-width, width) } else { 0.0 };
+        let there = power(best.1 + shift);
+        if there > best.0 {
+            best = (there, best.1 + shift);
+        }
+        width *= 0.4;
+    }
+    best.1
+}
+
+/// A sine, the strongest that is left.
+#[must_use]
+pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
+    let n = series.len();
+    let (power, cycles) = strongest(&series.residual)?;
+    let mut explanation = series.explanation.clone();
+    if power < 10.0 {
+        return Some(Candidate { kind: Kind::Tone, gain: power, explanation });
+    }
+    let cycles = peak(&series.residual, cycles);
+    let spectrum = {
+        let k = 2.0 * n as f64 * cycles;
+        let below = (k as usize).clamp(1, n - 1);
+        series.spectrum[below]
+    };
+    // In the whitened series a sine is one of 1/√S.
+    let mut rest = series.rest.clone();
+    let quadratures = products(&series.residual, cycles).map(|sum| 2.0 * sum / n as f64 * spectrum.sqrt());
+    let sine = Sine { cycles, quadratures };
+    turning(cycles, n, |t, cosine, sine| rest[t] -= quadratures[0] * cosine + quadratures[1] * sine);
+    series.transform().forward(&mut rest);
+    let power = series.grid.power(&rest);
+    let fitted = series.explanation.law.fit(series.data_of(&power));
+    let gain = fitted.log_posterior - series.fitted.log_posterior;
+    explanation.sines.push(sine);
+    explanation.law = fitted.law;
+    Some(Candidate { kind: Kind::Tone, gain, explanation })
+}
+
+/// A narrow band of noise.
+#[must_use]
+pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
+    const WIDTHS: [f64; 6] = [0.0001, 0.0004, 0.0015, 0.005, 0.015, 0.04];
+    const MOST: usize = 4;
+    let n = series.len();
+    let bands = series.explanation.law.terms.iter().filter(|term| term.shape == Shape::Resonance).count();
+    if bands >= MOST {
+        return None;
+    }
+    // The band that stands out most, at several widths.
+    let mut sums = vec![0.0; n];
+    for k in 1..n {
+        sums[k] = sums[k - 1] + series.whitened[k] * series.whitened[k];
+    }
+    let mut best: Option<(f64, f64, f64, f64)> = None;
+    let from = ((0.004 * 2.0 * n as f64) as usize).max(8);
+    for width in WIDTHS {
+        let count = ((width * 2.0 * n as f64) as usize).max(8);
+        let mut k = from;
+        while k + count < n {
+            let ratio = (sums[k + count] - sums[k]) / count as f64;
+            if ratio > 1.0 {
+                let score = 0.5 * count as f64 * (ratio - 1.0 - ratio.ln());
+                if best.is_none_or(|best| score > best.0) {
+                    best = Some((score, (k as f64 + 0.5 * count as f64) / (2.0 * n as f64), count as f64, ratio));
+                }
+            }
+            k += (count / 8).max(1);
+        }
+    }
+    let (score, cycles, count, ratio) = best?;
+    let rate_hz = series.setting().rate_hz;
+    let (frequency_hz, width_hz) = (cycles * rate_hz, count / (2.0 * n as f64) * rate_hz);
+    let mut explanation = series.explanation.clone();
+    if score < 6.0 {
+        return Some(Candidate { kind: Kind::Resonance, gain: score.max(0.0), explanation });
+    }
+    // All narrow bands on a grid that resolves them.
+    let others = explanation.law.terms.iter().filter(|term| term.shape == Shape::Resonance);
+    let mut lines: Vec<Narrow> =
+        others.map(|term| Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() }).collect();
+    lines.push(Narrow { frequency_hz, width_hz: 0.5 * width_hz });
+    let grid = Grid::new(n, rate_hz, &lines);
+    let power = grid.power(&series.coefficients);
+    let base = (series.setting().base)(&grid);
+    let data = Data { grid: &grid, power: &power, base: &base, beliefs: &series.setting().beliefs };
+    let without = series.explanation.law.fit(data);
+    let level = {
+        let k = ((cycles * 2.0 * n as f64) as usize).clamp(1, n - 1);
+        series.spectrum[k]
+    };
+    let start = |share: f64, ratio: f64| {
+        let bandwidth_hz = share * width_hz;
+        // The peak of such a band is σ²·rate/(π·bandwidth) two-sided.
+        let unit = Resonance { frequency_hz, bandwidth_hz, sigma: 1.0 };
+        let top = rate_hz * unit.psd(frequency_hz, rate_hz).unwrap_or(1.0);
+        let mut law = without.law.clone();
+        let sigma2 = (ratio - 1.0).max(0.05) * level / top;
+        law.terms.push(Term { shape: Shape::Resonance, numbers: vec![sigma2.ln(), frequency_hz, bandwidth_hz.ln()] });
+        law.fit(data)
+    };
+    let with = [start(0.6, ratio), start(0.2, 2.0 * ratio)]
+        .into_iter()
+        .reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
+    let mut alone = with.law.clone();
+    alone.terms.pop();
+    let alone = alone.fit(data).log_posterior.max(without.log_posterior);
+    explanation.law = with.law;
+    Some(Candidate { kind: Kind::Resonance, gain: with.log_posterior - alone, explanation })
+}

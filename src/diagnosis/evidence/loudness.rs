@@ -1,0 +1,220 @@
+//! Loudness: how the residual's variance changes with time or temperature.
+
+use super::{Candidate, Kind};
+use crate::diagnosis::series::{Loud, Scedasticity, Series};
+use nalgebra::{DMatrix, DVector};
+
+/// Squares above this say nothing about a variance that changes slowly: they are outliers.
+const LARGEST: f64 = 16.0;
+
+/// Means of squares over blocks, and samples in a block.
+fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
+    let n = series.len();
+    let size = (n / 2048).max(64).min(n);
+    let squares = series.residual.chunks_exact(size);
+    (squares.map(|block| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64).collect(), size)
+}
+
+/// The gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
+fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, Vec<f64>)> {
+    let rows = means.len();
+    let level = means.iter().sum::<f64>() / rows as f64;
+    if level <= 0.0 {
+        return None;
+    }
+    let design = DMatrix::from_fn(
+        rows,
+        columns.len() + 1,
+        |row, column| {
+            if column == 0 { 1.0 } else { columns[column - 1][row] }
+        },
+    );
+    let mut beta = DVector::zeros(columns.len() + 1);
+    beta[0] = level.ln();
+    for _ in 0..30 {
+        let eta = &design * &beta;
+        let mu: Vec<f64> = eta.iter().map(|eta| eta.clamp(-6.0, 6.0).exp()).collect();
+        let work = DVector::from_fn(rows, |row, _| eta[row] + (means[row] - mu[row]) / mu[row]);
+        let next = (design.transpose() * &design).cholesky()?.solve(&(design.transpose() * work));
+        let change = (&next - &beta).amax();
+        beta = next;
+        if change < 1e-7 {
+            break;
+        }
+    }
+    let fitted: Vec<f64> = (&design * &beta).iter().map(|eta| eta.clamp(-6.0, 6.0)).collect();
+    let likelihood: f64 = fitted.iter().zip(means).map(|(eta, mean)| -(eta + mean / eta.exp())).sum();
+    let reference = -(level.ln() + 1.0) * rows as f64;
+    Some((0.5 * size as f64 * (likelihood - reference), beta.iter().copied().skip(1).collect()))
+}
+
+/// Variance by temperature.
+#[must_use]
+pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
+    let temperature = series.setting().courses.temperature()?;
+    if series.explanation.scedasticity.is_some() {
+        return None;
+    }
+    let (means, size) = blocks(series);
+    let column: Vec<f64> =
+        temperature.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect();
+    let (gain, slopes) = regression(&means, &[column], size)?;
+    let mut explanation = series.explanation.clone();
+    explanation.scedasticity = Some(Scedasticity::PerDegree(slopes[0]));
+    Some(Candidate { kind: Kind::VariancePerDegree, gain, explanation })
+}
+
+/// Variance over time, smoothly.
+#[must_use]
+pub fn profile(series: &Series<'_>) -> Option<Candidate> {
+    const COSINES: usize = 12;
+    const INSTANTS: usize = 61;
+    if series.explanation.scedasticity.is_some() {
+        return None;
+    }
+    let (means, size) = blocks(series);
+    let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
+    let column = |order: usize| -> Vec<f64> {
+        (0..means.len()).map(|row| wave(order, (row as f64 + 0.5) / means.len() as f64)).collect()
+    };
+    let columns: Vec<Vec<f64>> = (1..=COSINES).map(column).collect();
+    let (gain, slopes) = regression(&means, &columns, size)?;
+    let at = |instant: usize| {
+        let share = instant as f64 / (INSTANTS - 1) as f64;
+        slopes.iter().zip(1..).map(|(slope, order)| slope * wave(order, share)).sum()
+    };
+    let mut explanation = series.explanation.clone();
+    explanation.scedasticity = Some(Scedasticity::Profile((0..INSTANTS).map(at).collect()));
+    Some(Candidate { kind: Kind::VarianceProfile, gain, explanation })
+}
+
+/// Sums of squares up to each sample, as they are and limited.
+struct Sums {
+    whole: Vec<f64>,
+    limited: Vec<f64>,
+    /// Samples within 1 of 0.
+    small: Vec<u32>,
+}
+
+impl Sums {
+    fn of(residual: &[f64]) -> Self {
+        let mut sums = Self { whole: vec![0.0], limited: vec![0.0], small: vec![0] };
+        let (mut whole, mut limited, mut small) = (0.0, 0.0, 0);
+        for e in residual {
+            whole += e * e;
+            limited += (e * e).min(LARGEST);
+            small += u32::from(e * e < 1.0);
+            sums.whole.push(whole);
+            sums.limited.push(limited);
+            sums.small.push(small);
+        }
+        sums
+    }
+    /// Gain in nats of another variance inside, by squares that are limited, so that an outlier is no stretch.
+    fn gain(&self, from: usize, to: usize, level: f64) -> f64 {
+        gain((self.limited[to] - self.limited[from]) / level, to - from)
+    }
+    /// The ratio of variances inside and its gain by the squares as they are, where the stretch is loud throughout.
+    fn whole(&self, from: usize, to: usize) -> (f64, f64) {
+        let count = to - from;
+        let sum = self.whole[to] - self.whole[from];
+        (sum / count as f64, gain(sum, count))
+    }
+    /// Share of samples within 1 of 0: 0.683 of a standard normal's.
+    fn small(&self, from: usize, to: usize) -> f64 {
+        f64::from(self.small[to] - self.small[from]) / (to - from) as f64
+    }
+}
+
+fn gain(sum: f64, count: usize) -> f64 {
+    let ratio = (sum / count as f64).max(1e-6);
+    0.5 * count as f64 * (ratio - 1.0 - ratio.ln())
+}
+
+/// Stretches of another variance: one after the other where they give most.
+#[must_use]
+pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
+    /// Nats of a stretch's two ends and ratio, before the record's length.
+    const PRICE: f64 = 3.0;
+    const MOST: usize = 40;
+    const SHORTEST: usize = 6;
+    let n = series.len();
+    if n < 8 * SHORTEST || series.explanation.scedasticity.is_some() {
+        return None;
+    }
+    let mut explanation = series.explanation.clone();
+    let mut residual = series.residual.clone();
+    let mut total = 0.0;
+    let mut found: Vec<Loud> = Vec::new();
+    while found.len() < MOST {
+        let sums = Sums::of(&residual);
+        // The level of what is not loud: a loud stretch raises the mean.
+        let level = sums.limited[n] / n as f64;
+        let Some((from, to)) = loudest(&sums, n, level, SHORTEST) else { break };
+        let (ratio, gain) = sums.whole(from, to);
+        // Loud throughout, not a few outliers: a normal distribution's small values are as rare as its variance says.
+        let small = sums.small(from, to);
+        let expected = statrs::function::erf::erf((0.5 / ratio).sqrt());
+        let spread = (expected * (1.0 - expected) / (to - from) as f64).sqrt();
+        let genuine = ratio < 1.0 || small < expected + 4.0 * spread + 0.1 * (0.683 - expected);
+        let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
+        if !genuine || gain < price.max(8.0) {
+            if found.is_empty() {
+                total = if genuine { gain } else { 0.0 };
+            }
+            break;
+        }
+        total += gain - price;
+        found.push(Loud { from, to, ratio });
+        residual[from..to].iter_mut().for_each(|e| *e /= ratio.sqrt());
+    }
+    let long = found.len() == 1 && (found[0].to - found[0].from >= n / 50 || found[0].ratio < 1.0);
+    explanation.loud.extend(found);
+    Some(Candidate { kind: if long { Kind::VarianceInterval } else { Kind::Bursts }, gain: total, explanation })
+}
+
+/// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.
+fn loudest(sums: &Sums, n: usize, level: f64, shortest: usize) -> Option<(usize, usize)> {
+    let mut best: (f64, usize, usize) = (0.0, 0, 0);
+    let mut length = shortest;
+    while length <= n * 9 / 10 {
+        let step = (length / 4).max(1);
+        let mut from = 0;
+        while from + length <= n {
+            let gain = sums.gain(from, from + length, level);
+            if gain > best.0 {
+                best = (gain, from, from + length);
+            }
+            from += step;
+        }
+        length = (length * 4 / 3).max(length + 1);
+    }
+    if best.0 <= 0.0 {
+        return None;
+    }
+    let mut step = (best.2 - best.1) / 4;
+    loop {
+        let mut moved = false;
+        for (from, to) in [
+            (best.1.saturating_sub(step), best.2),
+            (best.1 + step, best.2),
+            (best.1, (best.2 + step).min(n)),
+            (best.1, best.2.saturating_sub(step)),
+        ] {
+            if to >= from + shortest {
+                let gain = sums.gain(from, to, level);
+                if gain > best.0 {
+                    best = (gain, from, to);
+                    moved = true;
+                }
+            }
+        }
+        if !moved {
+            if step <= 1 {
+                break;
+            }
+            step = (step / 2).max(1);
+        }
+    }
+    Some((best.1, best.2))
+}

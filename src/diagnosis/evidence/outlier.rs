@@ -1,0 +1,102 @@
+//! Outliers and tails: what the residual's single samples look like.
+
+use super::{Candidate, Kind};
+use crate::diagnosis::series::Series;
+use statrs::function::gamma::ln_gamma;
+
+/// ln of a normal density's ratio to the standard one, at the square of a value.
+fn normal(square: f64, variance: f64) -> f64 {
+    0.5 * square * (1.0 - 1.0 / variance) - 0.5 * variance.ln()
+}
+
+/// Rare values of a larger variance: a mixture of two normal distributions.
+#[must_use]
+pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
+    const ROUNDS: usize = 200;
+    const LARGEST_SHARE: f64 = 0.12;
+    let mut explanation = series.explanation.clone();
+    if explanation.tails.is_some() {
+        return None;
+    }
+    let squares: Vec<f64> = series.residual.iter().map(|e| e * e).collect();
+    let n = squares.len() as f64;
+    let plain = squares.iter().sum::<f64>() / n;
+    let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
+    // From the median, so that many outliers do not hide themselves.
+    let mut sorted: Vec<f64> = squares.clone();
+    let middle = sorted.len() / 2;
+    let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
+    let mut core = *median / 0.454_936;
+    let mut share = (squares.iter().filter(|a| **a > 12.0 * core).count() as f64 / n).clamp(2.0 / n, LARGEST_SHARE);
+    let mut wide = 40.0 * core;
+    let mut gain = f64::NEG_INFINITY;
+    let (large, small): (Vec<f64>, Vec<f64>) = squares.iter().partition(|a| **a > 5.0 * core);
+    let (small_count, small_sum) = (small.len() as f64, small.iter().sum::<f64>());
+    for _ in 0..ROUNDS {
+        let (mut total, mut weight, mut of_wide, mut of_core) = (0.0, 0.0, 0.0, 0.0);
+        let (ln_share, ln_rest) = (share.ln(), (-share).ln_1p());
+        let (half_core, half_wide) = (0.5 * core.ln(), 0.5 * wide.ln());
+        // The others are the core's: their sum is known.
+        total += small_count * (ln_rest - half_core) - 0.5 * small_sum / core + 0.5 * small_sum;
+        of_core += small_sum;
+        for a in &large {
+            let inside = ln_rest - half_core - 0.5 * a / core;
+            let outside = ln_share - half_wide - 0.5 * a / wide;
+            let difference = outside - inside;
+            let (chance, log) = if difference < -30.0 {
+                (0.0, inside)
+            } else {
+                let odds = difference.exp();
+                (odds / (1.0 + odds), inside + odds.ln_1p())
+            };
+            total += log + 0.5 * a;
+            weight += chance;
+            of_wide += chance * a;
+            of_core += (1.0 - chance) * a;
+        }
+        let now = total - reference;
+        share = (weight / n).clamp(0.5 / n, LARGEST_SHARE);
+        wide = (of_wide / weight.max(1e-9)).max(9.0 * core);
+        core = of_core / (n - weight);
+        if (now - gain).abs() < 1e-3 {
+            gain = now;
+            break;
+        }
+        gain = now;
+    }
+    let difference =
+        |a: f64| share.ln() - 0.5 * wide.ln() - 0.5 * a / wide - (-share).ln_1p() + 0.5 * core.ln() + 0.5 * a / core;
+    let flagged = squares.iter().enumerate().filter(|(_, a)| difference(**a) > 0.0).map(|(t, _)| t);
+    explanation.outliers.extend(flagged);
+    explanation.outliers.sort_unstable();
+    explanation.outliers.dedup();
+    Some(Candidate { kind: Kind::Spikes, gain, explanation })
+}
+
+/// Student's t.
+#[must_use]
+pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
+    const DEGREES: [f64; 12] = [2.2, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 140.0];
+    let mut explanation = series.explanation.clone();
+    if explanation.tails.is_some() {
+        return None;
+    }
+    let squares: Vec<f64> = series.residual.iter().map(|e| e * e).collect();
+    let n = squares.len() as f64;
+    let plain = squares.iter().sum::<f64>() / n;
+    let reference: f64 = -0.5 * n * (1.0 + plain.ln());
+    let of = |degrees: f64| {
+        let mut scale = plain * (1.0 - 2.0 / degrees).max(0.3);
+        for _ in 0..4 {
+            let weighted = |a: &f64| a * (degrees + 1.0) / (degrees + a / scale);
+            scale = squares.iter().map(weighted).sum::<f64>() / n;
+        }
+        let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
+        let sum: f64 = squares.iter().map(|a| (a / (degrees * scale)).ln_1p()).sum();
+        n * constant - 0.5 * (degrees + 1.0) * sum - reference
+    };
+    let (gain, degrees) =
+        DEGREES.into_iter().map(|degrees| (of(degrees), degrees)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    explanation.tails = Some(degrees);
+    Some(Candidate { kind: Kind::HeavyTails, gain, explanation })
+}

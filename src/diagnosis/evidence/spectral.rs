@@ -1,0 +1,100 @@
+//! Spectral effects: more terms in the law.
+
+use super::{Candidate, Kind};
+use crate::diagnosis::law::{Fitted, Shape, Term};
+use crate::diagnosis::series::Series;
+
+/// The best law with another term, from several starts of its numbers.
+fn with_term(series: &Series<'_>, shape: Shape, starts: impl IntoIterator<Item = Vec<f64>>) -> Option<(f64, Fitted)> {
+    let data = series.data();
+    let started = |numbers: Vec<f64>| {
+        let mut law = series.explanation.law.clone();
+        law.terms.push(Term { shape, numbers });
+        law.fit(data)
+    };
+    let best = starts.into_iter().map(started).reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
+    // A better optimum without the term is no evidence for it.
+    let mut without = best.law.clone();
+    without.terms.pop();
+    let without = without.fit(data).log_posterior.max(series.fitted.log_posterior);
+    Some((best.log_posterior - without, best))
+}
+
+fn candidate(series: &Series<'_>, kind: Kind, (gain, fitted): (f64, Fitted)) -> Candidate {
+    let mut explanation = series.explanation.clone();
+    explanation.law = fitted.law;
+    Candidate { kind, gain, explanation }
+}
+
+fn has(series: &Series<'_>, wanted: impl Fn(Shape) -> bool) -> bool {
+    series.explanation.law.terms.iter().any(|term| wanted(term.shape))
+}
+
+/// ln of the white part's variance per sample.
+fn white(series: &Series<'_>) -> f64 {
+    2.0 * series.white().ln()
+}
+
+/// A Gauss–Markov process.
+#[must_use]
+pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
+    const STARTS: usize = 6;
+    if has(series, |shape| shape == Shape::GaussMarkov) {
+        return None;
+    }
+    let rate_hz = series.setting().rate_hz;
+    let (least, most) = (12f64, series.len() as f64 / 20.0);
+    let starts = (0..STARTS).map(|at| {
+        let tau = least * (most / least).powf(at as f64 / (STARTS - 1) as f64);
+        // Its level at low frequencies about the white noise's.
+        vec![white(series) + (3.0 / tau).ln() - 1.0, (tau / rate_hz).ln()]
+    });
+    Some(candidate(series, Kind::GaussMarkov, with_term(series, Shape::GaussMarkov, starts)?))
+}
+
+/// White angle noise.
+#[must_use]
+pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
+    if has(series, |shape| shape == Shape::QuantizationNoise) {
+        return None;
+    }
+    let start = white(series) - 2.0 * series.setting().rate_hz.ln() - 3.0;
+    Some(candidate(series, Kind::QuantizationNoise, with_term(series, Shape::QuantizationNoise, [vec![start]])?))
+}
+
+/// A Butterworth filter of the order that fits best.
+#[must_use]
+pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
+    if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
+        return None;
+    }
+    let rate_hz = series.setting().rate_hz;
+    let of = |order: u64| {
+        let starts = [0.15, 0.4].map(|share| vec![(share * rate_hz).ln(), white(series) - 6.0]);
+        with_term(series, Shape::LowPass(order), starts)
+    };
+    let mut best = of(1)?;
+    for order in [2, 3, 4] {
+        let other = of(order)?;
+        if other.0 <= best.0 {
+            break;
+        }
+        best = other;
+    }
+    Some(candidate(series, Kind::LowPass, best))
+}
+
+/// A boxcar of the window that fits best.
+#[must_use]
+pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
+    const WINDOWS: [u64; 8] = [2, 3, 4, 5, 6, 8, 10, 16];
+    if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
+        return None;
+    }
+    let of = |window: u64| {
+        let fitted = with_term(series, Shape::MovingAverage(window), [vec![white(series) - 6.0]])?;
+        Some(fitted)
+    };
+    let best = WINDOWS.into_iter().filter_map(of).reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    Some(candidate(series, Kind::MovingAverage, best))
+}

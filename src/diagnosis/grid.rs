@@ -1,0 +1,165 @@
+//! The grid: frequencies of a transformed record in bins, narrow where a spectrum may be narrow.
+
+/// Coefficients 1 to n − 1 of a record of n samples, in bins: the first ones each for itself, then bins of a constant ratio
+/// that are nowhere wider than a 320th of the band, and finer ones around lines.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grid {
+    samples: usize,
+    rate_hz: f64,
+    /// First coefficient of each bin, and one past the last.
+    edges: Vec<usize>,
+    counts: Vec<f64>,
+    frequencies_hz: Vec<f64>,
+}
+
+/// A line that the grid has to resolve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Narrow {
+    /// Its centre, Hz.
+    pub frequency_hz: f64,
+    /// Its full width, Hz.
+    pub width_hz: f64,
+}
+
+impl Grid {
+    /// Coefficients that have a bin of their own.
+    const SINGLE: usize = 256;
+    /// Bins a decade.
+    const PER_DECADE: f64 = 28.0;
+    /// Bins over the whole band, at least.
+    const BAND: usize = 320;
+    /// Widths of a line on each side of it with finer bins, and bins in a width.
+    const AROUND: f64 = 25.0;
+    const IN_WIDTH: f64 = 5.0;
+    /// Finer bins have at least so many coefficients: what is narrower is a tone.
+    const LEAST: usize = 4;
+
+    /// For records of `samples` (at least 2) at `rate_hz`.
+    #[must_use]
+    pub fn new(samples: usize, rate_hz: f64, lines: &[Narrow]) -> Self {
+        let n = samples.max(2);
+        let first = Self::SINGLE.min(n - 1);
+        let mut edges: Vec<usize> = (1..=first).collect();
+        let ratio = 10f64.powf(1.0 / Self::PER_DECADE);
+        let mut next = first as f64;
+        while (next as usize) < n {
+            next *= ratio;
+            edges.push(next as usize);
+        }
+        edges.extend((first..n).step_by((n / Self::BAND).max(1)));
+        for line in lines {
+            let per_hz = 2.0 * n as f64 / rate_hz;
+            let reach = Self::AROUND * line.width_hz;
+            let step = ((line.width_hz * per_hz / Self::IN_WIDTH) as usize).max(Self::LEAST);
+            let from = ((line.frequency_hz - reach) * per_hz).max(first as f64) as usize;
+            let to = (((line.frequency_hz + reach) * per_hz).max(0.0) as usize).min(n - 1);
+            edges.extend((from..to.max(from)).step_by(step));
+        }
+        edges.push(n);
+        edges.sort_unstable();
+        edges.dedup();
+        edges.retain(|edge| (1..=n).contains(edge));
+        let spans = edges.windows(2);
+        let counts: Vec<f64> = spans.clone().map(|span| (span[1] - span[0]) as f64).collect();
+        let middle = |span: &[usize]| 0.5 * (span[0] + span[1] - 1) as f64 * rate_hz / (2.0 * n as f64);
+        let frequencies_hz = spans.map(middle).collect();
+        Self { samples: n, rate_hz, edges, counts, frequencies_hz }
+    }
+
+    /// Samples of the record.
+    #[must_use]
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Samples per second.
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        self.rate_hz
+    }
+
+    /// Coefficients in each bin.
+    #[must_use]
+    pub fn counts(&self) -> &[f64] {
+        &self.counts
+    }
+
+    /// Mean frequency of each bin, Hz.
+    #[must_use]
+    pub fn frequencies_hz(&self) -> &[f64] {
+        &self.frequencies_hz
+    }
+
+    /// First coefficient of each bin, and one past the last.
+    #[must_use]
+    pub fn edges(&self) -> &[usize] {
+        &self.edges
+    }
+
+    /// Mean square of the coefficients in each bin.
+    #[must_use]
+    pub fn power(&self, coefficients: &[f64]) -> Vec<f64> {
+        let mean = |span: &[usize]| {
+            let of = coefficients.get(span[0]..span[1]).unwrap_or_default();
+            of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64
+        };
+        self.edges.windows(2).map(mean).collect()
+    }
+
+    /// A spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, straight between
+    /// them in both logarithms; the constant's is infinite: nothing is known about a record's mean.
+    #[must_use]
+    pub fn fill(&self, logarithms: &[f64]) -> Vec<f64> {
+        let n = self.samples;
+        let mut values = vec![f64::INFINITY; n];
+        let places: Vec<f64> = self.edges.windows(2).map(|span| 0.5 * (span[0] + span[1] - 1) as f64).collect();
+        let mut bin = 0;
+        for (k, value) in values.iter_mut().enumerate().skip(1) {
+            if bin + 1 < places.len() && self.counts[bin] == 1.0 && self.edges[bin] == k {
+                *value = logarithms[bin].exp();
+                bin += usize::from(self.edges[bin + 1] == k + 1 && self.counts[bin + 1] == 1.0);
+                continue;
+            }
+            while bin + 2 < places.len() && places[bin + 1] < k as f64 {
+                bin += 1;
+            }
+            let next = (bin + 1).min(places.len() - 1);
+            let (from, to) = (places[bin], places[next]);
+            let share = if to > from { ((k as f64 / from).ln() / (to / from).ln()).min(1.5) } else { 0.0 };
+            *value = (logarithms[bin] + share * (logarithms[next] - logarithms[bin])).exp();
+        }
+        values
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_hold_every_coefficient_once() {
+        for n in [2usize, 3, 10, 257, 1000, 65_537] {
+            let line = Narrow { frequency_hz: 13.4, width_hz: 0.02 };
+            let grid = Grid::new(n, 40.0, &[line]);
+            assert_eq!((grid.edges()[0], *grid.edges().last().unwrap()), (1, n));
+            assert_eq!(grid.counts().iter().sum::<f64>(), (n - 1) as f64);
+            let coefficients: Vec<f64> = (0..n).map(|k| k as f64).collect();
+            let total: f64 = grid.power(&coefficients).iter().zip(grid.counts()).map(|(p, c)| p * c).sum();
+            let expected: f64 = coefficients.iter().map(|c| c * c).sum();
+            assert!((total / expected - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_power_law_is_filled_in_exactly() {
+        for n in [300usize, 5001, 65_536] {
+            let grid = Grid::new(n, 40.0, &[Narrow { frequency_hz: 3.0, width_hz: 0.5 }]);
+            let logarithms: Vec<f64> = grid.frequencies_hz().iter().map(|f| -2.0 * f.ln() + 1.0).collect();
+            for (k, value) in grid.fill(&logarithms).into_iter().enumerate().skip(1) {
+                let expected = (k as f64 * 40.0 / (2 * n) as f64).powi(-2) * 1f64.exp();
+                assert!((value / expected - 1.0).abs() < 1e-9, "n {n} k {k}: {value} {expected}");
+            }
+        }
+    }
+}

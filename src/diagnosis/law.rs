@@ -1,0 +1,474 @@
+//! The law: the spectrum of a channel under a model, and its parameters at the likelihood's maximum.
+//!
+//! Everything here is in the channel's own scale and per sample: power is U²·rate of a two-sided density, U a unit in which
+//! the white part is about 1.
+
+use super::grid::Grid;
+use crate::effects::{Effect, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
+use nalgebra::{DMatrix, DVector};
+
+/// An effect that shapes a spectrum, as far as it is not a number that a fit may move.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// ln Q² (per sample).
+    QuantizationNoise,
+    /// ln σ², ln Tc/s.
+    GaussMarkov,
+    /// ln σ², frequency/Hz, ln bandwidth/Hz.
+    Resonance,
+    /// ln cutoff/Hz, ln of the white noise after it.
+    LowPass(u64),
+    /// ln of the white noise after it.
+    MovingAverage(u64),
+}
+
+/// One spectral effect in a law.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Term {
+    /// Its kind.
+    pub shape: Shape,
+    /// Its numbers, as [`Shape`] says.
+    pub numbers: Vec<f64>,
+}
+
+impl Term {
+    /// The effect in the channel's scale; what a filter lets pass afterwards apart.
+    #[must_use]
+    pub fn effect(&self) -> Box<dyn Effect> {
+        let at = |index: usize| self.numbers.get(index).copied().unwrap_or_default();
+        match self.shape {
+            Shape::QuantizationNoise => Box::new(QuantizationNoise { q: (0.5 * at(0)).exp() }),
+            Shape::GaussMarkov => Box::new(GaussMarkov { sigma: (0.5 * at(0)).exp(), tc_s: at(1).exp() }),
+            Shape::Resonance => {
+                Box::new(Resonance { sigma: (0.5 * at(0)).exp(), frequency_hz: at(1), bandwidth_hz: at(2).exp() })
+            }
+            Shape::LowPass(order) => Box::new(LowPass { cutoff_hz: at(0).exp(), order }),
+            Shape::MovingAverage(window) => Box::new(MovingAverage { window }),
+        }
+    }
+
+    /// Which number is the logarithm of a power that the term adds, or of the white noise after a filter.
+    fn level(&self) -> usize {
+        match self.shape {
+            Shape::QuantizationNoise | Shape::GaussMarkov | Shape::Resonance | Shape::MovingAverage(_) => 0,
+            Shape::LowPass(_) => 1,
+        }
+    }
+
+    fn is_filter(&self) -> bool {
+        matches!(self.shape, Shape::LowPass(_) | Shape::MovingAverage(_))
+    }
+
+    /// Where its numbers may be, for a record of `samples` at `rate_hz`.
+    fn ranges(&self, samples: usize, rate_hz: f64) -> Vec<(f64, f64)> {
+        let level = (-16.0, 24.0);
+        let longest = (samples as f64 / rate_hz / 6.0).ln();
+        match self.shape {
+            // Q² is an angle's: about 1/rate² of a rate's.
+            Shape::QuantizationNoise => vec![(-16.0 - 2.0 * rate_hz.ln(), 24.0)],
+            Shape::GaussMarkov => vec![level, ((6.0 / rate_hz).ln(), longest.max((12.0 / rate_hz).ln()))],
+            Shape::Resonance => vec![
+                level,
+                (0.002 * rate_hz, 0.499 * rate_hz),
+                ((2.0 * rate_hz / samples as f64).max(1e-4 * rate_hz).ln(), (0.15 * rate_hz).ln()),
+            ],
+            Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), (-18.0, 4.0)],
+            Shape::MovingAverage(_) => vec![(-18.0, 4.0)],
+        }
+    }
+}
+
+/// What N, B and K of 1 (in the channel's scale) and the model's own effects give in each bin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Base {
+    /// White, flicker, random walk.
+    pub shapes: [Vec<f64>; 3],
+    /// What the model has besides, before [`Base::gain`]'s filters.
+    pub known: Vec<f64>,
+    /// What acts after everything, such as rounding.
+    pub after: Vec<f64>,
+    /// Power gain of the model's own filters.
+    pub gain: Vec<f64>,
+}
+
+/// What is believed of ln N², ln B² and ln K² beforehand: centre and standard deviation; none where anything goes.
+pub type Beliefs = [Option<(f64, f64)>; 3];
+
+/// A channel's spectrum as numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Law {
+    /// ln N², ln B², ln K² per sample.
+    pub levels: [f64; 3],
+    /// Effects besides.
+    pub terms: Vec<Term>,
+}
+
+/// A law at the maximum of its likelihood.
+#[derive(Debug, Clone)]
+pub struct Fitted {
+    /// It.
+    pub law: Law,
+    /// ln of density, nats, without the beliefs' part and −½ln 2π a coefficient.
+    pub log_likelihood: f64,
+    /// With the beliefs' part.
+    pub log_posterior: f64,
+    /// Covariance of the numbers: the levels, then each term's. None where it is singular.
+    pub covariance: Option<DMatrix<f64>>,
+    /// ln of the spectrum in each bin.
+    pub logarithms: Vec<f64>,
+}
+
+/// Power in bins, and what it is compared with.
+#[derive(Debug, Clone, Copy)]
+pub struct Data<'a> {
+    /// The bins.
+    pub grid: &'a Grid,
+    /// Mean square of the coefficients in each.
+    pub power: &'a [f64],
+    /// The shapes.
+    pub base: &'a Base,
+    /// Beliefs about the levels.
+    pub beliefs: &'a Beliefs,
+}
+
+/// Bounds of a level, ln of power per sample.
+const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
+
+/// The pieces of a spectrum S = (N + B + K + known + added)·gain + after.
+struct Pieces {
+    levels: [Vec<f64>; 3],
+    added: Vec<Vec<f64>>,
+    gains: Vec<Vec<f64>>,
+    floors: Vec<f64>,
+    spectrum: Vec<f64>,
+    gain: Vec<f64>,
+    before: Vec<f64>,
+}
+
+fn added(term: &Term, grid: &Grid) -> Vec<f64> {
+    let (effect, rate_hz) = (term.effect(), grid.rate_hz());
+    grid.frequencies_hz().iter().map(|f| rate_hz * effect.psd(*f, rate_hz).unwrap_or(0.0)).collect()
+}
+
+fn gains(term: &Term, grid: &Grid) -> Vec<f64> {
+    let (effect, rate_hz) = (term.effect(), grid.rate_hz());
+    grid.frequencies_hz().iter().map(|f| effect.power_gain(*f, rate_hz)).collect()
+}
+
+impl Pieces {
+    fn of(law: &Law, data: Data<'_>) -> Self {
+        let bins = data.power.len();
+        let mut pieces = Self {
+            levels: std::array::from_fn(|level| {
+                let power = law.levels[level].exp();
+                data.base.shapes[level].iter().map(|shape| power * shape).collect()
+            }),
+            added: Vec::new(),
+            gains: Vec::new(),
+            floors: Vec::new(),
+            spectrum: vec![0.0; bins],
+            gain: data.base.gain.clone(),
+            before: data.base.known.clone(),
+        };
+        for term in &law.terms {
+            if term.is_filter() {
+                let gain = gains(term, data.grid);
+                pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
+                pieces.gains.push(gain);
+                pieces.floors.push(term.numbers[term.level()].exp());
+                pieces.added.push(Vec::new());
+            } else {
+                let more = added(term, data.grid);
+                pieces.before.iter_mut().zip(&more).for_each(|(all, one)| *all += one);
+                pieces.added.push(more);
+                pieces.gains.push(Vec::new());
+                pieces.floors.push(0.0);
+            }
+        }
+        for level in &pieces.levels {
+            pieces.before.iter_mut().zip(level).for_each(|(all, one)| *all += one);
+        }
+        let floor: f64 = pieces.floors.iter().sum();
+        for bin in 0..bins {
+            pieces.spectrum[bin] = pieces.before[bin] * pieces.gain[bin] + data.base.after[bin] + floor;
+        }
+        pieces
+    }
+}
+
+impl Law {
+    /// ln of the spectrum in each bin.
+    #[must_use]
+    pub fn logarithms(&self, data: Data<'_>) -> Vec<f64> {
+        Pieces::of(self, data).spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect()
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        self.levels.iter().copied().chain(self.terms.iter().flat_map(|term| term.numbers.iter().copied())).collect()
+    }
+
+    fn with(&self, numbers: &[f64]) -> Self {
+        let mut law = self.clone();
+        let (levels, mut rest) = numbers.split_at(3);
+        law.levels.copy_from_slice(levels);
+        for term in &mut law.terms {
+            let (own, others) = rest.split_at(term.numbers.len());
+            term.numbers.copy_from_slice(own);
+            rest = others;
+        }
+        law
+    }
+
+    fn ranges(&self, grid: &Grid) -> Vec<(f64, f64)> {
+        let of_terms = self.terms.iter().flat_map(|term| term.ranges(grid.samples(), grid.rate_hz()));
+        LEVELS.into_iter().chain(of_terms).collect()
+    }
+
+    /// The derivatives of the spectrum by every number, divided by the spectrum.
+    fn slopes(&self, pieces: &Pieces, data: Data<'_>) -> Vec<Vec<f64>> {
+        const STEP: f64 = 1e-5;
+        let scaled = |values: &[f64]| -> Vec<f64> {
+            let places = values.iter().zip(&pieces.gain).zip(&pieces.spectrum);
+            places.map(|((value, gain), s)| value * gain / s).collect()
+        };
+        let mut slopes: Vec<Vec<f64>> = pieces.levels.iter().map(|level| scaled(level)).collect();
+        for (at, term) in self.terms.iter().enumerate() {
+            for number in 0..term.numbers.len() {
+                if number == term.level() && term.is_filter() {
+                    slopes.push(pieces.spectrum.iter().map(|s| pieces.floors[at] / s).collect());
+                } else if number == term.level() {
+                    slopes.push(scaled(&pieces.added[at]));
+                } else {
+                    let mut moved = term.clone();
+                    moved.numbers[number] += STEP;
+                    if term.is_filter() {
+                        let there = gains(&moved, data.grid);
+                        let change = there.iter().zip(&pieces.gains[at]).map(|(to, from)| (to / from - 1.0) / STEP);
+                        let places = change.zip(&pieces.before).zip(pieces.gain.iter().zip(&pieces.spectrum));
+                        slopes.push(places.map(|((change, before), (gain, s))| change * before * gain / s).collect());
+                    } else {
+                        let there = added(&moved, data.grid);
+                        let change = there.iter().zip(&pieces.added[at]).map(|(to, from)| (to - from) / STEP);
+                        slopes.push(scaled(&change.collect::<Vec<f64>>()));
+                    }
+                }
+            }
+        }
+        slopes
+    }
+
+    /// ln of density and ln of density with beliefs of a spectrum's power.
+    fn judged(&self, spectrum: &[f64], data: Data<'_>) -> (f64, f64) {
+        let bins = spectrum.iter().zip(data.power).zip(data.grid.counts());
+        let likelihood = -0.5 * bins.map(|((s, power), count)| count * (s.ln() + power / s)).sum::<f64>();
+        let beliefs = self.levels.iter().zip(data.beliefs);
+        let misses = beliefs.filter_map(|(level, belief)| belief.map(|(centre, sd)| ((level - centre) / sd).powi(2)));
+        (likelihood, likelihood - 0.5 * misses.sum::<f64>())
+    }
+
+    /// The law of this form with the greatest posterior density, from here.
+    ///
+    /// Fisher scoring with Levenberg's damping (Whittle's likelihood of gamma-distributed power in bins: Whittle 1953,
+    /// J. R. Stat. Soc. B 15).
+    #[must_use]
+    pub fn fit(&self, data: Data<'_>) -> Fitted {
+        const ROUNDS: usize = 60;
+        const ENOUGH: f64 = 1e-4;
+        const LONGEST: f64 = 2.0;
+        let ranges = self.ranges(data.grid);
+        let clamp = |numbers: &mut Vec<f64>| {
+            numbers.iter_mut().zip(&ranges).for_each(|(number, (low, high))| *number = number.clamp(*low, *high));
+        };
+        let mut numbers = self.numbers();
+        clamp(&mut numbers);
+        let mut law = self.with(&numbers);
+        let mut pieces = Pieces::of(&law, data);
+        let (mut likelihood, mut posterior) = law.judged(&pieces.spectrum, data);
+        let mut damping = 1e-3;
+        let mut fisher = DMatrix::zeros(numbers.len(), numbers.len());
+        let mut small = 0;
+        for _ in 0..ROUNDS {
+            let slopes = law.slopes(&pieces, data);
+            let count = slopes.len();
+            let mut gradient = DVector::zeros(count);
+            for i in 0..count {
+                let bins = slopes[i].iter().zip(&pieces.spectrum).zip(data.power).zip(data.grid.counts());
+                gradient[i] = bins.map(|(((slope, s), power), n)| 0.5 * n * slope * (power / s - 1.0)).sum();
+                for j in 0..=i {
+                    let bins = slopes[i].iter().zip(&slopes[j]).zip(data.grid.counts());
+                    let sum: f64 = bins.map(|((a, b), n)| 0.5 * n * a * b).sum();
+                    fisher[(i, j)] = sum;
+                    fisher[(j, i)] = sum;
+                }
+            }
+            for (i, belief) in data.beliefs.iter().enumerate() {
+                if let Some((centre, sd)) = belief {
+                    gradient[i] -= (law.levels[i] - centre) / (sd * sd);
+                    fisher[(i, i)] += 1.0 / (sd * sd);
+                }
+            }
+            // A number at its bound that wants beyond is held there.
+            let held: Vec<bool> = (0..count)
+                .map(|i| {
+                    let (low, high) = ranges[i];
+                    (numbers[i] <= low && gradient[i] < 0.0) || (numbers[i] >= high && gradient[i] > 0.0)
+                })
+                .collect();
+            let mut gained = None;
+            for _ in 0..12 {
+                let mut system = fisher.clone();
+                let mut right = gradient.clone();
+                for i in 0..count {
+                    system[(i, i)] += damping * fisher[(i, i)] + 1e-9;
+                    if held[i] {
+                        system.row_mut(i).fill(0.0);
+                        system.column_mut(i).fill(0.0);
+                        system[(i, i)] = 1.0;
+                        right[i] = 0.0;
+                    }
+                }
+                let Some(step) = system.cholesky().map(|factor| factor.solve(&right)) else {
+                    damping = (damping * 10.0).max(1e-3);
+                    continue;
+                };
+                let longest = step.amax();
+                let share = if longest > LONGEST { LONGEST / longest } else { 1.0 };
+                let mut there: Vec<f64> = numbers.iter().zip(step.iter()).map(|(x, d)| x + share * d).collect();
+                clamp(&mut there);
+                let moved = law.with(&there);
+                let spectrum = Pieces::of(&moved, data);
+                let (new_likelihood, new_posterior) = moved.judged(&spectrum.spectrum, data);
+                if new_posterior.is_finite() && new_posterior > posterior {
+                    gained = Some(new_posterior - posterior);
+                    (numbers, law, pieces) = (there, moved, spectrum);
+                    (likelihood, posterior) = (new_likelihood, new_posterior);
+                    damping = (damping * 0.3).max(1e-6);
+                    break;
+                }
+                damping *= 5.0;
+            }
+            small = if gained.is_some_and(|gained| gained > ENOUGH) { 0 } else { small + 1 };
+            if gained.is_none() || small >= 2 {
+                break;
+            }
+        }
+        let logarithms = pieces.spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect();
+        let covariance = fisher.try_inverse();
+        Fitted { law, log_likelihood: likelihood, log_posterior: posterior, covariance, logarithms }
+    }
+
+    /// The best of several fits: from here, and from other levels of flicker and random walk, which may hide behind one
+    /// another.
+    #[must_use]
+    pub fn fit_from_several(&self, data: Data<'_>) -> Fitted {
+        let mut best = self.fit(data);
+        // Frequencies at which flicker and walk meet the white noise, as shares of the band.
+        for (flicker, walk) in [(1e-4, 1e-5), (1e-2, 1e-4), (1e-3, 1e-3), (1e-5, 1e-2)] {
+            let mut start = self.clone();
+            let nyquist_hz = 0.5 * data.grid.rate_hz();
+            for (level, corner) in [(1, flicker), (2, walk)] {
+                let at = |f: f64| {
+                    let near = data.grid.frequencies_hz().partition_point(|own| *own < f);
+                    near.min(data.power.len() - 1)
+                };
+                let bin = at(corner * nyquist_hz);
+                let shape = data.base.shapes[level][bin];
+                if shape > 0.0 {
+                    start.levels[level] = best.law.levels[0] + (data.base.shapes[0][bin] / shape).ln();
+                }
+            }
+            start.levels[0] = best.law.levels[0];
+            let other = start.fit(data);
+            if other.log_posterior > best.log_posterior + 1e-3 {
+                best = other;
+            }
+        }
+        best
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::transform::Cosines;
+    use crate::effects::{Flicker, RandomWalk, Stream, StreamId, White};
+
+    const RATE_HZ: f64 = 40.0;
+
+    pub(super) fn base(grid: &Grid) -> Base {
+        let of = |effect: &dyn Effect| -> Vec<f64> {
+            grid.frequencies_hz().iter().map(|f| RATE_HZ * effect.psd(*f, RATE_HZ).unwrap()).collect()
+        };
+        let bins = grid.counts().len();
+        Base {
+            shapes: [of(&White { n: 1.0 }), of(&Flicker { b: 1.0 }), of(&RandomWalk { k: 1.0 })],
+            known: vec![0.0; bins],
+            after: vec![0.0; bins],
+            gain: vec![1.0; bins],
+        }
+    }
+
+    fn drawn(effects: &[&dyn Effect], n: usize, seed: u64) -> Vec<f64> {
+        let mut values = vec![0.0; n];
+        for (at, effect) in effects.iter().enumerate() {
+            let stream = Stream::new(seed, StreamId { owner: 1, effect: at as u16, instance: 0 });
+            effect.sampler(RATE_HZ, n as f64 / RATE_HZ, stream).apply(&mut values);
+        }
+        values
+    }
+
+    #[test]
+    fn levels_and_terms_are_found_within_their_errors() {
+        let n = 30_001;
+        let (white, flicker) = (White { n: 1.0 / RATE_HZ.sqrt() }, Flicker { b: 0.1 });
+        let walk = RandomWalk { k: 0.005 };
+        let process = GaussMarkov { sigma: 0.8, tc_s: 3.0 };
+        let grid = Grid::new(n, RATE_HZ, &[]);
+        let base = base(&grid);
+        let mut transform = Cosines::new(n);
+        let mut sums = [0.0; 5];
+        for seed in 0..12 {
+            let mut values = drawn(&[&white, &flicker, &walk, &process], n, seed);
+            transform.forward(&mut values);
+            let power = grid.power(&values);
+            let data = Data { grid: &grid, power: &power, base: &base, beliefs: &[None, None, None] };
+            let start = Law {
+                levels: [-3.0, -6.0, -12.0],
+                terms: vec![Term { shape: Shape::GaussMarkov, numbers: vec![-1.0, 0.5] }],
+            };
+            let fitted = start.fit_from_several(data);
+            let covariance = fitted.covariance.unwrap();
+            let truths = [(1.0 / RATE_HZ).ln(), 0.01f64.ln(), 2.5e-5f64.ln(), 0.64f64.ln(), 3f64.ln()];
+            for (at, (found, truth)) in fitted.law.numbers().iter().zip(truths).enumerate() {
+                if at != 1 && at != 2 {
+                    sums[at] += (found - truth).powi(2) / covariance[(at, at)];
+                }
+            }
+        }
+        for at in [0, 3, 4] {
+            // χ² of 12 degrees of freedom: 99.9 % below 33.
+            assert!((1.0..33.0).contains(&sums[at]), "{at}: {sums:?}");
+        }
+    }
+
+    #[test]
+    fn a_filter_is_found_with_the_noise_behind_it() {
+        let n = 20_000;
+        let filter = LowPass { cutoff_hz: 9.0, order: 2 };
+        let mut values = drawn(&[&White { n: 1.0 / RATE_HZ.sqrt() }, &filter], n, 5);
+        for (value, more) in values.iter_mut().zip(drawn(&[&White { n: 0.03 / RATE_HZ.sqrt() }], n, 6)) {
+            *value += more;
+        }
+        Cosines::new(n).forward(&mut values);
+        let grid = Grid::new(n, RATE_HZ, &[]);
+        let (power, base) = (grid.power(&values), base(&grid));
+        let data = Data { grid: &grid, power: &power, base: &base, beliefs: &[None, None, None] };
+        let start = Law {
+            levels: [-3.0, -12.0, -20.0],
+            terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -5.0] }],
+        };
+        let found = start.fit_from_several(data).law;
+        assert!((found.terms[0].numbers[0].exp() / 9.0 - 1.0).abs() < 0.02, "{found:?}");
+        assert!(((0.5 * found.terms[0].numbers[1]).exp() / 0.03 - 1.0).abs() < 0.1, "{found:?}");
+    }
+}

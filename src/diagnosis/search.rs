@@ -1,0 +1,106 @@
+//! The search: which effects explain a series, one after the other, each paid for.
+
+use super::evidence::{self, Candidate, Kind};
+use super::series::Series;
+
+/// What an effect has to give before it is named, nats: a gain that chance reaches with a small probability.
+///
+/// The survival function of a gain under noise alone is about exp(−(x − offset)/scale) far out; both are measured on simulated
+/// records of the same length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prices {
+    /// Offset and scale of each kind.
+    pub tails: Vec<(Kind, f64, f64)>,
+    /// Chance that one channel of noise alone shows one kind.
+    pub level: f64,
+}
+
+impl Prices {
+    /// Of a kind.
+    #[must_use]
+    pub fn of(&self, kind: Kind) -> f64 {
+        const LEAST: f64 = 6.0;
+        let tail = self.tails.iter().find(|(own, ..)| *own == kind);
+        let (offset, scale) = tail.map_or((4.0, 1.0), |(_, offset, scale)| (*offset, *scale));
+        (offset + scale * (1.0 / self.level).ln()).max(LEAST)
+    }
+}
+
+/// An effect that was added.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Its kind.
+    pub kind: Kind,
+    /// Nats.
+    pub gain: f64,
+    /// Nats that it had to give.
+    pub price: f64,
+    /// What else would have been worth its price, best first.
+    pub others: Vec<(Kind, f64)>,
+}
+
+/// A complex kind that stands in for a simple one has to be better by some nats.
+const SIMPLER: [(Kind, Kind, f64); 9] = [
+    (Kind::WarmUp, Kind::RateRamp, 4.0),
+    (Kind::BiasStep, Kind::RateRamp, 2.0),
+    (Kind::TemperatureBias, Kind::RateRamp, 0.0),
+    (Kind::Resonance, Kind::Tone, 4.0),
+    (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
+    (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
+    (Kind::HeavyTails, Kind::Spikes, 0.0),
+    (Kind::MovingAverage, Kind::LowPass, 0.0),
+    (Kind::GaussMarkov, Kind::RateRamp, 4.0),
+];
+
+/// Explains a series as far as effects are worth their prices.
+pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
+    const MOST: usize = 12;
+    let mut steps: Vec<Step> = Vec::new();
+    while steps.len() < MOST {
+        let candidates = evidence::all(series);
+        let Some(step) = choose(&candidates, prices) else { break };
+        let Some(chosen) = candidates.into_iter().find(|candidate| candidate.kind == step.kind) else { break };
+        series.explanation = chosen.explanation;
+        series.rebuild(false);
+        let kind = step.kind;
+        steps.push(step);
+        if kind == Kind::Tone {
+            more_tones(series, prices, &mut steps);
+        }
+    }
+    steps
+}
+
+fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    const MOST: usize = 24;
+    /// Beyond the price: what is hardly worth it is weighed against the other effects again.
+    const CLEAR: f64 = 10.0;
+    for _ in 0..MOST {
+        let Some(tone) = evidence::line::tone(series) else { break };
+        let price = prices.of(Kind::Tone);
+        if tone.gain < price + CLEAR {
+            break;
+        }
+        series.explanation = tone.explanation;
+        series.rebuild(false);
+        steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new() });
+    }
+}
+
+/// The kind to be added next; None where nothing is worth its price.
+fn choose(candidates: &[Candidate], prices: &Prices) -> Option<Step> {
+    let mut scores: Vec<(Kind, f64, f64)> =
+        candidates.iter().map(|of| (of.kind, of.gain - prices.of(of.kind), of.gain)).collect();
+    scores.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut best = *scores.first().filter(|best| best.1 > 0.0)?;
+    for (complex, simple, margin) in SIMPLER {
+        if best.0 == complex
+            && let Some(other) = scores.iter().find(|score| score.0 == simple && score.1 > 0.0)
+            && best.1 - other.1 < margin
+        {
+            best = *other;
+        }
+    }
+    let others = scores.iter().filter(|score| score.0 != best.0 && score.1 > 0.0).map(|score| (score.0, score.1));
+    Some(Step { kind: best.0, gain: best.2, price: prices.of(best.0), others: others.collect() })
+}
