@@ -513,7 +513,8 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
     for of in &found.channels {
         let Some(channel) = model.channels.get_mut(&of.prepared.channel) else { continue };
         let level = |index: usize| (0.5 * of.explanation.law.levels[index]).exp() * of.prepared.scale;
-        channel.n = level(0);
+        // The law's level is an average; the model's N is that where nothing changes the variance.
+        channel.n = level(0) / of.average_variance.sqrt();
         // Levels that are nowhere seen are none.
         let seen = |index: usize| of.explanation.law.levels[index] > [-30.0, -20.0, -34.0][index];
         channel.b = if seen(1) { level(1) } else { 0.0 };

@@ -90,6 +90,8 @@ pub(super) struct Findings {
     pub(super) scores: Scores,
     /// Standard deviation of the white part, U per sample.
     pub(super) white: f64,
+    /// The white part's mean variance over that where nothing changes it.
+    pub(super) average_variance: f64,
 }
 
 /// What was found in a record.
@@ -121,17 +123,13 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
     let shared = shared::shared(&whitened, price);
-    let temperature = real.temperature_c.as_ref().map(|values| {
-        let there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-        there.iter().sum::<f64>() / there.len().max(1) as f64
-    });
     let found = Found {
         channels,
         shared,
         repeats: ready.repeats,
         further: ready.further,
         samples,
-        temperature_c: temperature.unwrap_or(crate::effects::USUAL_TEMPERATURE_C),
+        temperature_c: ready.reference_c,
     };
     Ok(super::compose::outcome(&found, real, sim, options))
 }
@@ -187,7 +185,22 @@ fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Pric
     debug_assert_eq!(scores.effects.len(), BLOCKS);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
-    let explanation = series.explanation.clone();
+    let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
-    (Findings { prepared, explanation, steps, plain, fitted, before, after, statistics, scores, white }, whitened)
+    (
+        Findings {
+            average_variance,
+            prepared,
+            explanation,
+            steps,
+            plain,
+            fitted,
+            before,
+            after,
+            statistics,
+            scores,
+            white,
+        },
+        whitened,
+    )
 }

@@ -138,7 +138,9 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let declared = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), known(1)), &known(1));
     // The levels and numbers of the first half.
     let plain: Law = Series::new(&first, transforms[0].clone(), samples(0), known(0)).explanation.law;
-    let full = Series::new(&first, transforms[0].clone(), samples(0), found(0)).explanation;
+    let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
+    let quiet = full.average_variance().ln();
+    let full = full.explanation;
     let with_levels = Explanation { law: plain, ..known(1) };
     let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
     let mut carried_over = found(1);
@@ -161,8 +163,10 @@ pub fn scores(whole: Whole<'_>) -> Scores {
             sine.quadratures = sine.quadratures.map(|value| value * known / own);
         }
     }
-    let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
     let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
+    // The white noise where nothing changes it is the same in both.
+    carried_over.law.levels[0] += best.average_variance().ln() - quiet;
+    let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
     let numbers = 3
         + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
         + best.explanation.courses.len()

@@ -67,6 +67,8 @@ pub struct Ready {
     pub further: Vec<Channel>,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Mean temperature, °C, that effects refer to.
+    pub reference_c: f64,
 }
 
 /// Looks at a recording and a model together.
@@ -104,7 +106,10 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     }
     let mut transform = Cosines::new(n);
     let temperature = temperature(real);
-    let courses = Courses::new(&mut transform, temperature.as_deref());
+    let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
+    let about: Option<Vec<f64>> =
+        temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
+    let courses = Courses::new(&mut transform, about.as_deref());
     let repeats = repeats(real, &wanted);
     let mut channels = Vec::new();
     for channel in wanted {
@@ -118,7 +123,15 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     }
     let further = real.channels.iter().map(|(channel, _)| *channel);
     let further = further.filter(|channel| !sim.channels.contains_key(channel)).collect();
-    Ok(Ready { channels, courses, transform, repeats, further, rate_hz: sim.rate_hz })
+    Ok(Ready {
+        channels,
+        courses,
+        transform,
+        repeats,
+        further,
+        rate_hz: sim.rate_hz,
+        reference_c: reference_c.unwrap_or(USUAL_TEMPERATURE_C),
+    })
 }
 
 fn is_missing(real: &Recording, t: usize) -> bool {

@@ -48,7 +48,7 @@ const SIMPLER: [(Kind, Kind, f64); 9] = [
     (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
     (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
     (Kind::HeavyTails, Kind::Spikes, 0.0),
-    (Kind::LowPass, Kind::MovingAverage, 15.0),
+    (Kind::LowPass, Kind::MovingAverage, 6.0),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
 ];
 

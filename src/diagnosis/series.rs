@@ -491,8 +491,21 @@ impl<'a> Series<'a> {
         self.residual = residual;
     }
 
-    /// The variance that the explanation gives each sample of the residual, 1 on average over ln; empty if it is the same.
+    /// By how much the white part's variance is on average above what it is where nothing changes it: the law's level of
+    /// white noise is the average.
+    #[must_use]
+    pub fn average_variance(&self) -> f64 {
+        let raw = self.raw_variances();
+        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+    }
+
+    /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
     fn variances(&self) -> Vec<f64> {
+        normalised(self.raw_variances())
+    }
+
+    /// The same over that where nothing changes it.
+    fn raw_variances(&self) -> Vec<f64> {
         let n = self.len();
         let Some(how) = &self.explanation.scedasticity else {
             let quiet: Vec<&Loud> = self.explanation.loud.iter().filter(|loud| loud.ratio <= LOUD).collect();
@@ -501,9 +514,9 @@ impl<'a> Series<'a> {
             }
             let mut variance = vec![1.0; n];
             for loud in quiet {
-                variance[loud.from..loud.to].fill(loud.ratio);
+                variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
             }
-            return normalised(variance);
+            return variance;
         };
         let logarithms: Vec<f64> = match how {
             Scedasticity::PerDegree(slope) => {
@@ -511,7 +524,7 @@ impl<'a> Series<'a> {
             }
             Scedasticity::Profile(values) => (0..n).map(|t| profile(values, t, n)).collect(),
         };
-        normalised(logarithms.iter().map(|l| l.exp()).collect())
+        logarithms.iter().map(|l| l.exp()).collect()
     }
 
     /// The transform for records of this length.

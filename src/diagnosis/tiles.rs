@@ -45,12 +45,25 @@ impl Tiles {
         }
         let mut transform = Cosines::new(size);
         let (mut excess, mut ratio) = (Vec::new(), Vec::new());
+        // A change of variance is the white part's alone: its share of each band.
+        let white = series.white().powi(2);
+        let share = |span: &[usize]| {
+            let of = series.spectrum.get(span[0] * Self::STRETCHES..span[1] * Self::STRETCHES).unwrap_or_default();
+            of.iter().map(|s| (white / s).min(1.0)).sum::<f64>() / of.len().max(1) as f64
+        };
+        let shares: Vec<f64> = edges.windows(2).map(share).collect();
         for stretch in 0..Self::STRETCHES {
-            let mut values = series.residual[stretch * size..(stretch + 1) * size].to_vec();
+            let range = stretch * size..(stretch + 1) * size;
+            let mut values = series.residual[range.clone()].to_vec();
+            let variance = series.variance.get(range);
+            if let Some(variance) = variance {
+                values.iter_mut().zip(variance).for_each(|(e, v)| *e *= v.sqrt());
+            }
             transform.forward(&mut values);
-            for span in edges.windows(2) {
+            let change = variance.map_or(0.0, |of| of.iter().sum::<f64>() / of.len().max(1) as f64 - 1.0);
+            for (span, share) in edges.windows(2).zip(&shares) {
                 let of = &values[span[0]..span[1]];
-                let mean = of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64;
+                let mean = of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64 / (1.0 + share * change);
                 excess.push(super::omnibus::excess(mean, of.len() as f64));
                 ratio.push(mean);
             }

@@ -68,6 +68,10 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         |a: f64| share.ln() - 0.5 * wide.ln() - 0.5 * a / wide - (-share).ln_1p() + 0.5 * core.ln() + 0.5 * a / core;
     let flagged: Vec<usize> =
         squares.iter().enumerate().filter(|(_, a)| difference(**a) > 0.0).map(|(t, _)| t).collect();
+    if clustered(&flagged, n) {
+        // Stretches of noise, not spikes.
+        return None;
+    }
     // Their typical size as they stand in the samples, less their neighbours' level.
     let white = series.white();
     let mut sizes: Vec<f64> = flagged.iter().map(|t| (series.residual[*t] * white).abs()).collect();
@@ -78,6 +82,22 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     explanation.outliers.sort_unstable();
     explanation.outliers.dedup();
     Some(Candidate { kind: Kind::Spikes, gain, explanation })
+}
+
+/// Whether places have neighbours far more often than independent ones would.
+fn clustered(places: &[usize], samples: f64) -> bool {
+    const NEAR: usize = 4;
+    const FEWEST: usize = 8;
+    if places.len() < FEWEST {
+        return false;
+    }
+    let count = places.len();
+    let near = |at: usize| {
+        (at > 0 && places[at] - places[at - 1] <= NEAR) || (at + 1 < count && places[at + 1] - places[at] <= NEAR)
+    };
+    let share = (0..count).filter(|at| near(*at)).count() as f64 / count as f64;
+    let expected = 1.0 - (1.0 - count as f64 / samples).powi(2 * NEAR as i32);
+    share > 0.3 + 2.0 * expected
 }
 
 /// Student's t.
