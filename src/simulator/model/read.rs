@@ -3,7 +3,7 @@
 use super::place::{Place, one_of};
 use super::{
     CHANNEL_KEYS, ChannelModel, FORMAT, KEYS, ModelError, SAMPLING_KEYS, Sampling, SensorModel, TRIAD_KEYS, TRIADS,
-    TriadModel, UNCERTAIN_KEYS,
+    TriadModel,
 };
 use crate::effects::{Kind, registry};
 use crate::sample::{Channel, Triad};
@@ -17,12 +17,19 @@ impl SensorModel {
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.
     pub fn from_json(text: &str, file: &str) -> Result<Self, ModelError> {
-        let value =
-            serde_json::from_str(text).map_err(|source| ModelError::Syntax { file: file.to_owned(), source })?;
+        let parsed =
+            super::unique::parse(text).map_err(|source| ModelError::Syntax { file: file.to_owned(), source })?;
+        let value = parsed.map_err(|twice| ModelError::Content {
+            file: file.to_owned(),
+            path: twice.path,
+            found: format!("`{}` a second time", twice.key),
+            expected: "every key once".to_owned(),
+        })?;
         Self::from_value(&value, file)
     }
 
-    /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages.
+    /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages. Keys that stood twice
+    /// cannot be told any more.
     ///
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.
@@ -78,17 +85,16 @@ fn channel_model(place: &Place<'_>) -> Result<ChannelModel, ModelError> {
     place.only_keys(&CHANNEL_KEYS)?;
     let number = |key| place.optional(key).map(|place| place.number()).transpose();
     let effects = place.optional("effects").map(|place| effects(&place, &registry::CHANNEL)).transpose()?;
+    let effects = effects.unwrap_or_default();
     let uncertainty = place.optional("uncertainty");
-    if let Some(uncertainty) = &uncertainty {
-        uncertainty.only_keys(&UNCERTAIN_KEYS)?;
-    }
+    let uncertainty = uncertainty.map(|place| super::uncertainty::read(&place, &effects)).transpose()?;
     Ok(ChannelModel {
         n: number("N")?.unwrap_or(0.0),
         b: number("B")?.unwrap_or(0.0),
         k: number("K")?.unwrap_or(0.0),
         bias: number("bias")?,
-        effects: effects.unwrap_or_default(),
-        uncertainty: uncertainty.map(|place| object(&place)).transpose()?,
+        effects,
+        uncertainty,
     })
 }
 
