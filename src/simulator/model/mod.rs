@@ -178,6 +178,12 @@ mod tests {
     fn errors_name_file_path_and_what_is_allowed() {
         for (text, parts) in [
             (with_gyro_x(r#"{"N":-1}"#), ["m.json", "channels.gyro_x.N", "found -1", "0 or more"]),
+            (with_gyro_x(r#"{"K":1e300}"#), ["m.json", "channels.gyro_x.K", "found 1e300", "from 0 to 1e30"]),
+            (with_gyro_x(r#"{"bias":-1e31}"#), ["m.json", "channels.gyro_x.bias", "found -1e31", "from -1e30 to 1e30"]),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"tone","frequency_hz":11,"amplitude":1e40}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].amplitude", "found 1e+40", "0 or more of 1e30 at most"],
+            ),
             (with_gyro_x(r#"{"N":"1"}"#), ["m.json", "channels.gyro_x.N", "found \"1\"", "a number"]),
             (
                 with_gyro_x(r#"{"M":1}"#),
@@ -253,7 +259,7 @@ mod tests {
             (with_gyro_x("{}").replace("gyro_x", "gyro_w"), ["m.json", "channels.gyro_w", "gyro_w", "gyro_x, gyro_y"]),
             (with_gyro_x("{}").replace("model-1", "model-2"), ["m.json", "format", "model-2", FORMAT]),
             (with_gyro_x("{}").replace("\"rate_hz\":40,", ""), ["m.json", "top level", "no `rate_hz`", "output rate"]),
-            (with_gyro_x("{}").replace("40", "0"), ["m.json", "rate_hz", "found 0", "above 0"]),
+            (with_gyro_x("{}").replace("40", "0"), ["m.json", "rate_hz", "found 0", "from 0.001 to 100000 Hz"]),
             (
                 with_gyro_x("{}").replace(
                     "\"rate_hz\"",

@@ -11,6 +11,9 @@ use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Rates of a model's output: a sample in a quarter of an hour, and more than inertial sensors give.
+pub(super) const RATES_HZ: std::ops::RangeInclusive<f64> = 0.001..=100_000.0;
+
 impl SensorModel {
     /// Reads a model from JSON text; `file` names it in messages.
     ///
@@ -44,8 +47,8 @@ impl SensorModel {
         let name = name.value.as_str().ok_or_else(|| name.refuse("a text"))?.to_owned();
         let rate = root.key("rate_hz", "the output rate in Hz")?;
         let rate_hz = rate.number()?;
-        if rate_hz <= 0.0 {
-            return Err(rate.refuse("a rate in Hz above 0"));
+        if !RATES_HZ.contains(&rate_hz) {
+            return Err(rate.refuse(&format!("a rate from {} to {} Hz", RATES_HZ.start(), RATES_HZ.end())));
         }
         let sampling = root.optional("sampling").map(|place| sampling(&place)).transpose()?;
         let places = root.key("channels", "an object of channels")?;

@@ -1,8 +1,9 @@
 //! The JSON Schema of sensor models, made of the same tables as the reader.
 
+use super::read::RATES_HZ;
 use super::uncertainty::ENTRY_KEYS;
 use super::{CHANNEL_KEYS, EFFECTS, FORMAT, TRIADS, UNCERTAIN_KEYS};
-use crate::effects::{Kind, registry};
+use crate::effects::{Kind, LARGEST, registry};
 use crate::sample::Channel;
 use serde_json::{Map, Value, json};
 
@@ -14,7 +15,7 @@ use serde_json::{Map, Value, json};
 #[must_use]
 pub fn schema() -> Value {
     let object = |properties: Map<String, Value>, required: &[&str]| json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false});
-    let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "default": 0, "description": meaning});
+    let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "maximum": LARGEST, "default": 0, "description": meaning});
     let entry = json!({"$ref": "#/$defs/uncertainty"});
     let of_effects = json!({
         "type": "array",
@@ -34,7 +35,9 @@ pub fn schema() -> Value {
                 "N" => amplitude("white noise, U/√Hz: two-sided density N²"),
                 "B" => amplitude("flicker noise, U: two-sided density B²/(2πf)"),
                 "K" => amplitude("rate random walk, U/√s: two-sided density (K/2πf)²"),
-                "bias" => json!({"type": "number", "description": "a constant, U"}),
+                "bias" => {
+                    json!({"type": "number", "minimum": -LARGEST, "maximum": LARGEST, "description": "a constant, U"})
+                }
                 "effects" => json!({"type": "array", "items": {"oneOf": kinds(&registry::CHANNEL)}}),
                 _ => uncertainty.clone(),
             };
@@ -65,7 +68,7 @@ pub fn schema() -> Value {
         "properties": {
             "format": {"const": FORMAT},
             "name": {"type": "string", "description": "for people"},
-            "rate_hz": {"type": "number", "exclusiveMinimum": 0, "description": "the output's rate, Hz"},
+            "rate_hz": {"type": "number", "minimum": RATES_HZ.start(), "maximum": RATES_HZ.end(), "description": "the output's rate, Hz"},
             "sampling": {
                 "type": "object",
                 "description": "how the sensor makes its output; N, B and K are then its own, before its boxcar",

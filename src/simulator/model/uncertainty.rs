@@ -86,7 +86,7 @@ impl ChannelModel {
     pub(super) fn written_uncertainty(&self) -> Option<Map<String, Value>> {
         let mut known = self.uncertainty.clone()?;
         match known.get_mut(EFFECTS) {
-            Some(Value::Array(list)) if !self.effects.is_empty() => list.resize(self.effects.len(), json!({})),
+            Some(Value::Array(list)) => list.resize(self.effects.len(), json!({})),
             Some(_) => drop(known.remove(EFFECTS)),
             None => {}
         }
