@@ -2,4 +2,5 @@
 //!
 //! In: samples of one rate, a sensor model, randomness. Out: what each known effect would explain, in nats of log density.
 
+pub mod response;
 pub mod transform;

@@ -1,0 +1,262 @@
+//! The design: a triad's mean response for given parameters, and its derivative by each of them.
+//!
+//! Both run through the simulator's own stages ([`crate::simulator::response`]) and the effects' own `regress`.
+
+use super::candidate::Candidate;
+use super::clock::{Clock, delayed};
+use super::{Record, Request};
+use crate::effects::triad::{Axes, Drive};
+use crate::effects::{At, Effect, Stage, TemperatureBias, TriadEffect};
+use crate::sample::Triad;
+use crate::simulator::Motion;
+use crate::simulator::response::{STAGES, stage};
+use std::sync::Arc;
+
+/// Half the step of the derivative by a delay, in samples: small against the cubic between them.
+const DELAY_STEP: f64 = 0.02;
+
+/// What one column of the design belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Slot {
+    /// A coefficient of the candidate at this place.
+    Coefficient(usize, usize),
+    /// How late the triad is: a latency or a clock's offset.
+    Delay,
+    /// How much faster the triad falls behind.
+    RateError,
+    /// Bias per kelvin of an axis.
+    Temperature(usize),
+}
+
+/// Values of all that is fitted.
+#[derive(Debug, Clone)]
+pub(super) struct State {
+    /// Per candidate.
+    pub(super) coefficients: Vec<Vec<f64>>,
+    /// In the middle of the record, s.
+    pub(super) delay_s: f64,
+    pub(super) rate_error: f64,
+    pub(super) per_c: Axes,
+}
+
+impl State {
+    pub(super) fn value(&self, slot: Slot) -> f64 {
+        match slot {
+            Slot::Coefficient(candidate, place) => self.coefficients[candidate][place],
+            Slot::Delay => self.delay_s,
+            Slot::RateError => self.rate_error,
+            Slot::Temperature(axis) => self.per_c[axis],
+        }
+    }
+
+    /// The state `share` of a step further.
+    pub(super) fn stepped(&self, slots: &[Slot], step: &[f64], share: f64) -> Self {
+        let mut to = self.clone();
+        for (slot, step) in slots.iter().zip(step) {
+            let value = match *slot {
+                Slot::Coefficient(candidate, place) => &mut to.coefficients[candidate][place],
+                Slot::Delay => &mut to.delay_s,
+                Slot::RateError => &mut to.rate_error,
+                Slot::Temperature(axis) => &mut to.per_c[axis],
+            };
+            *value += share * step;
+        }
+        to
+    }
+}
+
+/// One derivative of the response over the record, per axis; `None` where it is 0 throughout.
+pub(super) type Column = [Option<Vec<f64>>; 3];
+
+/// What is known beforehand and what is to be fitted.
+#[derive(Debug)]
+pub(super) struct Design<'a> {
+    record: &'a Record<'a>,
+    /// Effects that stay as they are.
+    kept: Vec<Arc<dyn TriadEffect>>,
+    level: Axes,
+    /// Those fitted by regression.
+    pub(super) candidates: Vec<Candidate>,
+    pub(super) slots: Vec<Slot>,
+    reference_c: f64,
+}
+
+impl<'a> Design<'a> {
+    /// The design and the state to start from: the known effects' values, 0 for the others.
+    pub(super) fn new(record: &'a Record<'a>, request: &Request<'_>) -> (Self, State) {
+        let candidates: Vec<Candidate> = request.candidates.iter().copied().filter(|one| one.is_linear()).collect();
+        let mut coefficients: Vec<Vec<f64>> = candidates.iter().map(|one| one.make(&[]).coefficients()).collect();
+        let mut kept = Vec::new();
+        for effect in request.known {
+            let mut taken = false;
+            for (candidate, sums) in candidates.iter().zip(&mut coefficients) {
+                if let Some(values) = candidate.coefficients_of(effect.as_ref()) {
+                    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+                    taken = true;
+                    break;
+                }
+            }
+            if !taken {
+                kept.push(Arc::clone(effect));
+            }
+        }
+        let mut slots: Vec<Slot> = Vec::new();
+        for (candidate, values) in coefficients.iter().enumerate() {
+            slots.extend((0..values.len()).map(|place| Slot::Coefficient(candidate, place)));
+        }
+        let Clock { offset_unknown, rate_unknown } = request.clock;
+        if offset_unknown || request.candidates.contains(&Candidate::Latency) {
+            slots.push(Slot::Delay);
+        }
+        if rate_unknown {
+            slots.push(Slot::RateError);
+        }
+        let mut reference_c = 0.0;
+        if let Some(temperature_c) = record.temperature_c {
+            slots.extend((0..3).map(Slot::Temperature));
+            // About the mean, so that the bias is that of the record's own temperature.
+            reference_c = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
+        }
+        let delay_s = request.known.iter().map(|effect| effect.delay_s()).sum();
+        let state = State { coefficients, delay_s, rate_error: 0.0, per_c: [0.0; 3] };
+        (Self { record, kept, level: request.level, candidates, slots, reference_c }, state)
+    }
+
+    /// The triad's own input in a motion.
+    pub(super) fn input(&self, motion: &Motion) -> Axes {
+        if self.record.triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 }
+    }
+
+    fn moved(&self, state: &State, further: f64) -> Vec<Motion> {
+        let rate_hz = self.record.rate_hz;
+        let middle = self.middle();
+        let at = |index: usize| state.delay_s * rate_hz + state.rate_error * (index as f64 - middle) + further;
+        delayed(self.record.reference, at)
+    }
+
+    fn middle(&self) -> f64 {
+        0.5 * self.record.reference.len().saturating_sub(1) as f64
+    }
+
+    /// The known and the fitted effects of each memoryless stage.
+    fn stages(&self, state: &State) -> [Vec<Arc<dyn TriadEffect>>; 3] {
+        let fitted = self.candidates.iter().zip(&state.coefficients).map(|(one, values)| one.make(values));
+        let all: Vec<Arc<dyn TriadEffect>> = self.kept.iter().cloned().chain(fitted).collect();
+        STAGES.map(|at: Stage| all.iter().filter(|effect| effect.stage() == at).cloned().collect())
+    }
+
+    fn temperature_bias(&self, axis: usize, state: &State) -> TemperatureBias {
+        TemperatureBias { per_c: state.per_c[axis], reference_c: self.reference_c }
+    }
+
+    /// What the triad shows on average.
+    pub(super) fn response(&self, state: &State) -> [Vec<f64>; 3] {
+        let mut axes = self.answer(&self.stages(state), &self.moved(state, 0.0));
+        for (axis, values) in axes.iter_mut().enumerate() {
+            let bias = self.temperature_bias(axis, state);
+            for (index, value) in values.iter_mut().enumerate() {
+                *value = bias.mean_response(*value + self.level[axis], self.at(index));
+            }
+        }
+        axes
+    }
+
+    fn at(&self, index: usize) -> At {
+        let temperature_c = self.record.temperature_c.and_then(|of| of.get(index).copied());
+        At { time_s: index as f64 / self.record.rate_hz, temperature_c: temperature_c.unwrap_or(self.reference_c) }
+    }
+
+    /// The memoryless stages' output.
+    fn answer(&self, stages: &[Vec<Arc<dyn TriadEffect>>; 3], motions: &[Motion]) -> [Vec<f64>; 3] {
+        let mut axes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(motions.len()));
+        for motion in motions {
+            let mut values = self.input(motion);
+            for effects in stages {
+                values = stage(effects, Drive { input: values, accel_m_s2: motion.accel_m_s2 });
+            }
+            axes.iter_mut().zip(values).for_each(|(axis, value)| axis.push(value));
+        }
+        axes
+    }
+
+    /// The response's derivatives in the order of the slots.
+    ///
+    /// Those by a coefficient are taken at its own stage. What later stages make of them (a scale factor of what a
+    /// misalignment added) is of second order and left to the iteration, which re-evaluates the response itself.
+    pub(super) fn columns(&self, state: &State) -> Vec<Column> {
+        let stages = self.stages(state);
+        let fitted: Vec<Arc<dyn TriadEffect>> =
+            self.candidates.iter().zip(&state.coefficients).map(|(one, values)| one.make(values)).collect();
+        let first: Vec<usize> = fitted
+            .iter()
+            .scan(0, |sum, effect| {
+                let place = *sum;
+                *sum += effect.coefficients().len();
+                Some(place)
+            })
+            .collect();
+        let n = self.record.reference.len();
+        let mut columns: Vec<Column> = self.slots.iter().map(|_| Column::default()).collect();
+        let put = |column: &mut Column, index: usize, axes: Axes| {
+            for (values, value) in column.iter_mut().zip(axes) {
+                if value != 0.0 {
+                    values.get_or_insert_with(|| vec![0.0; n])[index] = value;
+                }
+            }
+        };
+        for (index, motion) in self.moved(state, 0.0).iter().enumerate() {
+            let mut values = self.input(motion);
+            for (at, effects) in STAGES.into_iter().zip(&stages) {
+                let drive = Drive { input: values, accel_m_s2: motion.accel_m_s2 };
+                for (effect, first) in fitted.iter().zip(&first).filter(|(effect, _)| effect.stage() == at) {
+                    for (place, axes) in effect.regress(drive).into_iter().enumerate() {
+                        put(&mut columns[first + place], index, axes);
+                    }
+                }
+                values = stage(effects, drive);
+            }
+        }
+        self.other_columns(state, &stages, &mut columns);
+        columns
+    }
+
+    /// Delay, rate error and temperature.
+    fn other_columns(&self, state: &State, stages: &[Vec<Arc<dyn TriadEffect>>; 3], columns: &mut [Column]) {
+        let delayed = self.slots.iter().any(|slot| matches!(slot, Slot::Delay | Slot::RateError));
+        let slope = delayed.then(|| {
+            let later = self.answer(stages, &self.moved(state, DELAY_STEP));
+            let sooner = self.answer(stages, &self.moved(state, -DELAY_STEP));
+            let per_s = self.record.rate_hz / (2.0 * DELAY_STEP);
+            let difference = |axis: usize| {
+                let pairs = later[axis].iter().zip(&sooner[axis]);
+                pairs.map(|(later, sooner)| per_s * (later - sooner)).collect::<Vec<f64>>()
+            };
+            [difference(0), difference(1), difference(2)]
+        });
+        let some = |values: Vec<f64>| values.iter().any(|value| *value != 0.0).then_some(values);
+        for (slot, column) in self.slots.iter().zip(columns) {
+            match (*slot, &slope) {
+                (Slot::Delay, Some(slope)) => *column = slope.clone().map(some),
+                (Slot::RateError, Some(slope)) => {
+                    let middle = self.middle();
+                    *column = slope.clone().map(|mut values| {
+                        for (index, value) in values.iter_mut().enumerate() {
+                            *value *= (index as f64 - middle) / self.record.rate_hz;
+                        }
+                        some(values)
+                    });
+                }
+                (Slot::Temperature(axis), _) => {
+                    let bias = self.temperature_bias(axis, state);
+                    let mut row = [0.0];
+                    let at = |index: usize| {
+                        bias.regress(self.at(index), &mut row);
+                        row[0]
+                    };
+                    column[axis] = some((0..self.record.reference.len()).map(at).collect());
+                }
+                _ => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! The solution: Gauss–Newton steps from the known values until they are small against the standard errors.
+
+use super::Record;
+use super::candidate::Candidate;
+use super::clock::coarse;
+use super::design::{Design, Slot, State};
+use super::normal::Normal;
+use super::whitening::{Columns, Whitening};
+use crate::effects::triad::{Axes, Latency};
+use nalgebra::DVector;
+
+/// Steps after which the search is given up.
+const STEPS_MAX: usize = 30;
+/// Steps in which the derivatives are taken anew; later changes are second order of what is left.
+const FRESH_STEPS: usize = 2;
+/// Change of the delay, in samples, that asks for new derivatives in any case.
+const STALE_DELAY: f64 = 0.05;
+/// Squared length of a step in standard errors at which it is done, and up to which a step that leads nowhere is.
+const DONE: f64 = 1e-6;
+const DONE_ENOUGH: f64 = 1e-2;
+/// Halvings of a step that does not lead down.
+const HALVINGS: u32 = 10;
+/// Standard error of a clock's rate above which a motion says nothing about it, s/s.
+const UNSEEN_RATE: f64 = 0.1;
+
+/// Where the search ended.
+#[derive(Debug)]
+pub(super) struct Solution {
+    pub(super) state: State,
+    pub(super) response: [Vec<f64>; 3],
+    /// Whitened.
+    pub(super) residual: [Vec<f64>; 3],
+    pub(super) columns: Columns,
+    pub(super) normal: Normal,
+    pub(super) converged: bool,
+    pub(super) steps: usize,
+}
+
+fn squares(residual: &[Vec<f64>; 3]) -> f64 {
+    residual.iter().flatten().map(|value| value * value).sum()
+}
+
+/// A problem with its weights.
+#[derive(Debug)]
+pub(super) struct Search<'a, 'b> {
+    pub(super) record: &'a Record<'a>,
+    pub(super) design: &'b Design<'a>,
+    pub(super) whitening: Whitening<'a>,
+}
+
+impl Search<'_, '_> {
+    pub(super) fn residual(&mut self, state: &State) -> ([Vec<f64>; 3], [Vec<f64>; 3]) {
+        let response = self.design.response(state);
+        let residual = self.whitening.residual(self.record.samples, &response);
+        (response, residual)
+    }
+
+    fn linearised(&mut self, state: &State) -> (Columns, Normal) {
+        let columns = self.whitening.columns(self.design.columns(state));
+        let matrix = Whitening::matrix(&columns);
+        let unseen = |slot: &Slot| match slot {
+            Slot::Coefficient(candidate, _) => self.design.candidates[*candidate].unseen(),
+            Slot::Delay => Candidate::Latency.unseen(),
+            Slot::RateError => UNSEEN_RATE,
+            Slot::Temperature(_) => f64::INFINITY,
+        };
+        let effect = |slot: &Slot| match slot {
+            Slot::Coefficient(candidate, _) => *candidate,
+            Slot::Delay => usize::MAX,
+            Slot::RateError => usize::MAX - 1,
+            Slot::Temperature(_) => usize::MAX - 2,
+        };
+        let slots = &self.design.slots;
+        let normal = Normal::new(
+            &matrix,
+            &slots.iter().map(unseen).collect::<Vec<_>>(),
+            &slots.iter().map(effect).collect::<Vec<_>>(),
+        );
+        (columns, normal)
+    }
+
+    /// The known state, or where a delay is fitted, one that is right to a sample: a delay that is long against the motion's
+    /// turns is out of reach of its derivative.
+    pub(super) fn start(&mut self, known: &State) -> State {
+        let slots = self.design.slots.clone();
+        if !slots.contains(&Slot::Delay) {
+            return known.clone();
+        }
+        let rate_hz = self.record.rate_hz;
+        let n = self.record.reference.len();
+        let input: Vec<Axes> = self.record.reference.iter().map(|motion| self.design.input(motion)).collect();
+        let weights = self.whitening.white_weights();
+        let most = (Latency::SECONDS_MAX * rate_hz) as usize;
+        let over = |from: usize, to: usize| {
+            let samples = self.record.samples.map(|axis| &axis[from..to]);
+            coarse(samples, &input[from..to], weights, most) / rate_hz
+        };
+        let whole = over(0, n);
+        let mut starts = vec![known.clone(), State { delay_s: whole, ..known.clone() }];
+        if slots.contains(&Slot::RateError) {
+            let (first, second) = (over(0, n / 2), over(n / 2, n));
+            let rate_error = (second - first) / (0.5 * n as f64 / rate_hz);
+            starts.push(State { delay_s: 0.5 * (first + second), rate_error, ..known.clone() });
+        }
+        let near = |one: &State, other: &State| {
+            let drift = (one.rate_error - other.rate_error).abs() * n as f64;
+            (one.delay_s - other.delay_s).abs() * rate_hz < 1.0 && drift < 1.0
+        };
+        let mut tried: Vec<(f64, State)> = Vec::new();
+        for start in starts {
+            if tried.iter().any(|(_, other)| near(&start, other)) {
+                continue;
+            }
+            let (_, residual) = self.residual(&start);
+            let (columns, normal) = self.linearised(&start);
+            let gradient = Whitening::gradient(&columns, &residual);
+            let gain = gradient.dot(&(normal.inverse() * &gradient));
+            tried.push((squares(&residual) - gain, start));
+        }
+        let best = tried.into_iter().min_by(|one, other| one.0.total_cmp(&other.0));
+        best.map_or_else(|| known.clone(), |(_, state)| state)
+    }
+
+    /// Steps from `start` on.
+    pub(super) fn run(&mut self, start: State) -> Solution {
+        let slots = self.design.slots.clone();
+        let mut state = start;
+        let (mut response, mut residual) = self.residual(&state);
+        let (mut columns, mut normal) = self.linearised(&state);
+        let mut linear_at_s = state.delay_s;
+        let (mut steps, mut converged) = (0, false);
+        while steps < STEPS_MAX {
+            let moved = (state.delay_s - linear_at_s).abs() * self.record.rate_hz;
+            if (1..FRESH_STEPS).contains(&steps) || moved > STALE_DELAY {
+                (columns, normal) = self.linearised(&state);
+                linear_at_s = state.delay_s;
+            }
+            let gradient = Whitening::gradient(&columns, &residual);
+            let step: DVector<f64> = normal.inverse() * &gradient;
+            let length = gradient.dot(&step);
+            steps += 1;
+            let before = squares(&residual);
+            let accepted = (0..HALVINGS).find_map(|halvings| {
+                let to = state.stepped(&slots, step.as_slice(), 0.5_f64.powi(halvings as i32));
+                let (response, residual) = self.residual(&to);
+                (squares(&residual) <= before).then_some((to, response, residual))
+            });
+            let Some((to, after, rest)) = accepted else {
+                converged = length < DONE_ENOUGH;
+                break;
+            };
+            (state, response, residual) = (to, after, rest);
+            if length < DONE {
+                converged = true;
+                break;
+            }
+        }
+        Solution { state, response, residual, columns, normal, converged, steps }
+    }
+}

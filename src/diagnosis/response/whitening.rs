@@ -1,0 +1,106 @@
+//! Whitening: columns of a record to coefficients of variance 1, with what is clipped bridged.
+
+use super::clipping::Bridges;
+use super::design::Column;
+use super::noise_law::NoiseLaw;
+use crate::diagnosis::transform::Cosines;
+use crate::effects::triad::Axes;
+use nalgebra::{DMatrix, DVector};
+
+/// Everything a record's columns pass before they are compared.
+#[derive(Debug)]
+pub(super) struct Whitening<'a> {
+    law: &'a NoiseLaw,
+    cosines: Cosines,
+    pub(super) bridges: [Bridges; 3],
+}
+
+/// A whitened design.
+pub(super) type Columns = Vec<Column>;
+
+fn dot(one: &[f64], other: &[f64]) -> f64 {
+    one.iter().zip(other).map(|(one, other)| one * other).sum()
+}
+
+/// Σ over the axes of every two columns' product.
+fn products(columns: &[[Option<&[f64]>; 3]]) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(columns.len(), columns.len());
+    for (row, of_row) in columns.iter().enumerate() {
+        for (column, of_column) in columns.iter().enumerate().take(row + 1) {
+            let both = of_row.iter().zip(of_column).filter_map(|(one, other)| Some(dot((*one)?, (*other)?)));
+            let sum: f64 = both.sum();
+            matrix[(row, column)] = sum;
+            matrix[(column, row)] = sum;
+        }
+    }
+    matrix
+}
+
+impl<'a> Whitening<'a> {
+    pub(super) fn new(law: &'a NoiseLaw) -> Self {
+        Self { law, cosines: Cosines::new(law.samples()), bridges: Default::default() }
+    }
+
+    /// One over the variance of each axis's white noise, which compares them.
+    pub(super) fn white_weights(&self) -> Axes {
+        self.law.axes.each_ref().map(|axis| axis.sample_deviation().powi(-2))
+    }
+
+    fn whiten(&mut self, axis: usize, values: &mut [f64]) {
+        self.bridges[axis].fill(values);
+        self.cosines.forward(values);
+        self.law.axes[axis].whiten(values);
+    }
+
+    /// Whitened samples less response.
+    pub(super) fn residual(&mut self, samples: [&[f64]; 3], response: &[Vec<f64>; 3]) -> [Vec<f64>; 3] {
+        std::array::from_fn(|axis| {
+            let pairs = samples[axis].iter().zip(&response[axis]);
+            let mut values: Vec<f64> = pairs.map(|(shown, response)| shown - response).collect();
+            self.whiten(axis, &mut values);
+            values
+        })
+    }
+
+    pub(super) fn columns(&mut self, mut columns: Columns) -> Columns {
+        for column in &mut columns {
+            for (axis, values) in column.iter_mut().enumerate() {
+                if let Some(values) = values {
+                    self.whiten(axis, values);
+                }
+            }
+        }
+        columns
+    }
+
+    /// XᵀX of whitened columns.
+    pub(super) fn matrix(columns: &Columns) -> DMatrix<f64> {
+        products(&columns.iter().map(|column| column.each_ref().map(Option::as_deref)).collect::<Vec<_>>())
+    }
+
+    /// Xᵀr.
+    pub(super) fn gradient(columns: &Columns, residual: &[Vec<f64>; 3]) -> DVector<f64> {
+        let along = |column: &Column| {
+            let axes = column.iter().zip(residual);
+            axes.filter_map(|(values, residual)| Some(dot(values.as_deref()?, residual))).sum::<f64>()
+        };
+        DVector::from_iterator(columns.len(), columns.iter().map(along))
+    }
+
+    /// The covariance of Xᵀr under the law: XᵀX, but for bridges, behind which there is less noise than the weights assume.
+    pub(super) fn gradient_covariance(&mut self, columns: &Columns) -> DMatrix<f64> {
+        let mut seen = columns.clone();
+        for column in &mut seen {
+            for (axis, values) in column.iter_mut().enumerate().filter(|(axis, _)| !self.bridges[*axis].is_empty()) {
+                let Some(values) = values else { continue };
+                // Noise reaches the whitened coefficients through W·C·F; its covariance is CᵀΣC with Σ⁻¹ = WᵀW.
+                self.law.axes[axis].whiten_transposed(values);
+                self.cosines.backward(values);
+                self.bridges[axis].fill_transposed(values);
+                self.cosines.forward(values);
+                self.law.axes[axis].colour_transposed(values);
+            }
+        }
+        Self::matrix(&seen)
+    }
+}
