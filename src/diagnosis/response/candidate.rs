@@ -70,6 +70,15 @@ impl Candidate {
         self.make(&[]).name()
     }
 
+    /// What tells it from others of its name, with a space.
+    pub(super) fn form(self) -> &'static str {
+        match self {
+            Self::ScaleFactorNonlinearity { signed: true, .. } => "signed ",
+            Self::ScaleFactorNonlinearity { signed: false, .. } => "unsigned ",
+            _ => "",
+        }
+    }
+
     /// The effect with these coefficients, in the order of [`TriadEffect::coefficients`]; what is missing is 0. A latency is
     /// never below 0. A saturation's one coefficient is its range.
     #[must_use]

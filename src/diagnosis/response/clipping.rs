@@ -95,14 +95,17 @@ fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<f64> {
     let mut below: Vec<f64> =
         samples.iter().flat_map(|axis| axis.iter().map(|value| value.abs()).filter(|value| *value < limit)).collect();
     below.sort_by(|one, other| other.total_cmp(one));
-    below.truncate(TOP_VALUES);
+    let top = &below[..below.len().min(TOP_VALUES)];
     let mut counts: BTreeMap<u64, usize> = BTreeMap::new();
-    below.iter().for_each(|value| *counts.entry(value.to_bits()).or_default() += 1);
+    top.iter().for_each(|value| *counts.entry(value.to_bits()).or_default() += 1);
     let repeated: usize = counts.values().filter(|count| **count > 1).sum();
-    if repeated as f64 <= ROUNDED_SHARE * below.len() as f64 {
+    if repeated as f64 <= ROUNDED_SHARE * top.len() as f64 {
         return None;
     }
-    let steps = below.windows(2).map(|pair| pair[0] - pair[1]).filter(|step| *step > 0.0);
+    below.insert(0, limit);
+    below.dedup();
+    below.truncate(TOP_VALUES);
+    let steps = below.windows(2).map(|pair| pair[0] - pair[1]);
     Some(steps.fold(f64::INFINITY, f64::min)).filter(|step| step.is_finite())
 }
 

@@ -78,7 +78,14 @@ impl Motions {
     ) -> Confounding {
         let of = |place: &usize| (estimates[*place].effect, estimates[*place].parameter.clone());
         let parameters: Vec<(&'static str, String)> = group.iter().map(of).collect();
-        let names = listed(&parameters.iter().map(|(effect, name)| format!("{effect} {name}")).collect::<Vec<_>>());
+        let name = |place: &usize| {
+            let form = match slots[*place] {
+                Slot::Coefficient(candidate, _) => candidates[candidate].form(),
+                _ => "",
+            };
+            format!("{form}{} {}", estimates[*place].effect, estimates[*place].parameter)
+        };
+        let names = listed(&group.iter().map(name).collect::<Vec<_>>());
         let (lacks, wants) = self.lacks(group, slots, candidates);
         let what = match openness {
             Openness::Unseen => format!("this motion says nothing about {names}"),

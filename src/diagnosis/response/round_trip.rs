@@ -2,28 +2,27 @@
 
 use super::*;
 use crate::motion::{Course, Kind, Site};
-use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel, Simulator, TriadModel};
 
-const RATE_HZ: f64 = 20.0;
+pub(super) const RATE_HZ: f64 = 20.0;
 const SEEDS: u64 = 60;
 
 /// A motion of this many samples.
-fn motion(kind: Kind, samples: usize, rate_hz: f64) -> Vec<Motion> {
+pub(super) fn motion(kind: Kind, samples: usize, rate_hz: f64) -> Vec<Motion> {
     let course = Course::new(kind, samples as f64 / rate_hz, Site::default()).unwrap();
     course.sampled(rate_hz).take(samples).collect()
 }
 
-fn rate_table() -> Vec<Motion> {
+pub(super) fn rate_table() -> Vec<Motion> {
     motion(Kind::RateTable, 2203, RATE_HZ)
 }
 
-fn tumble() -> Vec<Motion> {
+pub(super) fn tumble() -> Vec<Motion> {
     motion(Kind::Tumble, 1601, RATE_HZ)
 }
 
 /// A sensor whose N, B and K all show in 100 s, each axis of its own size.
-fn sensor(triad: Triad, effects: &[Arc<dyn TriadEffect>]) -> SensorModel {
+pub(super) fn sensor(triad: Triad, effects: &[Arc<dyn TriadEffect>]) -> SensorModel {
     let unit = if triad == Triad::Gyro { 1.0 } else { 10.0 };
     let of = |axis: usize| {
         let unit = unit * (1.0 + 0.5 * axis as f64);
@@ -39,7 +38,13 @@ fn sensor(triad: Triad, effects: &[Arc<dyn TriadEffect>]) -> SensorModel {
     }
 }
 
-fn simulated(model: &SensorModel, triad: Triad, reference: &[Motion], rate_hz: f64, seed: u64) -> [Vec<f64>; 3] {
+pub(super) fn simulated(
+    model: &SensorModel,
+    triad: Triad,
+    reference: &[Motion],
+    rate_hz: f64,
+    seed: u64,
+) -> [Vec<f64>; 3] {
     let length_s = reference.len() as f64 / rate_hz;
     let mut simulator = Simulator::new(model, seed, rate_hz, length_s).unwrap();
     simulator = simulator.with_motion(reference.to_vec().into_iter());
@@ -53,26 +58,26 @@ fn simulated(model: &SensorModel, triad: Triad, reference: &[Motion], rate_hz: f
 }
 
 /// One record and its law.
-struct Case {
-    triad: Triad,
-    reference: Vec<Motion>,
-    model: SensorModel,
-    law: NoiseLaw,
+pub(super) struct Case {
+    pub(super) triad: Triad,
+    pub(super) reference: Vec<Motion>,
+    pub(super) model: SensorModel,
+    pub(super) law: NoiseLaw,
 }
 
 impl Case {
-    fn new(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)]) -> Self {
+    pub(super) fn new(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)]) -> Self {
         let effects: Vec<Arc<dyn TriadEffect>> = truth.iter().map(|(of, values)| of.make(values)).collect();
         let model = sensor(triad, &effects);
         let law = NoiseLaw::of_model(&model, triad, RATE_HZ, reference.len()).unwrap();
         Self { triad, reference, model, law }
     }
 
-    fn samples(&self, seed: u64) -> [Vec<f64>; 3] {
+    pub(super) fn samples(&self, seed: u64) -> [Vec<f64>; 3] {
         simulated(&self.model, self.triad, &self.reference, RATE_HZ, seed)
     }
 
-    fn fit_to(&self, samples: &[Vec<f64>; 3], candidates: &[Candidate], clock: Clock) -> Fit {
+    pub(super) fn fit_to(&self, samples: &[Vec<f64>; 3], candidates: &[Candidate], clock: Clock) -> Fit {
         let record = Record {
             rate_hz: RATE_HZ,
             triad: self.triad,
@@ -83,7 +88,7 @@ impl Case {
         fit(&record, &self.law, &Request { known: &[], level: [0.0; 3], candidates, clock }).unwrap()
     }
 
-    fn fit(&self, seed: u64, candidates: &[Candidate]) -> Fit {
+    pub(super) fn fit(&self, seed: u64, candidates: &[Candidate]) -> Fit {
         self.fit_to(&self.samples(seed), candidates, Clock::SHARED)
     }
 }
@@ -121,9 +126,9 @@ fn coverage(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)
     assert!((misfit - 1.0).abs() < 0.02, "{misfit}");
 }
 
-const FULL_SCALE: f64 = 4.0;
+pub(super) const FULL_SCALE: f64 = 4.0;
 
-fn nonlinearity(full_scale: f64, signed: bool) -> Candidate {
+pub(super) fn nonlinearity(full_scale: f64, signed: bool) -> Candidate {
     Candidate::ScaleFactorNonlinearity { full_scale, signed }
 }
 
@@ -171,4 +176,15 @@ fn intervals_of_latency_hold_with_other_effects_beside_it() {
     let m = (Candidate::GSensitivity, vec![1e-4, -2e-4, 5e-5, 3e-4, 0.0, 1e-4, -1e-4, 2e-4, -3e-4]);
     coverage(Triad::Gyro, rate_table(), &[late(0.73), scale, m], &[Candidate::Bias]);
     coverage(Triad::Accel, tumble(), &[late(0.31)], &[Candidate::Bias, Candidate::ScaleFactor]);
+}
+
+#[test]
+fn intervals_hold_where_samples_are_clipped() {
+    let scale = (Candidate::ScaleFactor, vec![2e-3, -1e-3, 5e-4]);
+    let bias = (Candidate::Bias, vec![1e-3, -2e-3, 5e-4]);
+    // Below the fastest stair; and just at one, where the noise decides which samples are clipped.
+    for range in [3.0, 1.7459] {
+        let saturation = (Candidate::Saturation, vec![range]);
+        coverage(Triad::Gyro, rate_table(), &[scale.clone(), bias.clone(), saturation], &[]);
+    }
 }
