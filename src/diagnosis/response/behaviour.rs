@@ -146,7 +146,7 @@ fn a_still_record_tells_no_scale_factor_from_a_bias() {
          scale_factor_nonlinearity z: the specific force along z never changes; rests with z up and down would tell",
     );
     said(Openness::Confounded, "bias x, misalignment y and cross_axis_sensitivity xz");
-    said(Openness::Unseen, "scale_factor x and scale_factor y: there is never a specific force along x or y");
+    said(Openness::Unseen, "scale_factor (x, y): there is never a specific force along x or y");
     said(Openness::Unseen, "latency seconds: nothing changes by which a delay would show");
     assert!(found.estimates.iter().all(|one| one.standard_error.is_none()));
     // What they make together is known: the response is at the record's level.

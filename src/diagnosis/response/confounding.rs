@@ -78,14 +78,7 @@ impl Motions {
     ) -> Confounding {
         let of = |place: &usize| (estimates[*place].effect, estimates[*place].parameter.clone());
         let parameters: Vec<(&'static str, String)> = group.iter().map(of).collect();
-        let name = |place: &usize| {
-            let form = match slots[*place] {
-                Slot::Coefficient(candidate, _) => candidates[candidate].form(),
-                _ => "",
-            };
-            format!("{form}{} {}", estimates[*place].effect, estimates[*place].parameter)
-        };
-        let names = listed(&group.iter().map(name).collect::<Vec<_>>());
+        let names = names(group, slots, candidates, estimates);
         let (lacks, wants) = self.lacks(group, slots, candidates);
         let what = match openness {
             Openness::Unseen => format!("this motion says nothing about {names}"),
@@ -145,6 +138,28 @@ impl Motions {
         }
         (lacks, wants)
     }
+}
+
+/// "bias x, scale_factor (x, y) and misalignment z".
+fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &[Estimate]) -> String {
+    let mut effects: Vec<(String, Vec<&str>)> = Vec::new();
+    for place in group {
+        let form = match slots[*place] {
+            Slot::Coefficient(candidate, _) => candidates[candidate].form(),
+            _ => "",
+        };
+        let effect = format!("{form}{}", estimates[*place].effect);
+        let parameter = estimates[*place].parameter.as_str();
+        match effects.iter_mut().find(|(of, _)| *of == effect) {
+            Some((_, parameters)) => parameters.push(parameter),
+            None => effects.push((effect, vec![parameter])),
+        }
+    }
+    let one = |(effect, parameters): &(String, Vec<&str>)| match parameters.as_slice() {
+        [one] => format!("{effect} {one}"),
+        several => format!("{effect} ({})", several.join(", ")),
+    };
+    listed(&effects.iter().map(one).collect::<Vec<_>>())
 }
 
 /// On which axes of the triad's input and of the specific force a coefficient's column depends, asked of the effect itself.

@@ -61,6 +61,8 @@ pub const SAMPLES_MIN: usize = 64;
 pub(crate) const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// How often the stretches to leave out are taken anew from the fitted response.
 const CLIPPING_ROUNDS: usize = 4;
+/// Part of them that may still change: whether a response is five standard deviations from the limit or a little less.
+const CLIPPING_SETTLED: f64 = 1e-3;
 
 /// A triad's record beside its reference.
 #[derive(Debug, Clone, Copy)]
@@ -182,7 +184,8 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
         let before = clipping.left_out;
         leave_out(clipping, record, law, &solution.response, &mut search.whitening)?;
         solution = search.run(solution.state);
-        if clipping.left_out == before {
+        let changed: usize = clipping.left_out.iter().zip(before).map(|(now, before)| now.abs_diff(before)).sum();
+        if changed as f64 <= CLIPPING_SETTLED * clipping.left_out.iter().sum::<usize>() as f64 {
             break;
         }
     }
@@ -266,7 +269,10 @@ fn report(
 ) -> Fit {
     let design = search.design;
     let inverse = solution.normal.inverse();
-    let covariance = &inverse * search.whitening.gradient_covariance(&solution.columns) * &inverse;
+    let covariance = match clipping {
+        Some(_) => &inverse * search.whitening.gradient_covariance(&solution.columns) * &inverse,
+        None => inverse,
+    };
     let open: Vec<usize> =
         solution.normal.unseen().into_iter().chain(solution.normal.open_groups().into_iter().flatten()).collect();
     let estimates: Vec<Estimate> = design

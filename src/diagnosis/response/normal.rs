@@ -5,6 +5,9 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 /// Share of the largest eigenvalue (of the design with columns of length 1) below which a direction is open: what remains of
 /// it is rounding.
 const OPEN: f64 = 1e-10;
+/// Times the standard error that says nothing, beyond which a direction is open as well: effects of first order would be larger
+/// than what they act on, and steps along it lead nowhere.
+const BEYOND: f64 = 10.0;
 /// Share below which a direction is hardly seen: standard errors grow thirtyfold by it.
 const FAINT: f64 = 1e-3;
 /// Share of a column's length, against the longest of its effect, below which it is rounding.
@@ -13,16 +16,20 @@ const NOTHING: f64 = 1e-9;
 /// Normal equations with their eigenvalues.
 #[derive(Debug, Clone)]
 pub(super) struct Normal {
+    /// XᵀX.
+    pub(super) matrix: DMatrix<f64>,
     /// Of all slots; 0 where the column is not used.
     scales: Vec<f64>,
     values: DVector<f64>,
     vectors: DMatrix<f64>,
     used: Vec<usize>,
+    /// Which directions are open.
+    open: Vec<bool>,
 }
 
 impl Normal {
     /// From XᵀX. `unseen`: the standard error from which on a column says nothing; `effects`: which effect a column is of.
-    pub(super) fn new(matrix: &DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
+    pub(super) fn new(matrix: DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
         let lengths: Vec<f64> = (0..matrix.nrows()).map(|place| matrix[(place, place)].sqrt()).collect();
         let longest = |effect: usize| {
             let of = lengths.iter().zip(effects).filter(|(_, other)| **other == effect);
@@ -44,7 +51,18 @@ impl Normal {
             let eigen = SymmetricEigen::new(scaled);
             (eigen.eigenvalues, eigen.eigenvectors)
         };
-        Self { scales, values, vectors, used }
+        let largest = values.iter().copied().fold(0.0, f64::max);
+        let open = (0..used.len())
+            .map(|direction| {
+                let value: f64 = values[direction];
+                let beyond = |(row, place): (usize, &usize)| {
+                    let error = scales[*place] * vectors[(row, direction)].abs() / value.sqrt();
+                    error > BEYOND * unseen[*place]
+                };
+                value < OPEN * largest || used.iter().enumerate().any(beyond)
+            })
+            .collect();
+        Self { matrix, scales, values, vectors, used, open }
     }
 
     fn largest(&self) -> f64 {
@@ -59,7 +77,7 @@ impl Normal {
     pub(super) fn inverse(&self) -> DMatrix<f64> {
         let slots = self.scales.len();
         let mut inverse = DMatrix::zeros(slots, slots);
-        for direction in (0..self.used.len()).filter(|direction| self.share(*direction) >= OPEN) {
+        for direction in (0..self.used.len()).filter(|direction| !self.open[*direction]) {
             for (row, of_row) in self.used.iter().enumerate() {
                 for (column, of_column) in self.used.iter().enumerate() {
                     let both = self.vectors[(row, direction)] * self.vectors[(column, direction)];
@@ -78,19 +96,19 @@ impl Normal {
 
     /// Groups of columns among which a direction is open.
     pub(super) fn open_groups(&self) -> Vec<Vec<usize>> {
-        self.groups(|share| share < OPEN)
+        self.groups(|direction| self.open[direction])
     }
 
     /// Groups of columns among which a direction is hardly seen.
     pub(super) fn faint_groups(&self) -> Vec<Vec<usize>> {
-        self.groups(|share| (OPEN..FAINT).contains(&share))
+        self.groups(|direction| !self.open[direction] && self.share(direction) < FAINT)
     }
 
     /// The projection on such directions splits into blocks whatever basis the eigenvectors are.
-    fn groups(&self, of: impl Fn(f64) -> bool) -> Vec<Vec<usize>> {
+    fn groups(&self, of: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
         /// Part of a column in those directions, and of two columns together, that counts.
         const PART: f64 = 0.01;
-        let directions: Vec<usize> = (0..self.used.len()).filter(|place| of(self.share(*place))).collect();
+        let directions: Vec<usize> = (0..self.used.len()).filter(|place| of(*place)).collect();
         let shared = |row: usize, column: usize| {
             directions.iter().map(|place| self.vectors[(row, *place)] * self.vectors[(column, *place)]).sum::<f64>()
         };
@@ -130,7 +148,7 @@ mod tests {
         ];
         let dot = |row: usize, column: usize| (0..4).map(|at| columns[row][at] * columns[column][at]).sum::<f64>();
         let matrix = DMatrix::from_fn(6, 6, dot);
-        let normal = Normal::new(&matrix, &[f64::INFINITY; 6], &[0, 1, 2, 3, 4, 5]);
+        let normal = Normal::new(matrix.clone(), &[f64::INFINITY; 6], &[0, 1, 2, 3, 4, 5]);
         assert_eq!(normal.unseen(), [4]);
         assert_eq!(normal.open_groups(), [[0, 1]]);
         assert_eq!(normal.faint_groups(), [[2, 3]]);
@@ -139,6 +157,6 @@ mod tests {
         // What both columns of a pair make together is known all the same.
         let sum = inverse[(0, 0)] + 4.0 * inverse[(1, 1)] + 4.0 * inverse[(0, 1)];
         assert!((sum - 1.0).abs() < 1e-9);
-        assert_eq!(Normal::new(&matrix, &[1e-3; 6], &[0; 6]).unseen(), [0, 1, 4, 5]);
+        assert_eq!(Normal::new(matrix, &[1e-3; 6], &[0; 6]).unseen(), [0, 1, 4, 5]);
     }
 }

@@ -11,10 +11,13 @@ use nalgebra::DVector;
 
 /// Steps after which the search is given up.
 const STEPS_MAX: usize = 30;
-/// Steps in which the derivatives are taken anew; later changes are second order of what is left.
-const FRESH_STEPS: usize = 2;
+/// Part of a step's squared length that the next one may keep; derivatives are taken anew where it keeps more. What old ones
+/// do to the estimates is second order.
+const STALE: f64 = 0.01;
 /// Change of the delay, in samples, that asks for new derivatives in any case.
 const STALE_DELAY: f64 = 0.05;
+/// Samples between two delays from which the same is reached.
+const NEAR: f64 = 1.5;
 /// Squared length of a step in standard errors at which it is done, and up to which a step that leads nowhere is.
 const DONE: f64 = 1e-6;
 const DONE_ENOUGH: f64 = 1e-2;
@@ -72,7 +75,7 @@ impl Search<'_, '_> {
         };
         let slots = &self.design.slots;
         let normal = Normal::new(
-            &matrix,
+            matrix,
             &slots.iter().map(unseen).collect::<Vec<_>>(),
             &slots.iter().map(effect).collect::<Vec<_>>(),
         );
@@ -104,7 +107,7 @@ impl Search<'_, '_> {
         }
         let near = |one: &State, other: &State| {
             let drift = (one.rate_error - other.rate_error).abs() * n as f64;
-            (one.delay_s - other.delay_s).abs() * rate_hz < 1.0 && drift < 1.0
+            (one.delay_s - other.delay_s).abs() * rate_hz < NEAR && drift < NEAR
         };
         let mut tried: Vec<(f64, State)> = Vec::new();
         for start in starts {
@@ -128,16 +131,20 @@ impl Search<'_, '_> {
         let (mut response, mut residual) = self.residual(&state);
         let (mut columns, mut normal) = self.linearised(&state);
         let mut linear_at_s = state.delay_s;
+        let mut last = f64::INFINITY;
         let (mut steps, mut converged) = (0, false);
         while steps < STEPS_MAX {
-            let moved = (state.delay_s - linear_at_s).abs() * self.record.rate_hz;
-            if (1..FRESH_STEPS).contains(&steps) || moved > STALE_DELAY {
+            let mut gradient = Whitening::gradient(&columns, &residual);
+            let mut step: DVector<f64> = normal.inverse() * &gradient;
+            let slow = gradient.dot(&step) > (STALE * last).max(DONE);
+            if slow || (state.delay_s - linear_at_s).abs() * self.record.rate_hz > STALE_DELAY {
                 (columns, normal) = self.linearised(&state);
                 linear_at_s = state.delay_s;
+                gradient = Whitening::gradient(&columns, &residual);
+                step = normal.inverse() * &gradient;
             }
-            let gradient = Whitening::gradient(&columns, &residual);
-            let step: DVector<f64> = normal.inverse() * &gradient;
             let length = gradient.dot(&step);
+            last = length;
             steps += 1;
             let before = squares(&residual);
             let accepted = (0..HALVINGS).find_map(|halvings| {
