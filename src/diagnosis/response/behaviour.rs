@@ -245,6 +245,27 @@ fn a_clocks_offset_and_rate_are_no_latency_and_what_one_triad_has_more_is() {
 }
 
 #[test]
+fn a_reference_that_began_seconds_apart_is_found_and_what_it_does_not_reach_is_left_out() {
+    let at = |time_s: f64| Motion {
+        gyro_rad_s: [(0.7 * time_s).sin(), (0.31 * time_s).cos(), (0.9 * time_s + 0.01 * time_s * time_s).sin()],
+        ..Motion::default()
+    };
+    let motion = |ahead_s: f64| (0..1301).map(|index| at(f64::from(index) / RATE_HZ + ahead_s)).collect::<Vec<_>>();
+    for offset_s in [7.31, -4.04] {
+        let mut case = Case::new(Triad::Gyro, motion(0.0), &[(Candidate::ScaleFactor, vec![0.01, -0.01, 0.02])]);
+        let samples = case.samples(13);
+        case.reference = motion(offset_s);
+        let found = case.fit_to(&samples, &[Candidate::ScaleFactor, Candidate::Bias], Clock::SEPARATE);
+        let beyond = (offset_s.abs() * RATE_HZ) as usize;
+        assert!(found.left_out.iter().all(|out| (beyond..beyond + 6).contains(out)), "{:?}", found.left_out);
+        for (one, truth) in found.estimates.iter().zip([0.01, -0.01, 0.02, 0.0, 0.0, 0.0, offset_s, 0.0]) {
+            assert!((one.value - truth).abs() < 4.0 * one.standard_error.unwrap() + 1e-5, "{one:?}: {truth}");
+        }
+        assert!(found.misfit.iter().all(|square| (square - 1.0).abs() < 0.2), "{:?}", found.misfit);
+    }
+}
+
+#[test]
 fn a_reference_that_is_late_gives_a_negative_delay() {
     let (felt, told) = on_two_clocks(-0.3, 0.0);
     let mut case = Case::new(Triad::Gyro, felt, &[]);
@@ -265,7 +286,7 @@ fn clipping_is_found_beside_a_regression_and_its_samples_are_bridged() {
     let clipping = found.clipping.unwrap();
     assert_eq!(clipping.limit, 3.0);
     assert_eq!(found.fitted[0].effect.range(), Some(3.0));
-    assert!(clipping.left_out.iter().zip(clipping.ties).all(|(out, ties)| *out >= ties && ties > 50), "{clipping:?}");
+    assert!(found.left_out.iter().zip(clipping.ties).all(|(out, ties)| *out >= ties && ties > 50), "{clipping:?}");
     assert!(found.residual.iter().flatten().all(|value| value.abs() < 0.01));
     assert_finite(&found);
     let refused = Case::new(Triad::Gyro, rate_table(), &[(Candidate::Saturation, vec![1e-4])]);
@@ -278,7 +299,7 @@ fn clipping_is_found_beside_a_regression_and_its_samples_are_bridged() {
         temperature_c: None,
     };
     let error = fit(&record, &refused.law, &request(&[Candidate::Bias])).unwrap_err();
-    assert!(matches!(error, ResponseError::Clipped { needed: SAMPLES_MIN, .. }), "{error}");
+    assert!(matches!(error, ResponseError::LeftOut { needed: SAMPLES_MIN, .. }), "{error}");
 }
 
 #[test]

@@ -8,7 +8,6 @@
 //! samples and on design columns alike, so that the fit stays unbiased; what it does to the noise's covariance is carried
 //! through to the standard errors exactly.
 
-use super::noise_law::AxisLaw;
 use crate::effects::TriadEffect;
 use crate::effects::triad::Axes;
 use std::collections::BTreeMap;
@@ -36,8 +35,6 @@ pub struct Clipping {
     pub limit: f64,
     /// Samples at it, per axis.
     pub ties: [usize; 3],
-    /// Samples left out of the fit, per axis.
-    pub left_out: [usize; 3],
 }
 
 impl Clipping {
@@ -68,7 +65,7 @@ impl Clipping {
             None => true,
             Some(step) => high - low > STEPS_RUN * step,
         };
-        clipped.then_some(Self { limit, ties, left_out: [0; 3] })
+        clipped.then_some(Self { limit, ties })
     }
 
     /// The limit that these samples show, or one that is known and reached.
@@ -76,18 +73,14 @@ impl Clipping {
         Self::find(samples, input).or_else(|| {
             let limit = known.iter().filter_map(|effect| effect.range()).reduce(f64::min)?;
             let ties = samples.map(|axis| axis.iter().filter(|value| value.abs() >= limit).count());
-            (ties != [0; 3]).then_some(Self { limit, ties, left_out: [0; 3] })
+            (ties != [0; 3]).then_some(Self { limit, ties })
         })
     }
+}
 
-    /// The samples to leave out, per axis, for this response.
-    pub(super) fn bridges(&self, samples: [&[f64]; 3], response: &[Vec<f64>; 3], laws: &[AxisLaw; 3]) -> [Bridges; 3] {
-        std::array::from_fn(|axis| {
-            let margin = MARGIN_DEVIATIONS * laws[axis].sample_deviation();
-            let out = samples[axis].iter().zip(&response[axis]);
-            Bridges::new(out.map(|(shown, response)| shown.abs() >= self.limit || response.abs() > self.limit - margin))
-        })
-    }
+/// Whether a sample is clipped or its response so close to the limit that its noise might be.
+pub(super) fn is_near(limit: f64, shown: f64, response: Option<f64>, deviation: f64) -> bool {
+    shown.abs() >= limit || response.is_some_and(|of| of.abs() > limit - MARGIN_DEVIATIONS * deviation)
 }
 
 /// The step that values below the limit are rounded to; `None` where they hardly repeat.

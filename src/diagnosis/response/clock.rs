@@ -14,7 +14,7 @@ use realfft::RealFftPlanner;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Clock {
-    /// Whether it may be off by a constant: then no latency of this triad can be told.
+    /// Whether it may be off by a constant, up to a quarter of the record: then no latency of this triad can be told.
     pub offset_unknown: bool,
     /// Whether it may run faster or slower.
     pub rate_unknown: bool,
@@ -70,10 +70,10 @@ impl Lateness {
 }
 
 /// What one triad cannot say about a clock of its own.
-pub(super) fn latency_or_offset() -> Confounding {
+pub(super) fn latency_or_offset(place: usize) -> Confounding {
     Confounding {
         openness: Openness::Confounded,
-        parameters: vec![("latency", "seconds".to_owned()), ("clock", "offset_s".to_owned())],
+        places: vec![place],
         sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
                    reference; the other triad's delay would tell"
             .to_owned(),

@@ -31,8 +31,8 @@ pub enum Openness {
 pub struct Confounding {
     /// How far.
     pub openness: Openness,
-    /// Effect and parameter of each.
-    pub parameters: Vec<(&'static str, String)>,
+    /// Where they are among the fit's estimates.
+    pub places: Vec<usize>,
     /// One sentence: which parameters, what the motion lacks, what would tell.
     pub sentence: String,
 }
@@ -76,8 +76,6 @@ impl Motions {
         candidates: &[Candidate],
         estimates: &[Estimate],
     ) -> Confounding {
-        let of = |place: &usize| (estimates[*place].effect, estimates[*place].parameter.clone());
-        let parameters: Vec<(&'static str, String)> = group.iter().map(of).collect();
         let names = names(group, slots, candidates, estimates);
         let (lacks, wants) = self.lacks(group, slots, candidates);
         let what = match openness {
@@ -92,7 +90,7 @@ impl Motions {
             lacks.join("; ")
         };
         let would = if wants.is_empty() { String::new() } else { format!("; {} would tell", wants.join(" and ")) };
-        Confounding { openness, parameters, sentence: format!("{what}: {why}{would}") }
+        Confounding { openness, places: group.to_vec(), sentence: format!("{what}: {why}{would}") }
     }
 
     /// What the motion does not do that these columns depend on, and what motion would.

@@ -10,10 +10,14 @@ use crate::effects::{At, Effect, Stage, TemperatureBias, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::Motion;
 use crate::simulator::response::{STAGES, stage};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Half the step of the derivative by a delay, in samples: small against the cubic between them.
 const DELAY_STEP: f64 = 0.02;
+
+/// Samples that the cubic needs beyond the place it is taken at.
+const NODES_BEYOND: f64 = 2.0;
 
 /// What one column of the design belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -136,6 +140,22 @@ impl<'a> Design<'a> {
 
     fn middle(&self) -> f64 {
         0.5 * self.record.reference.len().saturating_sub(1) as f64
+    }
+
+    /// The samples whose motion lies within the reference.
+    pub(super) fn reached(&self, state: &State) -> Range<usize> {
+        let n = self.record.reference.len();
+        let delay =
+            |index: usize| state.delay_s * self.record.rate_hz + state.rate_error * (index as f64 - self.middle());
+        let (first, last) = (delay(0), delay(n - 1));
+        // What is held at the ends for less than a sample or two is no motion lost.
+        if first.abs().max(last.abs()) < NODES_BEYOND {
+            return 0..n;
+        }
+        let ceil = |samples: f64| (samples + NODES_BEYOND).ceil().clamp(0.0, n as f64) as usize;
+        let from = if first > 0.0 { ceil(first) } else { 0 };
+        let to = if last < 0.0 { n - ceil(-last) } else { n };
+        from..to.max(from)
     }
 
     /// The known and the fitted effects of each memoryless stage.

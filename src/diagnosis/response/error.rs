@@ -72,13 +72,11 @@ pub enum ResponseError {
     /// A parameter or an effect that this triad cannot have.
     #[error(transparent)]
     Refused(#[from] Refusal),
-    /// Too few samples of an axis lie within the sensor's range.
-    #[error("{channel}: expected {needed} samples or more within ± {limit}, found {found}")]
-    Clipped {
+    /// Too few samples of an axis lie within the sensor's range and the reference's time.
+    #[error("{channel}: expected {needed} samples or more within the sensor's range and the reference, found {found}")]
+    LeftOut {
         /// The channel.
         channel: Channel,
-        /// The range, U.
-        limit: f64,
         /// The least that is needed.
         needed: usize,
         /// How many there are.

@@ -9,7 +9,8 @@
 //! parameters among them. Derivatives are the effects' own ([`crate::effects::TriadEffect::regress`]), the response is the
 //! simulator's ([`crate::simulator::response`]), and Gauss–Newton steps go on until they are below a thousandth of a
 //! standard error: products of effects are then as the simulator makes them. A latency is found from the largest
-//! cross-correlation on; clipped samples are found first and left out ([`clipping`]).
+//! cross-correlation on; clipped samples are found first and left out ([`clipping`]), and so is what the reference, shifted by a
+//! delay, does not reach.
 //!
 //! **What it cannot tell.** Singular values of the whitened design with columns of length 1 say what the motion leaves open
 //! ([`confounding`]): where a direction is open, only what its parameters make together is known; they share it and have no
@@ -31,6 +32,7 @@ mod design;
 mod error;
 pub mod noise_law;
 mod normal;
+mod report;
 #[cfg(test)]
 mod round_trip;
 mod solution;
@@ -47,11 +49,8 @@ use crate::effects::TriadEffect;
 use crate::effects::triad::Axes;
 use crate::sample::Triad;
 use crate::simulator::Motion;
-use clipping::Bridges;
-use confounding::Motions;
-use design::{Design, Slot, State};
-use nalgebra::{DMatrix, DVector};
-use solution::{Search, Solution};
+use design::Design;
+use solution::Search;
 use std::sync::Arc;
 use whitening::Whitening;
 
@@ -137,7 +136,7 @@ pub struct Fit {
     pub estimates: Vec<Estimate>,
     /// Covariance of the estimates: rows and columns in their order, 0 for those left open.
     pub covariance: Vec<Vec<f64>>,
-    /// Log likelihood gained over what was known, nats. Of clipped records the share of samples that were not left out.
+    /// Log likelihood gained over what was known, nats; where samples were left out, the others' share of it.
     pub gain_nats: f64,
     /// Mean square of the whitened residual per axis: 1 where the noise is as its law says and nothing is missing.
     pub misfit: Axes,
@@ -147,6 +146,8 @@ pub struct Fit {
     pub residual: [Vec<f64>; 3],
     /// The sensor's range, where the samples show it.
     pub clipping: Option<Clipping>,
+    /// Samples left out per axis: clipped ones, and those whose motion is before the reference's start or after its end.
+    pub left_out: [usize; 3],
     /// What this motion leaves open.
     pub confounded: Vec<Confounding>,
     /// Whether the steps became small.
@@ -170,45 +171,27 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
     check(record, law, request)?;
     let (design, known) = Design::new(record, request);
     let input: Vec<Axes> = record.reference.iter().map(|motion| design.input(motion)).collect();
-    let mut clipping = Clipping::find_or_known(record.samples, &input, request.known);
-    let mut search = Search { record, design: &design, whitening: Whitening::new(law) };
-    let mut state = known.clone();
-    if let Some(clipping) = &mut clipping {
-        let response = design.response(&known);
-        leave_out(clipping, record, law, &response, &mut search.whitening)?;
-    }
-    state = search.start(&state);
-    let mut solution = search.run(state);
+    let clipping = Clipping::find_or_known(record.samples, &input, request.known);
+    let limit = clipping.map(|clipping| clipping.limit);
+    let whitening = Whitening::new(law);
+    let mut search = Search { record, design: &design, whitening, offset_unknown: request.clock.offset_unknown };
+    search.leave_out(limit, None, &known)?;
+    let start = search.start(&known);
+    let mut left_out = search.leave_out(limit, Some(&design.response(&start)), &start)?;
+    let mut solution = search.run(start);
     for _ in 1..CLIPPING_ROUNDS {
-        let Some(clipping) = &mut clipping else { break };
-        let before = clipping.left_out;
-        leave_out(clipping, record, law, &solution.response, &mut search.whitening)?;
+        if limit.is_none() {
+            break;
+        }
+        let before = left_out;
+        left_out = search.leave_out(limit, Some(&solution.response), &solution.state)?;
         solution = search.run(solution.state);
-        let changed: usize = clipping.left_out.iter().zip(before).map(|(now, before)| now.abs_diff(before)).sum();
-        if changed as f64 <= CLIPPING_SETTLED * clipping.left_out.iter().sum::<usize>() as f64 {
+        let changed: usize = left_out.iter().zip(before).map(|(now, before)| now.abs_diff(before)).sum();
+        if changed as f64 <= CLIPPING_SETTLED * left_out.iter().sum::<usize>() as f64 {
             break;
         }
     }
-    Ok(report(record, request, &known, &mut search, solution, clipping))
-}
-
-fn leave_out(
-    clipping: &mut Clipping,
-    record: &Record<'_>,
-    law: &NoiseLaw,
-    response: &[Vec<f64>; 3],
-    whitening: &mut Whitening<'_>,
-) -> Result<(), ResponseError> {
-    let bridges = clipping.bridges(record.samples, response, &law.axes);
-    clipping.left_out = bridges.each_ref().map(Bridges::count);
-    for (channel, out) in record.triad.channels().into_iter().zip(clipping.left_out) {
-        let found = law.samples() - out;
-        if found < SAMPLES_MIN {
-            return Err(ResponseError::Clipped { channel, limit: clipping.limit, needed: SAMPLES_MIN, found });
-        }
-    }
-    whitening.bridges = bridges;
-    Ok(())
+    Ok(report::report(record, request, &known, &mut search, solution, clipping))
 }
 
 fn check(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<(), ResponseError> {
@@ -256,162 +239,4 @@ fn check(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<(
         }
     }
     Ok(())
-}
-
-/// Everything that is said about a solution.
-fn report(
-    record: &Record<'_>,
-    request: &Request<'_>,
-    known: &State,
-    search: &mut Search<'_, '_>,
-    solution: Solution,
-    clipping: Option<Clipping>,
-) -> Fit {
-    let design = search.design;
-    let inverse = solution.normal.inverse();
-    let covariance = match clipping {
-        Some(_) => &inverse * search.whitening.gradient_covariance(&solution.columns) * &inverse,
-        None => inverse,
-    };
-    let open: Vec<usize> =
-        solution.normal.unseen().into_iter().chain(solution.normal.open_groups().into_iter().flatten()).collect();
-    let estimates: Vec<Estimate> = design
-        .slots
-        .iter()
-        .enumerate()
-        .map(|(place, slot)| {
-            let (effect, parameter) = label(design, request, *slot);
-            let value = solution.state.value(*slot);
-            let error = covariance[(place, place)].max(0.0).sqrt();
-            let standard_error = (!open.contains(&place)).then_some(error);
-            let ci95 = standard_error.map(|error| [value - NORMAL_95 * error, value + NORMAL_95 * error]);
-            Estimate { effect, parameter, value, known: known.value(*slot), standard_error, ci95 }
-        })
-        .collect();
-    let (_, before) = search.residual(known);
-    let n = record.reference.len() as f64;
-    let squares = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
-    let left_out = clipping.map_or([0; 3], |clipping| clipping.left_out);
-    let gain = |axis: usize| {
-        let share = 1.0 - left_out[axis] as f64 / n;
-        0.5 * share * (squares(&before[axis]) - squares(&solution.residual[axis]))
-    };
-    let rows: Vec<Vec<f64>> = covariance
-        .row_iter()
-        .enumerate()
-        .map(|(row, of)| {
-            let seen = |column: &usize| !open.contains(&row) && !open.contains(column);
-            (0..of.len()).map(|column| if seen(&column) { of[column] } else { 0.0 }).collect()
-        })
-        .collect();
-    Fit {
-        fitted: fitted(request, design, &solution.state, &estimates, &rows, clipping),
-        gain_nats: (0..3).map(gain).sum(),
-        // Behind a bridge next to nothing is left.
-        misfit: std::array::from_fn(|axis| squares(&solution.residual[axis]) / (n - left_out[axis] as f64)),
-        residual: std::array::from_fn(|axis| {
-            let pairs = record.samples[axis].iter().zip(&solution.response[axis]);
-            let mut values: Vec<f64> = pairs.map(|(shown, response)| shown - response).collect();
-            search.whitening.bridges[axis].fill(&mut values);
-            values
-        }),
-        confounded: statements(record, request, design, &solution, &estimates),
-        covariance: rows,
-        estimates,
-        response: solution.response,
-        clipping,
-        converged: solution.converged,
-        steps: solution.steps,
-    }
-}
-
-fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (&'static str, String) {
-    match slot {
-        Slot::Coefficient(candidate, place) => {
-            let candidate = design.candidates[candidate];
-            (candidate.name(), candidate.parameters()[place].clone())
-        }
-        Slot::Delay if request.clock.offset_unknown => ("clock", "offset_s".to_owned()),
-        Slot::Delay => (Candidate::Latency.name(), "seconds".to_owned()),
-        Slot::RateError => ("clock", "rate_error".to_owned()),
-        Slot::Temperature(axis) => ("temperature_bias", format!("{} per_c", ["x", "y", "z"][axis])),
-    }
-}
-
-fn fitted(
-    request: &Request<'_>,
-    design: &Design<'_>,
-    state: &State,
-    estimates: &[Estimate],
-    covariance: &[Vec<f64>],
-    clipping: Option<Clipping>,
-) -> Vec<Fitted> {
-    let mut linear = 0;
-    let mut all = Vec::new();
-    for candidate in request.candidates {
-        let first = |wanted: Slot| design.slots.iter().position(|slot| *slot == wanted).unwrap_or(0);
-        let (effect, places) = match candidate {
-            Candidate::Saturation => {
-                let Some(clipping) = clipping else { continue };
-                (candidate.make(&[clipping.limit]), 0..0)
-            }
-            Candidate::Latency if request.clock.offset_unknown => continue,
-            Candidate::Latency => {
-                let place = first(Slot::Delay);
-                (candidate.make(&[state.delay_s]), place..place + 1)
-            }
-            _ => {
-                let place = first(Slot::Coefficient(linear, 0));
-                let coefficients = &state.coefficients[linear];
-                linear += 1;
-                (candidate.make(coefficients), place..place + coefficients.len())
-            }
-        };
-        let gain_nats = loss(places.clone(), estimates, covariance);
-        all.push(Fitted { effect, places, gain_nats });
-    }
-    all
-}
-
-/// ½ (β − known)ᵀ C⁻¹ (β − known) over the parameters of these places that are not left open.
-fn loss(places: std::ops::Range<usize>, estimates: &[Estimate], covariance: &[Vec<f64>]) -> f64 {
-    let seen: Vec<usize> = places.filter(|place| estimates[*place].standard_error.is_some_and(|e| e > 0.0)).collect();
-    let errors: Vec<f64> = seen.iter().map(|place| covariance[*place][*place].sqrt()).collect();
-    let correlation = DMatrix::from_fn(seen.len(), seen.len(), |row, column| {
-        covariance[seen[row]][seen[column]] / (errors[row] * errors[column])
-    });
-    let moved = seen.iter().zip(&errors).map(|(place, error)| {
-        let estimate = &estimates[*place];
-        (estimate.value - estimate.known) / error
-    });
-    let moved = DVector::from_iterator(seen.len(), moved);
-    correlation.cholesky().map_or(0.0, |root| 0.5 * moved.dot(&root.solve(&moved)))
-}
-
-fn statements(
-    record: &Record<'_>,
-    request: &Request<'_>,
-    design: &Design<'_>,
-    solution: &Solution,
-    estimates: &[Estimate],
-) -> Vec<Confounding> {
-    let motions = Motions::of(record);
-    let (mut unseen, normal) = (solution.normal.unseen(), &solution.normal);
-    let mut groups: Vec<(Openness, Vec<usize>)> = Vec::new();
-    while let Some(first) = unseen.first().copied() {
-        // One sentence for each effect and clock.
-        let (same, rest) = unseen.iter().partition(|place| estimates[**place].effect == estimates[first].effect);
-        groups.push((Openness::Unseen, same));
-        unseen = rest;
-    }
-    groups.extend(normal.open_groups().into_iter().map(|group| (Openness::Confounded, group)));
-    groups.extend(normal.faint_groups().into_iter().map(|group| (Openness::Faint, group)));
-    let state = |(openness, group): (Openness, Vec<usize>)| {
-        motions.state(openness, &group, &design.slots, &design.candidates, estimates)
-    };
-    let mut all: Vec<Confounding> = groups.into_iter().map(state).collect();
-    if request.clock.offset_unknown && request.candidates.contains(&Candidate::Latency) {
-        all.push(clock::latency_or_offset());
-    }
-    all
 }

@@ -1,11 +1,12 @@
 //! The solution: Gauss–Newton steps from the known values until they are small against the standard errors.
 
-use super::Record;
 use super::candidate::Candidate;
+use super::clipping::{Bridges, is_near};
 use super::clock::coarse;
 use super::design::{Design, Slot, State};
 use super::normal::Normal;
 use super::whitening::{Columns, Whitening};
+use super::{Record, ResponseError, SAMPLES_MIN};
 use crate::effects::triad::{Axes, Latency};
 use nalgebra::DVector;
 
@@ -49,6 +50,8 @@ pub(super) struct Search<'a, 'b> {
     pub(super) record: &'a Record<'a>,
     pub(super) design: &'b Design<'a>,
     pub(super) whitening: Whitening<'a>,
+    /// Whether the reference's clock may be off by any time.
+    pub(super) offset_unknown: bool,
 }
 
 impl Search<'_, '_> {
@@ -56,6 +59,35 @@ impl Search<'_, '_> {
         let response = self.design.response(state);
         let residual = self.whitening.residual(self.record.samples, &response);
         (response, residual)
+    }
+
+    /// Leaves out what is at the sensor's limit or, where the response is known, near it, and what the reference does not
+    /// reach. How many samples that are, per axis.
+    pub(super) fn leave_out(
+        &mut self,
+        limit: Option<f64>,
+        response: Option<&[Vec<f64>; 3]>,
+        state: &State,
+    ) -> Result<[usize; 3], ResponseError> {
+        let reached = self.design.reached(state);
+        let deviations = self.whitening.sample_deviations();
+        let bridges: [Bridges; 3] = std::array::from_fn(|axis| {
+            let out = |(index, shown): (usize, &f64)| {
+                let response = response.map(|axes| axes[axis][index]);
+                let near = limit.is_some_and(|limit| is_near(limit, *shown, response, deviations[axis]));
+                near || !reached.contains(&index)
+            };
+            Bridges::new(self.record.samples[axis].iter().enumerate().map(out))
+        });
+        let left_out = bridges.each_ref().map(Bridges::count);
+        for (channel, out) in self.record.triad.channels().into_iter().zip(left_out) {
+            let found = self.record.reference.len() - out;
+            if found < SAMPLES_MIN {
+                return Err(ResponseError::LeftOut { channel, needed: SAMPLES_MIN, found });
+            }
+        }
+        self.whitening.bridges = bridges;
+        Ok(left_out)
     }
 
     fn linearised(&mut self, state: &State) -> (Columns, Normal) {
@@ -92,8 +124,9 @@ impl Search<'_, '_> {
         let rate_hz = self.record.rate_hz;
         let n = self.record.reference.len();
         let input: Vec<Axes> = self.record.reference.iter().map(|motion| self.design.input(motion)).collect();
-        let weights = self.whitening.white_weights();
-        let most = (Latency::SECONDS_MAX * rate_hz) as usize;
+        let weights = self.whitening.sample_deviations().map(|deviation| deviation.powi(-2));
+        // A latency is bounded, and a clock's offset only by what is left of the record.
+        let most = if self.offset_unknown { n / 4 } else { (Latency::SECONDS_MAX * rate_hz) as usize };
         let over = |from: usize, to: usize| {
             let samples = self.record.samples.map(|axis| &axis[from..to]);
             coarse(samples, &input[from..to], weights, most) / rate_hz

@@ -2,7 +2,7 @@
 
 use super::clipping::Bridges;
 use super::design::Column;
-use super::noise_law::NoiseLaw;
+use super::noise_law::{AxisLaw, NoiseLaw};
 use crate::diagnosis::transform::Cosines;
 use crate::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
@@ -50,9 +50,9 @@ impl<'a> Whitening<'a> {
         Self { law, cosines: Cosines::new(law.samples()), bridges: Default::default() }
     }
 
-    /// One over the variance of each axis's white noise, which compares them.
-    pub(super) fn white_weights(&self) -> Axes {
-        self.law.axes.each_ref().map(|axis| axis.sample_deviation().powi(-2))
+    /// Standard deviation of each axis's white noise in single samples.
+    pub(super) fn sample_deviations(&self) -> Axes {
+        self.law.axes.each_ref().map(AxisLaw::sample_deviation)
     }
 
     fn whiten(&mut self, axis: usize, values: &mut [f64]) {
