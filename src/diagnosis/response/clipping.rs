@@ -10,7 +10,6 @@
 
 use crate::effects::TriadEffect;
 use crate::effects::triad::Axes;
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -20,6 +19,11 @@ const LEAST_TIES: usize = 3;
 const TOP_VALUES: usize = 200;
 /// Share of repeated values among them from which on the record counts as rounded.
 const ROUNDED_SHARE: f64 = 0.05;
+/// The same where values are rounded, and how many times the ties of any value just below they have to be.
+const LEAST_ROUNDED_TIES: usize = 20;
+const TIES_OVER_OTHERS: usize = 3;
+/// How many values just below.
+const VALUES_BELOW: usize = 10;
 /// Over how many rounding steps the reference has to run while the samples stay at the limit.
 const STEPS_RUN: f64 = 3.0;
 /// Standard deviations of single samples to the limit that a response keeps.
@@ -63,7 +67,11 @@ impl Clipping {
         }
         let clipped = match rounding(samples, limit) {
             None => true,
-            Some(step) => high - low > STEPS_RUN * step,
+            Some(rounded) => {
+                let ties: usize = ties.iter().sum();
+                let piled = ties >= LEAST_ROUNDED_TIES && ties > TIES_OVER_OTHERS * rounded.most_below;
+                piled && high - low > STEPS_RUN * rounded.step
+            }
         };
         clipped.then_some(Self { limit, ties })
     }
@@ -83,23 +91,38 @@ pub(super) fn is_near(limit: f64, shown: f64, response: Option<f64>, deviation: 
     shown.abs() >= limit || response.is_some_and(|of| of.abs() > limit - MARGIN_DEVIATIONS * deviation)
 }
 
-/// The step that values below the limit are rounded to; `None` where they hardly repeat.
-fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<f64> {
+/// How values are rounded.
+struct Rounded {
+    step: f64,
+    /// How often the most frequent of the values just below the limit occurs.
+    most_below: usize,
+}
+
+/// How values are rounded, from those below the limit; `None` where they hardly repeat.
+fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<Rounded> {
     let mut below: Vec<f64> =
         samples.iter().flat_map(|axis| axis.iter().map(|value| value.abs()).filter(|value| *value < limit)).collect();
     below.sort_by(|one, other| other.total_cmp(one));
-    let top = &below[..below.len().min(TOP_VALUES)];
-    let mut counts: BTreeMap<u64, usize> = BTreeMap::new();
-    top.iter().for_each(|value| *counts.entry(value.to_bits()).or_default() += 1);
-    let repeated: usize = counts.values().filter(|count| **count > 1).sum();
-    if repeated as f64 <= ROUNDED_SHARE * top.len() as f64 {
+    let mut counts: Vec<(f64, usize)> = Vec::new();
+    let (mut looked, mut repeated) = (0, 0);
+    for same in below.chunk_by(|one, other| one == other) {
+        if counts.len() == TOP_VALUES {
+            break;
+        }
+        if looked < TOP_VALUES {
+            looked += same.len();
+            repeated += if same.len() > 1 { same.len() } else { 0 };
+        }
+        counts.push((same[0], same.len()));
+    }
+    if repeated as f64 <= ROUNDED_SHARE * looked as f64 {
         return None;
     }
-    below.insert(0, limit);
-    below.dedup();
-    below.truncate(TOP_VALUES);
-    let steps = below.windows(2).map(|pair| pair[0] - pair[1]);
-    Some(steps.fold(f64::INFINITY, f64::min)).filter(|step| step.is_finite())
+    let values = std::iter::once(limit).chain(counts.iter().map(|(value, _)| *value));
+    let steps = values.zip(&counts).map(|(above, (value, _))| above - value);
+    let step = Some(steps.fold(f64::INFINITY, f64::min)).filter(|step| step.is_finite())?;
+    let most_below = counts.iter().take(VALUES_BELOW).map(|(_, count)| *count).max().unwrap_or(0);
+    Some(Rounded { step, most_below })
 }
 
 /// A stretch that is left out, with what it is bridged from.

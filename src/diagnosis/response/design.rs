@@ -16,6 +16,9 @@ use std::sync::Arc;
 /// Half the step of the derivative by a delay, in samples: small against the cubic between them.
 const DELAY_STEP: f64 = 0.02;
 
+/// Half the step of the derivative by a stage's input, in parts of the largest: exact for squares.
+const SLOPE_STEP: f64 = 1e-4;
+const IDENTITY: [Axes; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// Samples that the cubic needs beyond the place it is taken at.
 const NODES_BEYOND: f64 = 2.0;
 
@@ -67,6 +70,27 @@ impl State {
         }
         to
     }
+}
+
+/// What a stage shows more for a change of each axis of its input: the change's image, axis by axis.
+fn slopes(effects: &[Arc<dyn TriadEffect>], drive: Drive, step: f64) -> [Axes; 3] {
+    if effects.is_empty() {
+        return IDENTITY;
+    }
+    let shifted = |axis: usize, by: f64| {
+        let mut drive = drive;
+        drive.input[axis] += by;
+        stage(effects, drive)
+    };
+    std::array::from_fn(|axis| {
+        let (above, below) = (shifted(axis, step), shifted(axis, -step));
+        std::array::from_fn(|shown| (above[shown] - below[shown]) / (2.0 * step))
+    })
+}
+
+/// A change through stages that show these images of changes of single axes.
+fn carried(images: &[Axes; 3], change: Axes) -> Axes {
+    std::array::from_fn(|shown| (0..3).map(|axis| images[axis][shown] * change[axis]).sum())
 }
 
 /// One derivative of the response over the record, per axis; `None` where it is 0 throughout.
@@ -199,10 +223,8 @@ impl<'a> Design<'a> {
         axes
     }
 
-    /// The response's derivatives in the order of the slots.
-    ///
-    /// Those by a coefficient are taken at its own stage. What later stages make of them (a scale factor of what a
-    /// misalignment added) is of second order and left to the iteration, which re-evaluates the response itself.
+    /// The response's derivatives in the order of the slots: the effects' own at their stage, carried through the stages
+    /// after it.
     pub(super) fn columns(&self, state: &State) -> Vec<Column> {
         let stages = self.stages(state);
         let fitted: Vec<Arc<dyn TriadEffect>> =
@@ -224,16 +246,26 @@ impl<'a> Design<'a> {
                 }
             }
         };
-        for (index, motion) in self.moved(state, 0.0).iter().enumerate() {
-            let mut values = self.input(motion);
-            for (at, effects) in STAGES.into_iter().zip(&stages) {
-                let drive = Drive { input: values, accel_m_s2: motion.accel_m_s2 };
+        let moved = self.moved(state, 0.0);
+        let peak = moved.iter().flat_map(|motion| self.input(motion)).map(f64::abs).fold(0.0, f64::max);
+        let step = if peak > 0.0 { SLOPE_STEP * peak } else { 1.0 };
+        for (index, motion) in moved.iter().enumerate() {
+            let accel_m_s2 = motion.accel_m_s2;
+            let mut drives = [Drive { input: self.input(motion), accel_m_s2 }; 3];
+            for place in 1..STAGES.len() {
+                drives[place].input = stage(&stages[place - 1], drives[place - 1]);
+            }
+            // What becomes of a small change of each axis behind a stage.
+            let mut after = IDENTITY;
+            for (place, at) in STAGES.into_iter().enumerate().rev() {
                 for (effect, first) in fitted.iter().zip(&first).filter(|(effect, _)| effect.stage() == at) {
-                    for (place, axes) in effect.regress(drive).into_iter().enumerate() {
-                        put(&mut columns[first + place], index, axes);
+                    for (coefficient, axes) in effect.regress(drives[place]).into_iter().enumerate() {
+                        put(&mut columns[first + coefficient], index, carried(&after, axes));
                     }
                 }
-                values = stage(effects, drive);
+                if place > 0 {
+                    after = slopes(&stages[place], drives[place], step).map(|change| carried(&after, change));
+                }
             }
         }
         self.other_columns(state, &stages, &mut columns);

@@ -19,9 +19,10 @@ const STALE: f64 = 0.01;
 const STALE_DELAY: f64 = 0.05;
 /// Samples between two delays from which the same is reached.
 const NEAR: f64 = 1.5;
-/// Squared length of a step in standard errors at which it is done, and up to which a step that leads nowhere is.
+/// Squared length of a step in standard errors at which it is done.
 const DONE: f64 = 1e-6;
-const DONE_ENOUGH: f64 = 1e-2;
+/// Squared length of a step that is taken without asking whether it leads down: derivatives a little old are off by more.
+const TRUSTED: f64 = 1e-2;
 /// Halvings of a step that does not lead down.
 const HALVINGS: u32 = 10;
 /// Standard error of a clock's rate above which a motion says nothing about it, s/s.
@@ -142,11 +143,17 @@ impl Search<'_, '_> {
             let drift = (one.rate_error - other.rate_error).abs() * n as f64;
             (one.delay_s - other.delay_s).abs() * rate_hz < NEAR && drift < NEAR
         };
-        let mut tried: Vec<(f64, State)> = Vec::new();
+        let mut apart: Vec<State> = Vec::new();
         for start in starts {
-            if tried.iter().any(|(_, other)| near(&start, other)) {
-                continue;
+            if !apart.iter().any(|other| near(&start, other)) {
+                apart.push(start);
             }
+        }
+        if apart.len() == 1 {
+            return known.clone();
+        }
+        let mut tried: Vec<(f64, State)> = Vec::new();
+        for start in apart {
             let (_, residual) = self.residual(&start);
             let (columns, normal) = self.linearised(&start);
             let gradient = Whitening::gradient(&columns, &residual);
@@ -183,12 +190,9 @@ impl Search<'_, '_> {
             let accepted = (0..HALVINGS).find_map(|halvings| {
                 let to = state.stepped(&slots, step.as_slice(), 0.5_f64.powi(halvings as i32));
                 let (response, residual) = self.residual(&to);
-                (squares(&residual) <= before).then_some((to, response, residual))
+                (length < TRUSTED || squares(&residual) <= before).then_some((to, response, residual))
             });
-            let Some((to, after, rest)) = accepted else {
-                converged = length < DONE_ENOUGH;
-                break;
-            };
+            let Some((to, after, rest)) = accepted else { break };
             (state, response, residual) = (to, after, rest);
             if length < DONE {
                 converged = true;
