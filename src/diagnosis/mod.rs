@@ -22,6 +22,7 @@ pub mod prepare;
 pub mod prices;
 pub mod recording;
 pub mod report;
+pub mod response;
 pub mod search;
 mod sentence;
 pub mod series;
