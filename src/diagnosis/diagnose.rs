@@ -12,6 +12,7 @@ use super::report::Diagnosis;
 use super::search::{self, Step};
 use super::series::{Explanation, Series, Setting};
 use super::shared::{self, Shared, Whitened};
+use super::spread::Spread;
 use super::tiles::Tiles;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -78,8 +79,6 @@ pub(super) struct Findings {
     pub(super) prepared: Prepared,
     pub(super) explanation: Explanation,
     pub(super) steps: Vec<Step>,
-    /// The law without effects, its levels free of beliefs.
-    pub(super) plain: Fitted,
     /// The law with effects, its levels free of beliefs.
     pub(super) fitted: Fitted,
     /// Where the plain law fails.
@@ -92,6 +91,8 @@ pub(super) struct Findings {
     pub(super) white: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub(super) average_variance: f64,
+    /// Standard errors of the explanation.
+    pub(super) spread: Spread,
 }
 
 /// What was found in a record.
@@ -166,7 +167,6 @@ fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Pric
         data.beliefs = &FREE;
         series.explanation.law.fit(data)
     };
-    let plain = free(&series);
     let before = Tiles::of(&series);
     let steps = search::explain(&mut series, prices);
     let fitted = free(&series);
@@ -183,17 +183,18 @@ fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Pric
     };
     let scores = holdout::scores(whole);
     debug_assert_eq!(scores.effects.len(), BLOCKS);
+    let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (
         Findings {
+            spread,
             average_variance,
             prepared,
             explanation,
             steps,
-            plain,
             fitted,
             before,
             after,
