@@ -136,6 +136,9 @@ pub struct Fit {
     pub estimates: Vec<Estimate>,
     /// Covariance of the estimates: rows and columns in their order, 0 for those left open.
     pub covariance: Vec<Vec<f64>>,
+    /// Of the whitened design whose columns that say something have length 1, the largest first: small ones are combinations
+    /// of parameters that the motion hardly shows.
+    pub singular_values: Vec<f64>,
     /// Log likelihood gained over what was known, nats; where samples were left out, the others' share of it.
     pub gain_nats: f64,
     /// Mean square of the whitened residual per axis: 1 where the noise is as its law says and nothing is missing.
