@@ -4,9 +4,10 @@ use super::args::{EffectNames, ModelArgs, ModelCommand, ModelFormat};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
+use crate::diagnosis;
 use crate::export::{ImuNoise, Target};
-use crate::jobs::{Plan, SampleSource, direct};
-use crate::model_fit::{Difference, Level, Resolution, differences, model_of};
+use crate::jobs::{Plan, SampleSource, TwoThreads, direct, gridded};
+use crate::model_fit::{Difference, differences, model_of, with_effects};
 use crate::noise::statistics::Moments;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -30,9 +31,25 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let together = analysis::open(context, captures, *rate)?;
             let levels = levels(&together.source, &together.plan)?;
             let (rejected, title) = (together.rejected(), together.name());
+            let gridded = match wanted.is_empty() {
+                true => None,
+                false => Some(gridded(&together.source, &together.plan)?),
+            };
             let report = direct::noise(&together.source, together.plan)?;
             let name = name.clone().unwrap_or(title);
-            let model = model_of(&report, &levels, &wanted, &name, SOFTWARE);
+            let mut model = model_of(&report, &levels, &name, SOFTWARE);
+            if let Some(gridded) = gridded {
+                let options = diagnosis::Options {
+                    workers: &TwoThreads,
+                    effects: Some(&wanted),
+                    believed: false,
+                    ..diagnosis::Options::default()
+                };
+                let found = diagnosis::diagnose(&gridded.recording, &model, &options)?;
+                let temperature_c = levels.get(&Channel::Temperature).copied();
+                let record_s = gridded.recording.length_s();
+                model = with_effects(&model, &found.augmented, &wanted, record_s, temperature_c);
+            }
             match out {
                 None => print_json(&model)?,
                 Some(output) => {
@@ -73,22 +90,19 @@ fn load(path: &Path) -> anyhow::Result<SensorModel> {
     super::emulate::load_model(Some(path))
 }
 
-/// Mean and resolution of every channel of a plan, and of the temperature where it was recorded.
-fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, Level>, StoreError> {
+/// Mean of every channel of a plan, and of the temperature where it was recorded.
+fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
-    let mut seen: Vec<(Moments, Resolution)> = channels.iter().map(|_| Default::default()).collect();
+    let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
     let mut next_seq = 0;
     while next_seq < plan.end_seq {
         let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
-        for ((moments, resolution), column) in seen.iter_mut().zip(&chunk.columns) {
+        for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
             column.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
-            resolution.push(column);
         }
         next_seq = chunk.next_seq();
     }
-    let level =
-        |(moments, resolution): (Moments, Resolution)| Some(Level { mean: moments.mean()?, step: resolution.step() });
-    Ok(channels.into_iter().zip(seen).filter_map(|(channel, seen)| Some((channel, level(seen)?))).collect())
+    Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
 }
 
 fn show(model: &SensorModel) -> std::io::Result<()> {

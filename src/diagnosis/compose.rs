@@ -49,6 +49,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     named.extend(of_repeats(found, sim));
     named.extend(of_shared(found, sim));
     named.extend(of_stamps(real, sim));
+    named.retain(|of| options.wants(of.effect.name()));
     if !found.further.is_empty() {
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
@@ -339,7 +340,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             let (found, spread) = (fitted.law.levels[level], variance.max(0.0).sqrt());
             let capture = (0.5 * found).exp() * of.prepared.scale;
             let declared = of.prepared.declared.levels[level];
-            let certain = spread.is_finite() && spread > 0.0 && spread < 1.0;
+            let certain = spread < 1.0;
             if certain && (found - declared).abs() > OFF * spread {
                 let end = |sign: f64| capture * (0.5 * sign * 1.96 * spread).exp();
                 let ratio = (told > 0.0).then(|| capture / told);
@@ -543,6 +544,12 @@ fn places(found: &Found, named: &[Named], verdict: Verdict) -> Vec<Place> {
     places
 }
 
+/// Standard error of ln of a level, with no belief about it.
+fn spread(of: &Findings, level: usize) -> Option<f64> {
+    let variance = of.fitted.covariance.as_ref().map(|covariance| covariance[(level, level)])?;
+    (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+}
+
 /// The model with what was found.
 fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
     let mut model = sim.clone();
@@ -556,6 +563,13 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
         channel.b = if seen(1) { level(1) } else { 0.0 };
         channel.k = if seen(2) { level(2) } else { 0.0 };
         channel.uncertainty = None;
+        for (index, parameter) in [(0, "N"), (1, "B"), (2, "K")] {
+            let value = [channel.n, channel.b, channel.k][index];
+            if let Some(spread) = spread(of, index).filter(|spread| *spread < 1.0 && value > 0.0) {
+                let factor = (0.98 * spread).exp();
+                channel.set_interval(parameter, [value / factor, value * factor]);
+            }
+        }
         for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
             channel.push_effect(one.effect.clone(), &one.ci95);
             if let Some(common) = one.effect.parameters().iter().find(|(name, _)| *name == "sigma")
