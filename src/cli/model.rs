@@ -117,9 +117,9 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
     }
     let mut rows = narrow(&["channel", "parameter", "value", "95 % interval"]);
     for (channel, of) in &model.channels {
-        let mut head = format!("{channel}\n{}", channel.unit());
+        let mut head = [channel.name(), channel.unit()].into_iter();
         let mut add = |parameter: String, value: String, interval: String| {
-            rows.add_row([std::mem::take(&mut head), parameter, value, interval]);
+            rows.add_row([head.next().unwrap_or_default().to_owned(), parameter, value, interval]);
         };
         for (key, unit, value) in [("N", "U/√Hz", of.n), ("B", "U", of.b), ("K", "U/√s", of.k)] {
             let limit = of.upper_limit(key).filter(|_| value == 0.0).map(|limit| format!("< {limit:.2e}"));
@@ -176,16 +176,17 @@ fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     names.map(number).collect()
 }
 
+/// An interval with as many digits as tell its ends apart.
 fn ends([low, high]: [f64; 2]) -> String {
-    // Frequencies are known to more digits than noise.
-    let near = (high - low).abs() < 0.01 * high.abs();
-    if near { format!("{low:.5e} … {high:.5e}") } else { format!("{low:.2e} … {high:.2e}") }
+    let share = (high - low) / low.abs().max(high.abs());
+    let digits = if share > 0.0 { (1.0 - share.log10().floor()).clamp(2.0, 8.0) as usize } else { 2 };
+    format!("{low:.digits$e} … {high:.digits$e}")
 }
 
 /// A parameter; numbers with the digits that a person takes in.
 fn told(value: &Value) -> String {
     match value.as_f64() {
-        Some(number) if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) => format!("{number:.4e}"),
+        Some(number) if number != 0.0 && !(9.99e-4..1e6).contains(&number.abs()) => format!("{number:.4e}"),
         Some(number) => {
             let text = format!("{number:.6}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -271,7 +272,11 @@ mod tests {
         }
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");
-        assert_eq!(ends([11.39, 11.41]), "1.13900e1 … 1.14100e1");
+        assert_eq!(ends([11.39, 11.41]), "1.1390e1 … 1.1410e1");
+        assert_eq!(
+            (ends([0.0, 2e-5]), ends([1.0, 1.0])),
+            ("0.00e0 … 2.00e-5".to_owned(), "1.00e0 … 1.00e0".to_owned())
+        );
         assert_eq!(numbered(["tone", "comb", "tone"].into_iter()), ["tone", "comb", "tone[1]"]);
         let lines = wrapped(&"word ".repeat(100));
         assert!(lines.lines().all(|line| line.chars().count() <= 80) && lines.lines().count() == 7, "{lines}");
