@@ -99,7 +99,13 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
 
 /// What the search found on a channel.
 fn of_channel(of: &Findings, found: &Found, rate_hz: f64) -> Vec<Named> {
-    let units = Units { prepared: &of.prepared, rate_hz, samples: found.samples, temperature_c: found.temperature_c };
+    let units = Units {
+        prepared: &of.prepared,
+        rate_hz,
+        samples: found.samples,
+        temperature_c: found.temperature_c,
+        average_variance: of.average_variance,
+    };
     let effects = translate::effects(&of.explanation, &of.spread, units);
     let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);
     effects
@@ -198,7 +204,7 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let Some(shared) = &found.shared else { return Vec::new() };
     let mut named = Vec::new();
-    for (index, part) in &shared.parts {
+    for ((index, part), error) in shared.parts.iter().zip(&shared.errors) {
         let of = &found.channels[*index];
         let has = sim.channels.get(&of.prepared.channel);
         if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
@@ -214,7 +220,7 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 of.prepared.channel,
                 100.0 * part * part
             )],
-            ci95: vec![("sigma", shared_interval(part * of.white, *part, found.samples))],
+            ci95: vec![("sigma", [-1.96, 1.96].map(|far| (part + far * error) * of.white))],
         });
     }
     named
@@ -225,13 +231,6 @@ fn poisson(chance: f64, samples: usize) -> [f64; 2] {
     let count = chance * samples as f64;
     let half = 1.96 * count.max(1.0).sqrt();
     [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
-}
-
-/// The 95 % interval of a shared part's size: a correlation r has about (1 − r²)/√n, and the part is its root.
-fn shared_interval(sigma: f64, part: f64, samples: usize) -> [f64; 2] {
-    let r = part * part;
-    let half = 1.96 * (1.0 - r * r) / (samples as f64).sqrt() / (2.0 * part.abs().max(1e-3)) * (sigma / part).abs();
-    [sigma - half, sigma + half]
 }
 
 /// Stamps that scatter and samples that are missing one by one.

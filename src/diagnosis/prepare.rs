@@ -16,8 +16,9 @@ use std::sync::Arc;
 
 /// Fewest samples of which anything is said.
 pub const LEAST: usize = 1000;
-/// A rounded temperature is a mean over so many s.
+/// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
+const STEPS: f64 = 15.0;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone)]
@@ -155,21 +156,45 @@ fn temperature(real: &Recording) -> Option<Vec<f64>> {
     if high - low <= 0.0 {
         return None;
     }
-    let width = ((SMOOTHED_S * real.rate_hz) as usize).min(filled.len() / 8);
+    // Wide enough for several steps of the readings, narrow enough for what the temperature does.
+    let step = facts::of(&filled).step.unwrap_or(0.0);
+    let moved: f64 = filled.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
+    let per_s = moved / filled.len() as f64 * real.rate_hz;
+    let wide_s = (STEPS * step / per_s.max(f64::MIN_POSITIVE)).clamp(1.0, SMOOTHED_S);
+    let width = ((wide_s * real.rate_hz) as usize).min(filled.len() / 8);
     Some(smoothed(&filled, width))
 }
 
-/// Means over `width` samples about each, fewer at the ends.
+/// Parabolas fitted to `width` samples about each (Savitzky and Golay 1964, Anal. Chem. 36), by way of means over a sixteenth
+/// of that; fewer at the ends.
 fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
-    let n = values.len();
-    let mut sums = vec![0.0; n + 1];
-    for (t, value) in values.iter().enumerate() {
-        sums[t + 1] = sums[t] + value;
-    }
-    (0..n)
+    const PARTS: usize = 16;
+    let size = (width / PARTS).max(1);
+    let means: Vec<f64> = values.chunks(size).map(|part| part.iter().sum::<f64>() / part.len() as f64).collect();
+    let count = means.len();
+    let at = |place: usize| {
+        let half = (PARTS / 2).min(place).min(count - 1 - place);
+        if half < 2 {
+            return means[place];
+        }
+        let (mut sum, mut second) = (0.0, 0.0);
+        for (x, mean) in (-(half as i32)..=half as i32).zip(&means[place - half..=place + half]) {
+            sum += mean;
+            second += f64::from(x * x) * mean;
+        }
+        let (h, n) = (half as f64, (2 * half + 1) as f64);
+        let square = h * (h + 1.0) * n / 3.0;
+        let fourth = square * (3.0 * h * (h + 1.0) - 1.0) / 5.0;
+        (fourth * sum - square * second) / (n * fourth - square * square)
+    };
+    let smooth: Vec<f64> = (0..count).map(at).collect();
+    // Straight between the parts' middles; the last part may be shorter.
+    (0..values.len())
         .map(|t| {
-            let half = (width / 2).min(t).min(n - 1 - t);
-            (sums[t + half + 1] - sums[t - half]) / (2 * half + 1) as f64
+            let place = ((t as f64 + 0.5) / size as f64 - 0.5).max(0.0);
+            let from = (place as usize).min(count - 1);
+            let to = (from + 1).min(count - 1);
+            smooth[from] + (place - from as f64).min(1.0) * (smooth[to] - smooth[from])
         })
         .collect()
 }
@@ -383,4 +408,21 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
     }
     let rounding = prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
     Base { shapes, known, after: vec![rounding; bins], gain: vec![1.0; bins] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parabola_is_smoothed_to_itself_and_rounding_goes() {
+        let curve = |t: usize| 25.0 + 0.0023 * t as f64 - 3e-8 * (t as f64).powi(2);
+        let values: Vec<f64> = (0..20_000).map(curve).collect();
+        for (t, value) in smoothed(&values, 801).iter().enumerate().skip(500).take(19_000) {
+            assert!((value - curve(t)).abs() < 1e-4, "{t}: {value}");
+        }
+        let rounded: Vec<f64> = values.iter().map(|value| (10.0 * value).round() / 10.0).collect();
+        let off = smoothed(&rounded, 801).into_iter().zip(&values).skip(500).take(15_000).map(|(a, b)| (a - b).powi(2));
+        assert!((off.sum::<f64>() / 15_000.0).sqrt() < 0.006);
+    }
 }

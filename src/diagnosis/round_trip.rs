@@ -131,7 +131,7 @@ fn effects() -> Vec<Value> {
 fn parameters_are_inside_their_intervals() {
     let (mut inside, mut of, mut said) = (0, 0, Vec::new());
     for effect in effects() {
-        let tally = tally(&effect, 0..3, 20_001);
+        let tally = tally(&effect, 0..1, 20_001);
         assert!(tally.unnamed.is_empty(), "{effect}: {:?}", tally.unnamed);
         (inside, of) = (inside + tally.inside, of + tally.of);
         said.extend(tally.missed);
@@ -178,7 +178,8 @@ fn exact_parameters_are_found() {
 #[ignore = "minutes"]
 fn coverage() {
     for effect in effects() {
-        let tally = tally(&effect, 100..160, 20_001);
+        let seeds: u64 = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(60);
+        let tally = tally(&effect, 100..100 + seeds, 20_001);
         println!("{:18} {:3} of {:3} {:?}", effect["effect"].as_str().unwrap(), tally.inside, tally.of, tally.unnamed);
         let mut by: BTreeMap<String, usize> = BTreeMap::new();
         for missed in &tally.missed {

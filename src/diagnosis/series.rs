@@ -263,6 +263,33 @@ impl<'a> Series<'a> {
             }
         }
         self.refine_means();
+        self.measure_loud();
+    }
+
+    /// Measures anew how loud the excluded stretches are, against the noise without them.
+    fn measure_loud(&mut self) {
+        if self.explanation.loud.iter().all(|loud| loud.ratio <= LOUD) {
+            return;
+        }
+        let mut there = self.rest.clone();
+        let outliers = self.explanation.outliers.clone();
+        let kept = self.rest.clone();
+        self.fit_means_but(false);
+        let own = std::mem::replace(&mut self.rest, kept);
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
+            for t in loud.from..loud.to {
+                if outliers.binary_search(&t).is_err() {
+                    there[t] = own[t];
+                }
+            }
+        }
+        self.transform.forward(&mut there);
+        there.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s.sqrt());
+        self.transform.backward(&mut there);
+        for loud in self.explanation.loud.iter_mut().filter(|loud| loud.ratio > LOUD) {
+            let inside = &there[loud.from..loud.to];
+            loud.ratio = (inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64).max(1.01 * LOUD);
+        }
     }
 
     /// Transforms the rest, fits the law to it and whitens it.
@@ -462,6 +489,11 @@ impl<'a> Series<'a> {
 
     /// The rest without means, given the present law: samples with outliers filled in, less sines and courses.
     fn fit_means(&mut self) {
+        self.fit_means_but(true);
+    }
+
+    /// The same; `quiet`: with loud stretches filled in.
+    fn fit_means_but(&mut self, quiet: bool) {
         let mut rest = self.samples.clone();
         let explanation = &self.explanation;
         for sine in &explanation.sines {
@@ -473,7 +505,7 @@ impl<'a> Series<'a> {
         let white = self.white().clamp(1e-3, 1e3);
         fill_in(&mut rest, &explanation.outliers, white);
         beyond(&mut rest, &self.samples, &explanation.outliers, explanation.limits, white);
-        for loud in explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
+        for loud in explanation.loud.iter().filter(|loud| quiet && loud.ratio > LOUD) {
             let inside: Vec<usize> = (loud.from..loud.to).collect();
             fill_in(&mut rest, &inside, white);
         }

@@ -26,6 +26,8 @@ impl Whitened {
 pub struct Shared {
     /// Index of each channel and the part of its white noise's standard deviation that is shared, with its sign.
     pub parts: Vec<(usize, f64)>,
+    /// Standard errors of the parts.
+    pub errors: Vec<f64>,
     /// Nats.
     pub gain: f64,
 }
@@ -88,7 +90,26 @@ pub fn shared(channels: &[Whitened], price: f64) -> Option<Shared> {
             parts[*i] = if members.len() > 2 { 0.5 * (parts[*i] + next) } else { parts[*i] };
         }
     }
-    Some(Shared { parts: members.into_iter().map(|index| (index, parts[index])).collect(), gain })
+    // Each pair's correlation has an error of (1 − r²)/√n; two channels alone are taken to share alike.
+    let n = channels[first].coefficients.len() as f64;
+    let normal = nalgebra::DMatrix::from_fn(members.len(), members.len(), |i, j| {
+        let (a, b) = (members[i], members[j]);
+        let weight = |i: usize, j: usize| n / (1.0 - (parts[i] * parts[j]).powi(2)).powi(2);
+        if a == b {
+            members.iter().filter(|other| **other != a).map(|other| weight(a, *other) * parts[*other].powi(2)).sum()
+        } else {
+            weight(a, b) * parts[a] * parts[b]
+        }
+    });
+    let errors = match (members.len(), normal.try_inverse()) {
+        (2, _) => {
+            let r = parts[members[0]] * parts[members[1]];
+            members.iter().map(|index| (1.0 - r * r) / n.sqrt() / (2.0 * parts[*index].abs())).collect()
+        }
+        (_, Some(inverse)) => (0..members.len()).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
+        (_, None) => vec![1.0; members.len()],
+    };
+    Some(Shared { parts: members.into_iter().map(|index| (index, parts[index])).collect(), errors, gain })
 }
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ pub struct Units<'a> {
     pub samples: usize,
     /// Mean temperature, °C.
     pub temperature_c: f64,
+    /// The white part's mean variance over that where nothing changes it.
+    pub average_variance: f64,
 }
 
 /// An effect in the channel's unit.
@@ -54,7 +56,7 @@ fn times(value: f64, error: f64) -> [f64; 2] {
 /// The effects of an explanation; those that the model has already are left out.
 #[must_use]
 pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, rate_hz, samples, temperature_c } = units;
+    let Units { prepared, rate_hz, samples, temperature_c, average_variance } = units;
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
     let mut add = |kind: Kind, effect: Arc<dyn Effect>, ci95: Vec<(&'static str, [f64; 2])>| {
@@ -125,7 +127,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
     }
     let seconds = |sample: usize| sample as f64 / rate_hz;
     let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
-    let white = (0.5 * explanation.law.levels[0]).exp() * rate_hz.sqrt() * scale;
+    let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
     match loud {
         [] => {}
         [one] if one.to - one.from >= samples / 50 || one.ratio < 1.0 => {

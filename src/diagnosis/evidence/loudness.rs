@@ -120,11 +120,14 @@ impl Sums {
         let quiet = sum < (to - from) as f64 && to - from < SHORTEST_QUIET;
         if quiet { 0.0 } else { gain(sum, to - from) }
     }
-    /// The ratio of variances inside and its gain by the squares as they are, where the stretch is loud throughout.
-    fn whole(&self, from: usize, to: usize) -> (f64, f64) {
-        let count = to - from;
-        let sum = self.whole[to] - self.whole[from];
-        (sum / count as f64, gain(sum, count))
+    /// The ratio of variances inside and outside, and the gain of having both, by the squares as they are.
+    fn split(&self, from: usize, to: usize) -> (f64, f64) {
+        let all = self.whole.len() - 1;
+        let (inside, whole) = (self.whole[to] - self.whole[from], self.whole[all]);
+        let (count, rest) = ((to - from) as f64, (all - (to - from)) as f64);
+        let (own, other) = (inside / count, (whole - inside) / rest);
+        let mean = whole / all as f64;
+        (own / other, 0.5 * (all as f64 * mean.ln() - count * own.max(1e-9).ln() - rest * other.max(1e-9).ln()))
     }
     /// Share of samples within 1 of 0: 0.683 of a standard normal's.
     fn small(&self, from: usize, to: usize) -> f64 {
@@ -135,6 +138,17 @@ impl Sums {
 fn gain(sum: f64, count: usize) -> f64 {
     let ratio = (sum / count as f64).max(1e-6);
     0.5 * count as f64 * (ratio - 1.0 - ratio.ln())
+}
+
+/// Mean square of what is in no stretch.
+fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
+    let inside = |loud: &Loud| residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
+    let (mut sum, mut count) = (residual.iter().map(|e| e * e).sum::<f64>(), residual.len());
+    for loud in stretches {
+        sum -= inside(loud);
+        count = count.saturating_sub(loud.to - loud.from);
+    }
+    if count > 0 && sum > 0.0 { sum / count as f64 } else { 1.0 }
 }
 
 /// Stretches of another variance: one after the other where they give most.
@@ -149,15 +163,22 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     let mut explanation = series.explanation.clone();
-    let mut residual = series.scores().into_owned();
+    let residual = series.scores().into_owned();
     let mut total = 0.0;
     let mut found: Vec<Loud> = Vec::new();
     while found.len() < MOST {
-        let sums = Sums::of(&residual);
-        // The level of what is not loud: a loud stretch raises the mean.
-        let level = sums.limited[n] / n as f64;
-        let Some((from, to)) = loudest(&sums, n, level, SHORTEST) else { break };
-        let (ratio, gain) = sums.whole(from, to);
+        // What is found already is brought to the level of the rest, and that to 1.
+        let level = level(&residual, &found);
+        let mut even: Vec<f64> = residual.iter().map(|e| e / level.sqrt()).collect();
+        for loud in &mut found {
+            let inside = &mut even[loud.from..loud.to];
+            loud.ratio = inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64;
+            inside.iter_mut().for_each(|e| *e /= loud.ratio.sqrt());
+        }
+        let sums = Sums::of(&even);
+        let limited = sums.limited[n] / n as f64;
+        let Some((from, to)) = loudest(&sums, n, limited, SHORTEST) else { break };
+        let (ratio, gain) = sums.split(from, to);
         // Loud throughout, not a few outliers: a normal distribution's small values are as rare as its variance says.
         let small = sums.small(from, to);
         let expected = statrs::function::erf::erf((0.5 / ratio).sqrt());
@@ -176,7 +197,6 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
         }
         total += gain - price;
         found.push(Loud { from, to, ratio });
-        residual[from..to].iter_mut().for_each(|e| *e /= ratio.sqrt());
     }
     let long = found.len() == 1 && (found[0].to - found[0].from >= n / 50 || found[0].ratio < 1.0);
     explanation.loud.extend(found);

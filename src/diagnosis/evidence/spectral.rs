@@ -81,7 +81,19 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
         }
         best = other;
     }
-    Some(candidate(series, Kind::LowPass, best))
+    let mut candidate = candidate(series, Kind::LowPass, best);
+    let cutoff_hz = candidate.explanation.law.terms.last().map_or(rate_hz, |term| term.numbers[0].exp());
+    without_ends(&mut candidate, (rate_hz / cutoff_hz).ceil() as usize, series.len());
+    Some(candidate)
+}
+
+/// Leaves out the first and last samples: a filter begins from something, and the transform reflects what is not even there.
+fn without_ends(candidate: &mut Candidate, reach: usize, samples: usize) {
+    let outliers = &mut candidate.explanation.outliers;
+    outliers.extend(0..reach.min(samples));
+    outliers.extend(samples.saturating_sub(reach)..samples);
+    outliers.sort_unstable();
+    outliers.dedup();
 }
 
 /// A boxcar of the window that fits best.
@@ -99,9 +111,6 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
         .filter_map(|window| Some((window, of(window)?)))
         .reduce(|a, b| if b.1.0 > a.1.0 { b } else { a })?;
     let mut candidate = candidate(series, Kind::MovingAverage, best.1);
-    // Before the first window is full the filter is another one.
-    candidate.explanation.outliers.extend(0..best.0 as usize - 1);
-    candidate.explanation.outliers.sort_unstable();
-    candidate.explanation.outliers.dedup();
+    without_ends(&mut candidate, best.0 as usize, series.len());
     Some(candidate)
 }
