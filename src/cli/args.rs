@@ -70,6 +70,8 @@ pub enum Command {
     Simulate(SimulateArgs),
     /// Sensor models: of a capture, shown, compared, exported
     Model(ModelArgs),
+    /// Where a recording and a simulator differ, which effect the simulator lacks, how far the gap shrinks with it
+    Diagnose(DiagnoseArgs),
     /// Copy the database, also while a daemon writes it
     Backup(BackupArgs),
     /// Check structure, checksums and accounting of a database; reads only
@@ -335,6 +337,26 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "NAME")]
     pub into_db: Option<String>,
     /// Replace files that exist
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Arguments of `diagnose`.
+#[derive(Debug, Args)]
+pub struct DiagnoseArgs {
+    /// The recording: id, name, `latest`, or a file's path
+    #[arg(long, value_name = "CAPTURE|FILE")]
+    pub real: String,
+    /// The simulator: a sensor model (.json), or a capture or file that a simulator made
+    #[arg(long, value_name = "MODEL.json|CAPTURE|FILE")]
+    pub sim: String,
+    /// Rate of recordings without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Write the model here with its parameters corrected and what it lacked added
+    #[arg(long, value_name = "OUT.json")]
+    pub augmented_model: Option<PathBuf>,
+    /// Replace the file where it exists
     #[arg(long)]
     pub force: bool,
 }

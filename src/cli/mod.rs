@@ -9,6 +9,7 @@ mod check;
 mod client;
 mod connection;
 mod demo;
+mod diagnose;
 mod emulate;
 mod generate;
 mod import;
@@ -226,6 +227,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Noise(args) => noise::run(&context, &args),
         Command::Simulate(args) => simulate::run(&context, &args),
         Command::Model(args) => model::run(&context, &args),
+        Command::Diagnose(args) => diagnose::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),
         Command::Check { database } => check::run(&context, database),
         Command::Recover(args) => recover::run(&context, args),

@@ -28,28 +28,7 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
             let out = out.as_deref().map(|path| Output::create(path, *force, &read)).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
-            let together = analysis::open(context, captures, *rate)?;
-            let levels = levels(&together.source, &together.plan)?;
-            let (rejected, title) = (together.rejected(), together.name());
-            let gridded = match wanted.is_empty() {
-                true => None,
-                false => Some(gridded(&together.source, &together.plan)?),
-            };
-            let report = direct::noise(&together.source, together.plan)?;
-            let name = name.clone().unwrap_or(title);
-            let mut model = model_of(&report, &levels, &name, SOFTWARE);
-            if let Some(gridded) = gridded {
-                let options = diagnosis::Options {
-                    workers: &TwoThreads,
-                    effects: Some(&wanted),
-                    believed: false,
-                    ..diagnosis::Options::default()
-                };
-                let found = diagnosis::diagnose(&gridded.recording, &model, &options)?;
-                let temperature_c = levels.get(&Channel::Temperature).copied();
-                let record_s = gridded.recording.length_s();
-                model = with_effects(&model, &found.augmented, &wanted, record_s, temperature_c);
-            }
+            let Fit { model, name, rejected } = fitted(context, captures, *rate, &wanted, name.clone())?;
             match out {
                 None => print_json(&model)?,
                 Some(output) => {
@@ -86,7 +65,46 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
     Ok(Outcome::Done)
 }
 
-fn load(path: &Path) -> anyhow::Result<SensorModel> {
+/// A model of captures.
+pub(super) struct Fit {
+    pub(super) model: SensorModel,
+    /// Its name.
+    name: String,
+    /// Whether frames or lines were rejected on the way in.
+    rejected: bool,
+}
+
+/// The model of captures, with the effects that are wanted, as far as they are found.
+pub(super) fn fitted(
+    context: &Context,
+    captures: &[String],
+    rate_hz: Option<f64>,
+    wanted: &[&'static str],
+    name: Option<String>,
+) -> anyhow::Result<Fit> {
+    let together = analysis::open(context, captures, rate_hz)?;
+    let levels = levels(&together.source, &together.plan)?;
+    let (rejected, title) = (together.rejected(), together.name());
+    let gridded = (!wanted.is_empty()).then(|| gridded(&together.source, &together.plan)).transpose()?;
+    let report = direct::noise(&together.source, together.plan)?;
+    let name = name.unwrap_or(title);
+    let mut model = model_of(&report, &levels, &name, SOFTWARE);
+    if let Some(gridded) = gridded {
+        let options = diagnosis::Options {
+            workers: &TwoThreads,
+            effects: Some(wanted),
+            believed: false,
+            ..diagnosis::Options::default()
+        };
+        let found = diagnosis::diagnose(&gridded.recording, &model, &options)?;
+        let temperature_c = levels.get(&Channel::Temperature).copied();
+        let record_s = gridded.recording.length_s();
+        model = with_effects(&model, &found.augmented, wanted, record_s, temperature_c);
+    }
+    Ok(Fit { model, name, rejected })
+}
+
+pub(super) fn load(path: &Path) -> anyhow::Result<SensorModel> {
     super::emulate::load_model(Some(path))
 }
 

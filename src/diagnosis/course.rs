@@ -77,7 +77,7 @@ impl Courses {
                 let end = (-n / tau).exp();
                 let of = |k: usize| {
                     let theta = PI * k as f64 / n;
-                    let last = if k % 2 == 0 { 1.0 - end } else { 1.0 + end };
+                    let last = if k.is_multiple_of(2) { 1.0 - end } else { 1.0 + end };
                     // Re e^(iθ/2)/(1 − p e^(iθ)) = (1 − p) cos(θ/2)/(1 − 2p cos θ + p²).
                     let below = (1.0 - pole).powi(2) + 4.0 * pole * (0.5 * theta).sin().powi(2);
                     scale * last * (1.0 - pole) * (0.5 * theta).cos() / below

@@ -2,6 +2,7 @@
 
 use super::error::DiagnosisError;
 use super::evidence::Kind;
+use super::explanation::Explanation;
 use super::holdout::{self, BLOCKS, Scores, Whole};
 use super::law::{Beliefs, Fitted};
 use super::omnibus::{self, Statistic};
@@ -10,7 +11,7 @@ use super::prices;
 use super::recording::Recording;
 use super::report::Diagnosis;
 use super::search::{self, Step};
-use super::series::{Explanation, Series, Setting};
+use super::series::{Series, Setting};
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;

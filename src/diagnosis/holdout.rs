@@ -1,9 +1,10 @@
 //! Holdout: how far the discrepancy shrinks, measured on the half of a record that chose no number.
 
 use super::course::{Course, Courses};
+use super::explanation::{Explanation, Loud};
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law};
-use super::series::{Explanation, Loud, Series, Setting};
+use super::series::{Series, Setting};
 use super::transform::Cosines;
 use statrs::function::gamma::ln_gamma;
 
@@ -76,11 +77,12 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
         .filter(|loud| loud.to > from && loud.from < to)
         .map(|loud| Loud { from: loud.from.max(from) - from, to: loud.to.min(to) - from, ratio: loud.ratio })
         .collect();
-    if let Some(super::series::Scedasticity::Profile(values)) = &of.scedasticity {
-        let at = |share: f64| super::series::profile(values, (from as f64 + share * (n - 1) as f64) as usize, whole);
+    if let Some(super::explanation::Scedasticity::Profile(values)) = &of.scedasticity {
+        let at =
+            |share: f64| super::explanation::profile(values, (from as f64 + share * (n - 1) as f64) as usize, whole);
         let count = values.len().max(2);
         let cut = (0..count).map(|index| at(index as f64 / (count - 1) as f64)).collect();
-        part.scedasticity = Some(super::series::Scedasticity::Profile(cut));
+        part.scedasticity = Some(super::explanation::Scedasticity::Profile(cut));
     }
     part
 }

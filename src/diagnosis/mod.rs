@@ -13,7 +13,9 @@ pub mod course;
 pub mod diagnose;
 pub mod error;
 pub mod evidence;
+pub mod explanation;
 pub mod facts;
+mod filling;
 pub mod grid;
 pub mod holdout;
 pub mod law;
@@ -38,3 +40,9 @@ pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use error::DiagnosisError;
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
+
+/// The effects that can be found in a record at rest: the contract's, on channels.
+#[must_use]
+pub fn effect_names() -> Vec<&'static str> {
+    crate::effects::registry::names(&crate::effects::registry::CHANNEL)
+}

@@ -2,11 +2,11 @@
 
 use super::course::Courses;
 use super::error::DiagnosisError;
+use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law};
 use super::recording::Recording;
-use super::series::{Loud, Scedasticity, Sine};
 use super::transform::Cosines;
 use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
 use crate::sample::{Channel, Triad};

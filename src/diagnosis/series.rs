@@ -1,126 +1,13 @@
 //! A series: one channel's samples, what explains them so far, and the residual that ought to be white.
 
 use super::course::{Course, Courses};
+use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, profile, turning};
+use super::filling::{beyond, fill_in};
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Beliefs, Data, Fitted, Law, Shape};
 use super::transform::Cosines;
-use crate::effects::Stream;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
-
-/// A sine in a series.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sine {
-    /// Cycles per sample.
-    pub cycles: f64,
-    /// Factors of its cosine and its sine.
-    pub quadratures: [f64; 2],
-}
-
-impl Sine {
-    /// Peak.
-    #[must_use]
-    pub fn amplitude(&self) -> f64 {
-        self.quadratures[0].hypot(self.quadratures[1])
-    }
-    fn add(&self, factor: f64, values: &mut [f64]) {
-        let [a, b] = self.quadratures.map(|value| factor * value);
-        turning(self.cycles, values.len(), |t, cosine, sine| values[t] += a * cosine + b * sine);
-    }
-}
-
-/// Calls with cosine and sine of 2π·cycles·t for each t; a rotation that is set anew often enough to be exact.
-pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f64, f64)) {
-    const RUN: usize = 256;
-    let (step_sine, step_cosine) = (std::f64::consts::TAU * cycles).sin_cos();
-    let mut t = 0;
-    while t < samples {
-        let (mut sine, mut cosine) = (std::f64::consts::TAU * (cycles * t as f64).fract()).sin_cos();
-        for at in t..(t + RUN).min(samples) {
-            each(at, cosine, sine);
-            (cosine, sine) = (cosine * step_cosine - sine * step_sine, sine * step_cosine + cosine * step_sine);
-        }
-        t += RUN;
-    }
-}
-
-/// From this ratio of variances on a stretch says nothing about the noise: it is excluded.
-const LOUD: f64 = 4.0;
-
-/// A factor on the white part's standard deviation inside a range of samples.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Loud {
-    /// First sample.
-    pub from: usize,
-    /// One past the last.
-    pub to: usize,
-    /// On the variance.
-    pub ratio: f64,
-}
-
-/// Spikes of a series.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpikeLaw {
-    /// Chance that a sample is one.
-    pub rate: f64,
-    /// Typical size, in the series' scale.
-    pub size: f64,
-    /// Variance of a residual that is one.
-    pub variance: f64,
-    /// Standard error of the size, as a part of it.
-    pub relative_error: f64,
-}
-
-/// How the variance of the white part depends on something.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Scedasticity {
-    /// ln of the variance per °C about the mean temperature.
-    PerDegree(f64),
-    /// ln of the variance at equally spaced instants from the first sample to the last.
-    Profile(Vec<f64>),
-}
-
-/// Everything that explains a series so far. What is transformed is built anew from the samples each time, so that nothing is
-/// undone or done twice.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Explanation {
-    /// The spectrum.
-    pub law: Law,
-    /// Courses of the level and their factors.
-    pub courses: Vec<(Course, f64)>,
-    /// Sines.
-    pub sines: Vec<Sine>,
-    /// Samples that are no noise: spikes, held or clipped values.
-    pub outliers: Vec<usize>,
-    /// What the spikes among them are like.
-    pub spikes: Option<SpikeLaw>,
-    /// Stretches of another variance.
-    pub loud: Vec<Loud>,
-    /// Variance by temperature or time.
-    pub scedasticity: Option<Scedasticity>,
-    /// Degrees of freedom of Student's t.
-    pub tails: Option<f64>,
-    /// Where the samples are cut off, below and above.
-    pub limits: [Option<f64>; 2],
-}
-
-impl Explanation {
-    /// Noise alone.
-    #[must_use]
-    pub fn noise(law: Law) -> Self {
-        Self {
-            law,
-            courses: Vec::new(),
-            sines: Vec::new(),
-            outliers: Vec::new(),
-            spikes: None,
-            loud: Vec::new(),
-            scedasticity: None,
-            tails: None,
-            limits: [None, None],
-        }
-    }
-}
 
 /// What belongs to the whole record.
 pub struct Setting<'a> {
@@ -144,8 +31,8 @@ impl std::fmt::Debug for Setting<'_> {
 #[derive(Debug, Clone)]
 pub struct Series<'a> {
     setting: &'a Setting<'a>,
-    transform: Cosines,
-    samples: Vec<f64>,
+    pub(super) transform: Cosines,
+    pub(super) samples: Vec<f64>,
     /// What explains it.
     pub explanation: Explanation,
     /// Bins.
@@ -307,88 +194,6 @@ impl<'a> Series<'a> {
         self.transform.forward(&mut coefficients);
         self.power = self.grid.power(&coefficients);
         self.coefficients = coefficients;
-    }
-
-    /// The samples that are no noise, in order: outliers, and stretches that are much louder than the rest.
-    fn excluded(&self) -> Vec<usize> {
-        let mut places = self.explanation.outliers.clone();
-        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
-            places.extend(loud.from..loud.to);
-        }
-        places.sort_unstable();
-        places.dedup();
-        places
-    }
-
-    /// Puts in place of excluded samples what noise of the present law would be there, given all others: a draw from the
-    /// conditional distribution, so that they look like nothing in particular.
-    ///
-    /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
-    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Limits are left to the simple way.
-    fn interpolate(&mut self) {
-        const ROUNDS: usize = 40;
-        const ENOUGH: f64 = 1e-3;
-        let places = self.excluded();
-        if places.is_empty() || self.explanation.limits != [None, None] || places.len() * 3 > self.len() {
-            return;
-        }
-        let n = self.len();
-        let mut stream = Stream::new(n as u64, crate::effects::StreamId { owner: 0, effect: 3, instance: 0 });
-        let mut drawn: Vec<f64> =
-            self.spectrum.iter().map(|s| if s.is_finite() { s.sqrt() * stream.normal() } else { 0.0 }).collect();
-        self.transform.backward(&mut drawn);
-        // What is known of the difference, with a first guess in the excluded places: nothing.
-        let mut difference: Vec<f64> = self.rest.iter().zip(&drawn).map(|(own, other)| own - other).collect();
-        let guess = self.simple_guess(&difference, &places);
-        for (place, value) in places.iter().zip(guess) {
-            difference[*place] = value;
-        }
-        let mut precision = |values: &[f64]| -> Vec<f64> {
-            let mut c = values.to_vec();
-            self.transform.forward(&mut c);
-            c.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s);
-            self.transform.backward(&mut c);
-            places.iter().map(|place| c[*place]).collect()
-        };
-        let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
-        let mut direction = residual.clone();
-        let mut square: f64 = residual.iter().map(|r| r * r).sum();
-        let first = square;
-        let mut spread = vec![0.0; n];
-        for _ in 0..ROUNDS {
-            if square <= ENOUGH * ENOUGH * first || square == 0.0 {
-                break;
-            }
-            for (place, value) in places.iter().zip(&direction) {
-                spread[*place] = *value;
-            }
-            let image = precision(&spread);
-            let curvature: f64 = direction.iter().zip(&image).map(|(d, a)| d * a).sum();
-            if curvature <= 0.0 {
-                break;
-            }
-            let step = square / curvature;
-            for (at, place) in places.iter().enumerate() {
-                difference[*place] += step * direction[at];
-                residual[at] -= step * image[at];
-            }
-            let next: f64 = residual.iter().map(|r| r * r).sum();
-            let ratio = next / square;
-            direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = r + ratio * *d);
-            square = next;
-        }
-        for place in &places {
-            self.rest[*place] = difference[*place] + drawn[*place];
-        }
-        let mean = self.rest.iter().sum::<f64>() / n as f64;
-        self.rest.iter_mut().for_each(|value| *value -= mean);
-    }
-
-    /// A course between the neighbours.
-    fn simple_guess(&self, values: &[f64], places: &[usize]) -> Vec<f64> {
-        let mut filled = values.to_vec();
-        fill_in(&mut filled, places, 0.0);
-        places.iter().map(|place| filled[*place]).collect()
     }
 
     /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know.
@@ -675,92 +480,8 @@ pub struct Drift {
     pub law: Law,
 }
 
-/// A profile's value at sample t of n, straight between its instants.
-pub(super) fn profile(values: &[f64], t: usize, n: usize) -> f64 {
-    let Some(last) = values.len().checked_sub(1).filter(|last| *last > 0) else {
-        return values.first().copied().unwrap_or_default();
-    };
-    let place = t as f64 / (n.max(2) - 1) as f64 * last as f64;
-    let (at, share) = ((place as usize).min(last - 1), place.fract());
-    let share = if place >= last as f64 { 1.0 } else { share };
-    values[at] + share * (values[at + 1] - values[at])
-}
-
 fn normalised(mut variance: Vec<f64>) -> Vec<f64> {
     let mean = variance.iter().sum::<f64>() / variance.len().max(1) as f64;
     variance.iter_mut().for_each(|value| *value /= mean);
     variance
-}
-
-/// Lets samples that are cut off lie beyond the limit, as noise about their neighbours' level would.
-fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], white: f64) {
-    use statrs::distribution::{ContinuousCDF, Normal};
-    const NEAR: usize = 12;
-    if limits == [None, None] {
-        return;
-    }
-    let normal = Normal::standard();
-    let n = rest.len();
-    let mut stream = Stream::new(n as u64, crate::effects::StreamId { owner: 0, effect: 1, instance: 0 });
-    for place in places {
-        let at =
-            |limit: Option<f64>| limit.filter(|limit| (samples[*place] - limit).abs() < 1e-9 * limit.abs().max(1.0));
-        let (limit, sign) = match (at(limits[0]), at(limits[1])) {
-            (Some(limit), _) => (limit, -1.0),
-            (_, Some(limit)) => (limit, 1.0),
-            _ => continue,
-        };
-        let near = place.saturating_sub(NEAR)..(place + NEAR + 1).min(n);
-        let (sum, count) = near
-            .filter(|t| places.binary_search(t).is_err())
-            .fold((0.0, 0.0), |(sum, count), t| (sum + samples[t], count + 1.0));
-        let level = if count > 0.0 { sum / count } else { limit };
-        // The chance of being below the limit, and a place beyond it.
-        let below = normal.cdf(sign * (limit - level) / white);
-        let share = below + (1.0 - below) * stream.uniform();
-        let z = normal.inverse_cdf(share.clamp(1e-12, 1.0 - 1e-12)).clamp(-6.0, 6.0);
-        let value = level + sign * white * z;
-        let value = if sign * (value - limit) < 0.0 { limit } else { value };
-        // What was explained of the sample beside the noise stays so.
-        rest[*place] = value + (rest_of(rest, *place, places, samples));
-    }
-}
-
-/// By how much explained means moved the samples about a place.
-fn rest_of(rest: &[f64], place: usize, places: &[usize], samples: &[f64]) -> f64 {
-    let near = place.saturating_sub(2)..(place + 3).min(rest.len());
-    let (sum, count) = near
-        .filter(|t| places.binary_search(t).is_err())
-        .fold((0.0, 0.0), |(sum, count), t| (sum + rest[t] - samples[t], count + 1.0));
-    if count > 0.0 { sum / count } else { 0.0 }
-}
-
-/// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise
-/// looks like a filter.
-pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64) {
-    const NEAR: usize = 8;
-    let n = values.len();
-    let mut at = 0;
-    let mut stream = Stream::new(n as u64, crate::effects::StreamId { owner: 0, effect: 0, instance: 0 });
-    while at < places.len() {
-        let mut end = at + 1;
-        // A run, with what good samples lie within it too few to tell a level.
-        while end < places.len() && places[end] <= places[end - 1] + 1 {
-            end += 1;
-        }
-        let (from, to) = (places[at], places[end - 1] + 1);
-        let level = |range: std::ops::Range<usize>| {
-            let inside = range.clone().filter(|t| places.binary_search(t).is_err());
-            let (sum, count) = inside.fold((0.0, 0), |(sum, count), t| (sum + values[t], count + 1));
-            (count > 0).then(|| sum / f64::from(count))
-        };
-        let before = level(from.saturating_sub(NEAR)..from);
-        let after = level(to..(to + NEAR).min(n));
-        let (before, after) = (before.or(after).unwrap_or(0.0), after.or(before).unwrap_or(0.0));
-        for t in from..to {
-            let share = (t - from + 1) as f64 / (to - from + 1) as f64;
-            values[t] = before + share * (after - before) + white * stream.normal();
-        }
-        at = end;
-    }
 }

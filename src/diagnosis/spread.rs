@@ -1,7 +1,8 @@
 //! Spread: standard errors of what explains a series.
 
 use super::course::Course;
-use super::series::{Scedasticity, Series};
+use super::explanation::Scedasticity;
+use super::series::Series;
 
 /// Standard errors in the series' scale, beside the parts of an explanation.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -51,7 +52,7 @@ impl Spread {
             };
             (error(at), more)
         };
-        let of_sine = |sine: &super::series::Sine| {
+        let of_sine = |sine: &super::explanation::Sine| {
             let at = ((2.0 * n * sine.cycles) as usize).clamp(1, series.spectrum.len() - 1);
             let density = series.spectrum[at];
             let frequency = (24.0 * density / n.powi(3)).sqrt() / sine.amplitude() / std::f64::consts::TAU;

@@ -2,9 +2,9 @@
 
 use super::course::Course;
 use super::evidence::Kind;
+use super::explanation::{Explanation, Scedasticity};
 use super::law::{Shape, Term};
 use super::prepare::Prepared;
-use super::series::{Explanation, Scedasticity};
 use super::spread::Spread;
 use crate::effects::{
     BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, QuantizationNoise, RateRamp,

@@ -11,7 +11,8 @@ mod diff;
 
 pub use diff::{Difference, differences};
 
-use crate::effects::{self, registry};
+use crate::diagnosis;
+use crate::effects;
 use crate::noise::NoiseReport;
 use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::Channel;
@@ -25,7 +26,7 @@ use std::sync::Arc;
 /// # Errors
 /// The name that is none, and the names there are.
 pub fn effects_named(names: &str) -> Result<Vec<&'static str>, String> {
-    let known = registry::names(&registry::CHANNEL);
+    let known = diagnosis::effect_names();
     if names == "all" {
         return Ok(known);
     }

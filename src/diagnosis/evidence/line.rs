@@ -1,9 +1,10 @@
 //! Lines: sines, and bands of noise that are narrow.
 
 use super::{Candidate, Kind};
+use crate::diagnosis::explanation::{Sine, turning};
 use crate::diagnosis::grid::{Grid, Narrow};
 use crate::diagnosis::law::{Data, Shape, Term};
-use crate::diagnosis::series::{Series, Sine, turning};
+use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
 use realfft::RealFftPlanner;
 

@@ -1,7 +1,8 @@
 //! Loudness: how the residual's variance changes with time or temperature.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::series::{Loud, Scedasticity, Series};
+use crate::diagnosis::explanation::{Loud, Scedasticity};
+use crate::diagnosis::series::Series;
 use nalgebra::{DMatrix, DVector};
 
 /// Squares above this say nothing about a variance that changes slowly: they are outliers.

@@ -6,7 +6,8 @@ pub mod loudness;
 pub mod outlier;
 pub mod spectral;
 
-use super::series::{Explanation, Series};
+use super::explanation::Explanation;
+use super::series::Series;
 
 /// A kind of cause, as far as the search tells them apart; several kinds may be one effect of the contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,7 +1,8 @@
 //! Outliers and tails: what the residual's single samples look like.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::series::{Series, SpikeLaw};
+use crate::diagnosis::explanation::SpikeLaw;
+use crate::diagnosis::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use statrs::function::gamma::ln_gamma;
 

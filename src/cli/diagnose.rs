@@ -1,0 +1,153 @@
+//! `vn100d diagnose`: where a recording and a simulator differ, and which effect the simulator lacks.
+
+use super::args::DiagnoseArgs;
+use super::output::Output;
+use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
+use crate::diagnosis::report::{Cause, Place};
+use crate::diagnosis::{self, Diagnosis, DiagnosisError, Options, Verdict};
+use crate::jobs::{TwoThreads, gridded};
+use crate::simulator::SensorModel;
+use crate::store::SOFTWARE;
+use anyhow::Context as _;
+use serde_json::Value;
+use std::io::Write as _;
+use std::path::Path;
+
+/// Runs the command.
+pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outcome> {
+    let paths = [Path::new(&args.real), Path::new(&args.sim)];
+    let read: Vec<&Path> = paths.into_iter().filter(|path| path.exists()).collect();
+    let create = |path: &std::path::PathBuf| Output::create(path, args.force, &read);
+    let augmented = args.augmented_model.as_ref().map(create).transpose()?;
+    let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
+    let gridded = gridded(&together.source, &together.plan)?;
+    let sim = simulator(context, args)?;
+    let real_name = together.name();
+    let options =
+        Options { software: SOFTWARE, real: &real_name, sim: &args.sim, workers: &TwoThreads, ..Options::default() };
+    let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options).map_err(|error| refused(&error))?;
+    if gridded.left_out > 0 {
+        outcome.diagnosis.notes.push(format!(
+            "compared are {:.0} s from {:.0} s on, the longest part without a gap of a minute; {} samples are outside it",
+            gridded.recording.length_s(),
+            gridded.from_s,
+            gridded.left_out
+        ));
+    }
+    if let Some(output) = augmented {
+        let path = output.path().display().to_string();
+        let text = serde_json::to_string_pretty(&outcome.augmented)? + "\n";
+        output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
+        output.keep()?;
+    }
+    if context.json {
+        print_json(&outcome.diagnosis)?
+    } else {
+        print(&outcome.diagnosis)?
+    }
+    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
+}
+
+/// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first.
+fn simulator(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<SensorModel> {
+    let path = Path::new(&args.sim);
+    let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
+    if is_model {
+        return model::load(path);
+    }
+    let everything = diagnosis::effect_names();
+    Ok(model::fitted(context, std::slice::from_ref(&args.sim), args.rate, &everything, None)?.model)
+}
+
+fn refused(error: &DiagnosisError) -> anyhow::Error {
+    let failure = Failure::Other;
+    CliError { failure, message: error.to_string() }.into()
+}
+
+fn print(of: &Diagnosis) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", of.summary)?;
+    let gap = &of.discrepancy;
+    writeln!(out)?;
+    writeln!(
+        out,
+        "gap in nats a sample: {:.2e} as the model is, {:.2e} with its parameters corrected, {:.2e} with what was found",
+        gap.before, gap.after_parameters, gap.after
+    )?;
+    writeln!(out, "a true model shows {:.1e}; measured on the {}", gap.floor, gap.measured_on)?;
+    if let (Some(closed), Some([low, high])) = (gap.closed, gap.closed_ci95) {
+        writeln!(out, "closed: {:.1} % ({:.1} to {:.1} %)", 100.0 * closed, 100.0 * low, 100.0 * high)?;
+    }
+    if !of.causes.is_empty() {
+        let mut rows = table(&["what the model lacks", "on", "parameters", "sure", "closes"]);
+        for cause in &of.causes {
+            let closes = cause.closes.map_or_else(|| "–".to_owned(), |part| format!("{:.0} %", 100.0 * part));
+            let sure = format!("{:.0} %", (100.0 * cause.confidence).floor());
+            rows.add_row([cause.effect.to_owned(), cause.channels.join("\n"), parameters(cause), sure, closes]);
+        }
+        writeln!(out, "\n{rows}")?;
+    }
+    if !of.r#where.is_empty() {
+        let heading = match of.verdict {
+            Verdict::UnknownEffect => "where something remains",
+            _ => "where the gap lies",
+        };
+        let mut rows = table(&[heading, "band in Hz", "time in s", "share", "sign"]);
+        for Place { channel, band_hz, from_s, to_s, share, sign, .. } in &of.r#where {
+            rows.add_row([
+                channel.clone(),
+                format!("{:.3} … {:.3}", band_hz[0], band_hz[1]),
+                format!("{from_s:.0} … {to_s:.0}"),
+                format!("{:.0} %", 100.0 * share),
+                (*sign).to_owned(),
+            ]);
+        }
+        writeln!(out, "\n{rows}")?;
+    }
+    if !of.parameters.is_empty() {
+        let mut rows = table(&["parameter off", "", "model", "capture", "ratio"]);
+        for one in &of.parameters {
+            let ratio = one.ratio.map_or_else(|| "–".to_owned(), |ratio| format!("{ratio:.3}"));
+            let (model, capture) = (format!("{:.3e}", one.model), format!("{:.3e}", one.capture));
+            rows.add_row([one.channel.clone(), one.parameter.to_owned(), model, capture, ratio]);
+        }
+        writeln!(out, "\n{rows}")?;
+    }
+    for cause in &of.causes {
+        for sentence in cause.evidence.iter().take(3) {
+            writeln!(out, "{sentence}")?;
+        }
+    }
+    for other in &of.alternatives {
+        writeln!(out, "not {} on {}: {}", other.effect, other.channels.join(", "), other.why_not)?;
+    }
+    for note in &of.notes {
+        writeln!(out, "{note}")?;
+    }
+    Ok(())
+}
+
+/// The parameters of a cause, channel by channel as the rows of its cell.
+fn parameters(cause: &Cause) -> String {
+    const LONGEST: usize = 40;
+    let number = |value: &Value| value.as_f64().map_or_else(|| value.to_string(), |value| format!("{value:.4e}"));
+    let one = |of: &Value| {
+        let pairs = of.as_object().into_iter().flatten().map(|(name, value)| format!("{name} {}", number(value)));
+        let text = pairs.collect::<Vec<_>>().join(", ");
+        match text.char_indices().nth(LONGEST) {
+            Some((end, _)) => format!("{}…", &text[..end]),
+            None => text,
+        }
+    };
+    let of_channel = |value: &Value| match value {
+        Value::Array(list) => match list.as_slice() {
+            [first, _, ..] => format!("{} and {} more", one(first), list.len() - 1),
+            [first] => one(first),
+            [] => String::new(),
+        },
+        other => one(other),
+    };
+    // In the order of the channels' column.
+    let rows = cause.channels.iter().filter_map(|channel| cause.parameters.get(channel)).map(of_channel);
+    rows.collect::<Vec<_>>().join("\n")
+}

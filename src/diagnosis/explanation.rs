@@ -1,0 +1,130 @@
+//! Explanation: what makes a series, as far as it is known.
+
+use super::course::Course;
+use super::law::Law;
+
+/// A sine in a series.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sine {
+    /// Cycles per sample.
+    pub cycles: f64,
+    /// Factors of its cosine and its sine.
+    pub quadratures: [f64; 2],
+}
+
+impl Sine {
+    /// Peak.
+    #[must_use]
+    pub fn amplitude(&self) -> f64 {
+        self.quadratures[0].hypot(self.quadratures[1])
+    }
+    /// Adds `factor` times the sine to values.
+    pub(super) fn add(&self, factor: f64, values: &mut [f64]) {
+        let [a, b] = self.quadratures.map(|value| factor * value);
+        turning(self.cycles, values.len(), |t, cosine, sine| values[t] += a * cosine + b * sine);
+    }
+}
+
+/// Calls with cosine and sine of 2π·cycles·t for each t; a rotation that is set anew often enough to be exact.
+pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f64, f64)) {
+    const RUN: usize = 256;
+    let (step_sine, step_cosine) = (std::f64::consts::TAU * cycles).sin_cos();
+    let mut t = 0;
+    while t < samples {
+        let (mut sine, mut cosine) = (std::f64::consts::TAU * (cycles * t as f64).fract()).sin_cos();
+        for at in t..(t + RUN).min(samples) {
+            each(at, cosine, sine);
+            (cosine, sine) = (cosine * step_cosine - sine * step_sine, sine * step_cosine + cosine * step_sine);
+        }
+        t += RUN;
+    }
+}
+
+/// From this ratio of variances on a stretch says nothing about the noise: it is excluded.
+pub(super) const LOUD: f64 = 4.0;
+
+/// A factor on the white part's standard deviation inside a range of samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loud {
+    /// First sample.
+    pub from: usize,
+    /// One past the last.
+    pub to: usize,
+    /// On the variance.
+    pub ratio: f64,
+}
+
+/// Spikes of a series.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpikeLaw {
+    /// Chance that a sample is one.
+    pub rate: f64,
+    /// Typical size, in the series' scale.
+    pub size: f64,
+    /// Variance of a residual that is one.
+    pub variance: f64,
+    /// Standard error of the size, as a part of it.
+    pub relative_error: f64,
+}
+
+/// How the variance of the white part depends on something.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Scedasticity {
+    /// ln of the variance per °C about the mean temperature.
+    PerDegree(f64),
+    /// ln of the variance at equally spaced instants from the first sample to the last.
+    Profile(Vec<f64>),
+}
+
+/// Everything that explains a series so far. What is transformed is built anew from the samples each time, so that nothing is
+/// undone or done twice.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Explanation {
+    /// The spectrum.
+    pub law: Law,
+    /// Courses of the level and their factors.
+    pub courses: Vec<(Course, f64)>,
+    /// Sines.
+    pub sines: Vec<Sine>,
+    /// Samples that are no noise: spikes, held or clipped values.
+    pub outliers: Vec<usize>,
+    /// What the spikes among them are like.
+    pub spikes: Option<SpikeLaw>,
+    /// Stretches of another variance.
+    pub loud: Vec<Loud>,
+    /// Variance by temperature or time.
+    pub scedasticity: Option<Scedasticity>,
+    /// Degrees of freedom of Student's t.
+    pub tails: Option<f64>,
+    /// Where the samples are cut off, below and above.
+    pub limits: [Option<f64>; 2],
+}
+
+impl Explanation {
+    /// Noise alone.
+    #[must_use]
+    pub fn noise(law: Law) -> Self {
+        Self {
+            law,
+            courses: Vec::new(),
+            sines: Vec::new(),
+            outliers: Vec::new(),
+            spikes: None,
+            loud: Vec::new(),
+            scedasticity: None,
+            tails: None,
+            limits: [None, None],
+        }
+    }
+}
+
+/// A profile's value at sample t of n, straight between its instants.
+pub(super) fn profile(values: &[f64], t: usize, n: usize) -> f64 {
+    let Some(last) = values.len().checked_sub(1).filter(|last| *last > 0) else {
+        return values.first().copied().unwrap_or_default();
+    };
+    let place = t as f64 / (n.max(2) - 1) as f64 * last as f64;
+    let (at, share) = ((place as usize).min(last - 1), place.fract());
+    let share = if place >= last as f64 { 1.0 } else { share };
+    values[at] + share * (values[at + 1] - values[at])
+}

@@ -1,0 +1,171 @@
+//! Filling: what stands in place of samples that are no noise.
+
+use super::explanation::LOUD;
+use super::series::Series;
+use crate::effects::{Stream, StreamId};
+
+/// Random streams of what is filled in: one a purpose, so that no two look alike.
+const SIMPLE: u16 = 0;
+const BEYOND: u16 = 1;
+const DRAWN: u16 = 3;
+
+fn stream(samples: usize, effect: u16) -> Stream {
+    Stream::new(samples as u64, StreamId { owner: 0, effect, instance: 0 })
+}
+
+impl Series<'_> {
+    /// The samples that are no noise, in order: outliers, and stretches that are much louder than the rest.
+    pub(super) fn excluded(&self) -> Vec<usize> {
+        let mut places = self.explanation.outliers.clone();
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
+            places.extend(loud.from..loud.to);
+        }
+        places.sort_unstable();
+        places.dedup();
+        places
+    }
+
+    /// Puts in place of excluded samples what noise of the present law would be there, given all others: a draw from the
+    /// conditional distribution, so that they look like nothing in particular.
+    ///
+    /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
+    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Limits are left to the simple way.
+    pub(super) fn interpolate(&mut self) {
+        const ROUNDS: usize = 40;
+        const ENOUGH: f64 = 1e-3;
+        let places = self.excluded();
+        if places.is_empty() || self.explanation.limits != [None, None] || places.len() * 3 > self.len() {
+            return;
+        }
+        let n = self.len();
+        let mut stream = stream(n, DRAWN);
+        let mut drawn: Vec<f64> =
+            self.spectrum.iter().map(|s| if s.is_finite() { s.sqrt() * stream.normal() } else { 0.0 }).collect();
+        self.transform.backward(&mut drawn);
+        // What is known of the difference, with a first guess in the excluded places: nothing.
+        let mut difference: Vec<f64> = self.rest.iter().zip(&drawn).map(|(own, other)| own - other).collect();
+        let guess = self.simple_guess(&difference, &places);
+        for (place, value) in places.iter().zip(guess) {
+            difference[*place] = value;
+        }
+        let mut precision = |values: &[f64]| -> Vec<f64> {
+            let mut c = values.to_vec();
+            self.transform.forward(&mut c);
+            c.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s);
+            self.transform.backward(&mut c);
+            places.iter().map(|place| c[*place]).collect()
+        };
+        let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
+        let mut direction = residual.clone();
+        let mut square: f64 = residual.iter().map(|r| r * r).sum();
+        let first = square;
+        let mut spread = vec![0.0; n];
+        for _ in 0..ROUNDS {
+            if square <= ENOUGH * ENOUGH * first || square == 0.0 {
+                break;
+            }
+            for (place, value) in places.iter().zip(&direction) {
+                spread[*place] = *value;
+            }
+            let image = precision(&spread);
+            let curvature: f64 = direction.iter().zip(&image).map(|(d, a)| d * a).sum();
+            if curvature <= 0.0 {
+                break;
+            }
+            let step = square / curvature;
+            for (at, place) in places.iter().enumerate() {
+                difference[*place] += step * direction[at];
+                residual[at] -= step * image[at];
+            }
+            let next: f64 = residual.iter().map(|r| r * r).sum();
+            let ratio = next / square;
+            direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = r + ratio * *d);
+            square = next;
+        }
+        for place in &places {
+            self.rest[*place] = difference[*place] + drawn[*place];
+        }
+        let mean = self.rest.iter().sum::<f64>() / n as f64;
+        self.rest.iter_mut().for_each(|value| *value -= mean);
+    }
+
+    /// A course between the neighbours.
+    fn simple_guess(&self, values: &[f64], places: &[usize]) -> Vec<f64> {
+        let mut filled = values.to_vec();
+        fill_in(&mut filled, places, 0.0);
+        places.iter().map(|place| filled[*place]).collect()
+    }
+}
+
+/// Lets samples that are cut off lie beyond the limit, as noise about their neighbours' level would.
+pub(super) fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], white: f64) {
+    use statrs::distribution::{ContinuousCDF, Normal};
+    const NEAR: usize = 12;
+    if limits == [None, None] {
+        return;
+    }
+    let normal = Normal::standard();
+    let n = rest.len();
+    let mut stream = stream(n, BEYOND);
+    for place in places {
+        let at =
+            |limit: Option<f64>| limit.filter(|limit| (samples[*place] - limit).abs() < 1e-9 * limit.abs().max(1.0));
+        let (limit, sign) = match (at(limits[0]), at(limits[1])) {
+            (Some(limit), _) => (limit, -1.0),
+            (_, Some(limit)) => (limit, 1.0),
+            _ => continue,
+        };
+        let near = place.saturating_sub(NEAR)..(place + NEAR + 1).min(n);
+        let (sum, count) = near
+            .filter(|t| places.binary_search(t).is_err())
+            .fold((0.0, 0.0), |(sum, count), t| (sum + samples[t], count + 1.0));
+        let level = if count > 0.0 { sum / count } else { limit };
+        // The chance of being below the limit, and a place beyond it.
+        let below = normal.cdf(sign * (limit - level) / white);
+        let share = below + (1.0 - below) * stream.uniform();
+        let z = normal.inverse_cdf(share.clamp(1e-12, 1.0 - 1e-12)).clamp(-6.0, 6.0);
+        let value = level + sign * white * z;
+        let value = if sign * (value - limit) < 0.0 { limit } else { value };
+        // What was explained of the sample beside the noise stays so.
+        rest[*place] = value + (rest_of(rest, *place, places, samples));
+    }
+}
+
+/// By how much explained means moved the samples about a place.
+fn rest_of(rest: &[f64], place: usize, places: &[usize], samples: &[f64]) -> f64 {
+    let near = place.saturating_sub(2)..(place + 3).min(rest.len());
+    let (sum, count) = near
+        .filter(|t| places.binary_search(t).is_err())
+        .fold((0.0, 0.0), |(sum, count), t| (sum + rest[t] - samples[t], count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise
+/// looks like a filter.
+pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64) {
+    const NEAR: usize = 8;
+    let n = values.len();
+    let mut at = 0;
+    let mut stream = stream(n, SIMPLE);
+    while at < places.len() {
+        let mut end = at + 1;
+        // A run, with what good samples lie within it too few to tell a level.
+        while end < places.len() && places[end] <= places[end - 1] + 1 {
+            end += 1;
+        }
+        let (from, to) = (places[at], places[end - 1] + 1);
+        let level = |range: std::ops::Range<usize>| {
+            let inside = range.clone().filter(|t| places.binary_search(t).is_err());
+            let (sum, count) = inside.fold((0.0, 0), |(sum, count), t| (sum + values[t], count + 1));
+            (count > 0).then(|| sum / f64::from(count))
+        };
+        let before = level(from.saturating_sub(NEAR)..from);
+        let after = level(to..(to + NEAR).min(n));
+        let (before, after) = (before.or(after).unwrap_or(0.0), after.or(before).unwrap_or(0.0));
+        for (step, value) in values[from..to].iter_mut().enumerate() {
+            let share = (step + 1) as f64 / (to - from + 1) as f64;
+            *value = before + share * (after - before) + white * stream.normal();
+        }
+        at = end;
+    }
+}
