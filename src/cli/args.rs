@@ -334,6 +334,9 @@ pub struct SimulateArgs {
     /// Make a capture of this name in the database, marked as simulated
     #[arg(long, value_name = "NAME")]
     pub into_db: Option<String>,
+    /// Replace files that exist
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Arguments of `model`.
@@ -364,6 +367,9 @@ pub enum ModelCommand {
         /// Write the model here (default: standard output)
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// Replace the file where it exists
+        #[arg(long)]
+        force: bool,
     },
     /// Show a model's parameters with their intervals
     Show {

@@ -117,7 +117,7 @@ fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + S
 }
 
 /// A flag that SIGINT and SIGTERM set.
-fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

@@ -16,6 +16,7 @@ mod jobs;
 mod model;
 mod noise;
 mod notify;
+mod output;
 mod probe;
 mod recover;
 mod run;

@@ -1,13 +1,15 @@
 //! `vn100d model`: sensor models of captures, shown, compared and exported.
 
 use super::args::{EffectNames, ModelArgs, ModelCommand, ModelFormat};
+use super::output::Output;
+use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::{Plan, SampleSource, direct};
 use crate::model_fit::{Difference, Level, Resolution, differences, model_of};
 use crate::noise::statistics::Moments;
 use crate::sample::Channel;
-use crate::simulator::{ChannelModel, SensorModel};
+use crate::simulator::SensorModel;
 use crate::store::{SOFTWARE, StoreError};
 use anyhow::Context as _;
 use serde_json::Value;
@@ -21,7 +23,9 @@ const CHUNK: usize = 65_536;
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        ModelCommand::Fit { captures, rate, effects, name, out } => {
+        ModelCommand::Fit { captures, rate, effects, name, out, force } => {
+            let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
+            let out = out.as_deref().map(|path| Output::create(path, *force, &read)).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
             let together = analysis::open(context, captures, *rate)?;
             let levels = levels(&together.source, &together.plan)?;
@@ -31,10 +35,12 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let model = model_of(&report, &levels, &wanted, &name, SOFTWARE);
             match out {
                 None => print_json(&model)?,
-                Some(path) => {
-                    let text = serde_json::to_string_pretty(&model)? + "\n";
-                    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))?;
-                    println!("{}: {} channels of {name} at {} Hz", path.display(), model.channels.len(), model.rate_hz);
+                Some(output) => {
+                    let (text, path) =
+                        (serde_json::to_string_pretty(&model)? + "\n", output.path().display().to_string());
+                    output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
+                    output.keep()?;
+                    println!("{path}: {} channels of {name} at {} Hz", model.channels.len(), model.rate_hz);
                 }
             }
             return Ok(if rejected { Outcome::WithLoss } else { Outcome::Done });
@@ -48,7 +54,8 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             if context.json { print_json(&found)? } else { show_differences(&found)? }
         }
         ModelCommand::Export { file, format } => {
-            let model = load(file)?;
+            let mut model = load(file)?;
+            without_gravity(&mut model, "the target");
             let target = match format {
                 ModelFormat::Kalibr => Target::Kalibr,
                 ModelFormat::Ros => Target::Ros,
@@ -94,53 +101,112 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
             model.name, sampling.internal_rate_hz, sampling.filter_window, model.rate_hz
         )?,
     }
-    let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "bias in U", "effects"]);
+    let mut rows = narrow(&["channel", "parameter", "value", "95 % interval"]);
     for (channel, of) in &model.channels {
-        let cell = |key: &str, value: f64| {
-            let limit = entry(of, key, "upper_limit95").and_then(|value| value.as_f64());
-            match (value, limit, entry(of, key, "ci95")) {
-                (0.0, Some(limit), _) => format!("0 (< {limit:.2e})"),
-                (value, _, Some(ci95)) => {
-                    let end = |index: usize| ci95.get(index).and_then(Value::as_f64).unwrap_or(f64::NAN);
-                    format!("{value:.3e} [{:.2e}, {:.2e}]", end(0), end(1))
-                }
-                (0.0, ..) => "0".to_owned(),
-                (value, ..) => format!("{value:.3e}"),
-            }
+        let mut head = format!("{channel}\n{}", channel.unit());
+        let mut add = |parameter: String, value: String, interval: String| {
+            rows.add_row([std::mem::take(&mut head), parameter, value, interval]);
         };
-        rows.add_row([
-            channel.name().to_owned(),
-            channel.unit().to_owned(),
-            cell("N", of.n),
-            cell("B", of.b),
-            cell("K", of.k),
-            of.bias.map_or_else(|| "–".to_owned(), |bias| format!("{bias:.6}")),
-            of.effects.iter().map(|effect| sentence(effect.name(), effect.parameters())).collect::<Vec<_>>().join("\n"),
-        ]);
-    }
-    writeln!(stdout, "{rows}")?;
-    for (triad, of) in &model.triads {
-        for effect in &of.effects {
-            writeln!(stdout, "{}: {}", triad.name(), sentence(effect.name(), effect.parameters()))?;
+        for (key, unit, value) in [("N", "U/√Hz", of.n), ("B", "U", of.b), ("K", "U/√s", of.k)] {
+            let limit = of.upper_limit(key).filter(|_| value == 0.0).map(|limit| format!("< {limit:.2e}"));
+            let known = limit.or_else(|| of.interval(key).map(ends)).unwrap_or_default();
+            add(format!("{key}, {unit}"), if value == 0.0 { "0".to_owned() } else { format!("{value:.3e}") }, known);
+        }
+        if let Some(bias) = of.bias {
+            add("bias, U".to_owned(), format!("{bias:.6}"), of.interval("bias").map(ends).unwrap_or_default());
+        }
+        let named = numbered(of.effects.iter().map(|effect| effect.name()));
+        for (index, (effect, name)) in of.effects.iter().zip(named).enumerate() {
+            for (key, value) in effect.parameters() {
+                let known = of.effect_interval(index, key).map(ends).unwrap_or_default();
+                add(format!("{name}.{key}"), told(&value), known);
+            }
         }
     }
+    for (triad, of) in &model.triads {
+        let mut head = triad.name().to_owned();
+        let named = numbered(of.effects.iter().map(|effect| effect.name()));
+        for (effect, name) in of.effects.iter().zip(named) {
+            for (key, value) in effect.parameters() {
+                rows.add_row([std::mem::take(&mut head), format!("{name}.{key}"), told(&value), String::new()]);
+            }
+        }
+    }
+    writeln!(stdout, "{rows}")?;
     if let Some(provenance) = &model.provenance {
-        let told = |(key, value): (&String, &Value)| match value.as_str() {
-            Some(text) => format!("{key} {text}"),
-            None => format!("{key} {value}"),
-        };
-        writeln!(stdout, "from {}", provenance.iter().map(told).collect::<Vec<_>>().join(", "))?;
+        let of = |(key, value): (&String, &Value)| format!("{key} {}", in_words(value));
+        let line = provenance.iter().map(of).filter(|of| !of.ends_with(' ')).collect::<Vec<_>>().join(", ");
+        writeln!(stdout, "{}", wrapped(&format!("from {line}")))?;
     }
     Ok(())
 }
 
-fn entry<'a>(of: &'a ChannelModel, key: &str, of_what: &str) -> Option<&'a Value> {
-    of.uncertainty.as_ref()?.get(key)?.get(of_what)
+/// Columns of a terminal that was not made wider.
+const WIDTH: u16 = 80;
+
+/// A table that wraps its cells rather than be wrapped by the terminal.
+fn narrow(header: &[&str]) -> comfy_table::Table {
+    let mut table = table(header);
+    table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic).set_width(WIDTH);
+    table
 }
 
-fn sentence(name: &str, parameters: Vec<(&'static str, Value)>) -> String {
-    let told: Vec<String> = parameters.into_iter().map(|(key, value)| format!("{key} {value}")).collect();
-    format!("{name}: {}", told.join(", "))
+/// The names of effects with a number from the second of a kind on, as `model diff` has them.
+fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
+    let number = |name| {
+        let count = seen.entry(name).or_default();
+        *count += 1;
+        if *count == 1 { name.to_owned() } else { format!("{name}[{}]", *count - 1) }
+    };
+    names.map(number).collect()
+}
+
+fn ends([low, high]: [f64; 2]) -> String {
+    // Frequencies are known to more digits than noise.
+    let near = (high - low).abs() < 0.01 * high.abs();
+    if near { format!("{low:.5e} … {high:.5e}") } else { format!("{low:.2e} … {high:.2e}") }
+}
+
+/// A parameter; numbers with the digits that a person takes in.
+fn told(value: &Value) -> String {
+    match value.as_f64() {
+        Some(number) if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) => format!("{number:.4e}"),
+        Some(number) => {
+            let text = format!("{number:.6}");
+            text.trim_end_matches('0').trim_end_matches('.').to_owned()
+        }
+        None => value.as_str().map_or_else(|| value.to_string(), str::to_owned),
+    }
+}
+
+/// Provenance without JSON's marks; what all entries of an object agree on stands once.
+fn in_words(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Array(list) => list.iter().map(in_words).collect::<Vec<_>>().join(" "),
+        Value::Object(map) => match map.values().next() {
+            Some(first) if map.values().all(|value| value == first) => in_words(first),
+            _ => map.iter().map(|(key, value)| format!("{key}: {}", in_words(value))).collect::<Vec<_>>().join("; "),
+        },
+        other => other.to_string(),
+    }
+}
+
+/// In lines of at most [`WIDTH`] where the words allow it.
+fn wrapped(text: &str) -> String {
+    let (mut lines, mut line) = (Vec::new(), String::new());
+    for word in text.split_whitespace() {
+        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > usize::from(WIDTH) {
+            lines.push(std::mem::take(&mut line));
+        }
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    lines.push(line);
+    lines.join("\n")
 }
 
 fn show_differences(found: &[Difference]) -> std::io::Result<()> {
@@ -148,21 +214,52 @@ fn show_differences(found: &[Difference]) -> std::io::Result<()> {
     if found.is_empty() {
         return writeln!(stdout, "no difference");
     }
-    let mut rows = table(&["what", "first", "second", "second / first", "in the first's 95 % interval"]);
+    let mut rows = narrow(&["what", "first", "second", "ratio", "in interval"]);
     for of in found {
-        let told = |value: &Value| match value {
+        let cell = |value: &Value| match value {
             Value::Null => "–".to_owned(),
-            Value::Number(number) => number.as_f64().map_or_else(|| number.to_string(), |value| format!("{value:.4e}")),
-            other => other.to_string(),
+            Value::Object(effect) => {
+                let parameter = |(key, value): (&String, &Value)| format!("{key} {}", told(value));
+                effect.iter().filter(|(key, _)| *key != "effect").map(parameter).collect::<Vec<_>>().join("\n")
+            }
+            other => told(other),
         };
         let within = of.within_ci95.map_or("–", |within| if within { "yes" } else { "no" });
         rows.add_row([
-            of.path.clone(),
-            told(&of.first),
-            told(&of.second),
+            of.path.trim_start_matches("channels.").trim_start_matches("triads.").replace(".effects.", " "),
+            cell(&of.first),
+            cell(&of.second),
             of.ratio.map_or_else(|| "–".to_owned(), |ratio| format!("{ratio:.3}")),
             within.to_owned(),
         ]);
     }
-    writeln!(stdout, "{rows}")
+    writeln!(stdout, "{rows}")?;
+    writeln!(stdout, "ratio: second over first; in interval: the second in the first's 95 % interval")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn numbers_and_provenance_are_told_as_a_person_reads_them() {
+        for (value, text) in [
+            (json!(0), "0"),
+            (json!(13.375), "13.375"),
+            (json!(2e-4), "2.0000e-4"),
+            (json!(-0.0012), "-0.0012"),
+            (json!(1800.0), "1800"),
+            (json!("signed"), "signed"),
+            (json!([[0, 1]]), "[[0,1]]"),
+        ] {
+            assert_eq!(told(&value), text);
+        }
+        assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
+        assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");
+        assert_eq!(ends([11.39, 11.41]), "1.13900e1 … 1.14100e1");
+        assert_eq!(numbered(["tone", "comb", "tone"].into_iter()), ["tone", "comb", "tone[1]"]);
+        let lines = wrapped(&"word ".repeat(100));
+        assert!(lines.lines().all(|line| line.chars().count() <= 80) && lines.lines().count() == 7, "{lines}");
+    }
 }

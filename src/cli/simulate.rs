@@ -1,7 +1,8 @@
 //! `vn100d simulate`: a sensor model's output as CSV or as a capture.
 
 use super::args::SimulateArgs;
-use super::emulate::load_model;
+use super::emulate::{load_model, stop_on_signal};
+use super::output::{Output, is_same, refuse_without_room};
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::{Clock as _, SystemClock};
 use crate::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
@@ -12,14 +13,16 @@ use crate::simulator::{Block, Motion, SensorModel, Simulator};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::fs::{File, Permissions};
+use std::fs::File;
 use std::io::{BufReader, BufWriter, IsTerminal as _, Write};
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Threads that make samples: a third would have no core where two are, and one of four leaves the writer its own.
 const THREADS: usize = 2;
+/// The longest simulation, s: a hundred years. Stamps count nanoseconds from 1970 in 64 bits, which end in 2262.
+const LONGEST_S: f64 = 3_155_760_000.0;
 
 /// What the sensor goes through.
 enum Given {
@@ -31,8 +34,8 @@ enum Given {
 
 /// Runs to the end of the duration or of the motion.
 pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outcome> {
-    refuse_same_file(args)?;
     let mut model = load_model(args.model.as_deref())?;
+    let (out, motion_out) = outputs(args)?;
     let rate_hz = args.rate.unwrap_or(model.rate_hz);
     let internal_hz = model.internal_rate_hz(rate_hz);
     let told_s = args.duration.map(|duration| duration.as_secs_f64());
@@ -57,9 +60,18 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     if samples == 0 {
         return Err(usage(format!("{duration_s} s at {rate_hz} Hz are less than a sample")));
     }
+    if duration_s > LONGEST_S {
+        return Err(usage(format!("{duration_s} s are too long: expected at most {LONGEST_S} s, a hundred years")));
+    }
+    let values = samples.saturating_mul(1 + model.channels.len() as u64);
+    match &args.out {
+        Some(path) if out.is_some() => refuse_without_room(path, values)?,
+        Some(_) => {}
+        None => refuse_without_room(&context.database()?, values)?,
+    }
     let temperature = args.temperature.as_deref().map(temperature).transpose()?.map(Arc::new);
     if motion.is_some() {
-        without_gravity(&mut model);
+        without_gravity(&mut model, "the motion");
     }
     let mut simulator = Simulator::new(&model, args.seed, rate_hz, duration_s)?.with_threads(THREADS);
     let failed = Arc::new(Mutex::new(None));
@@ -69,18 +81,18 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     if let Some(temperature) = temperature.clone() {
         simulator = simulator.with_temperature(move |time_s: f64| temperature.at(time_s));
     }
-    if let Some(path) = &args.motion_out {
-        let motion =
-            motion.as_ref().ok_or_else(|| usage("--motion-out has nothing to write without --motion".into()))?;
-        write_motion(path, motion, temperature.as_deref(), rate_hz, internal_hz, samples, &failed)?;
+    if let (Some(output), Some(motion)) = (&motion_out, &motion) {
+        write_motion(output, motion, temperature.as_deref(), rate_hz, internal_hz, samples, &failed)?;
     }
-    let bar = bar(samples);
-    let made = match (&args.out, &args.into_db) {
-        (Some(path), _) => to_csv(path, &mut simulator, samples, &bar, &failed)?,
-        (None, Some(name)) => to_database(context, args, name, &model, &mut simulator, samples, &bar, &failed)?,
-        (None, None) => return Err(usage("name --out FILE or --into-db NAME: where the samples go".to_owned())),
+    let mut run =
+        Run { simulator: &mut simulator, samples, bar: bar(samples), stop: stop_on_signal()?, failed: &failed };
+    let made = match &args.into_db {
+        Some(name) => to_database(context, args, name, &model, &mut run)?,
+        None => to_csv(out, &mut run)?,
     };
-    bar.finish_and_clear();
+    run.bar.finish_and_clear();
+    // The samples are there: without them their reference is of no use.
+    motion_out.map_or(Ok(()), Output::keep)?;
     tell(context, args, &model, rate_hz, &made)?;
     Ok(Outcome::Done)
 }
@@ -105,29 +117,37 @@ fn whole(failed: &Failed) -> anyhow::Result<()> {
     }
 }
 
-/// What is read is not to be written over.
-fn refuse_same_file(args: &SimulateArgs) -> anyhow::Result<()> {
-    let place = |path: &Path| path.canonicalize().ok();
+/// Where samples and motion go, refused before anything is made; None is standard output or the database.
+fn outputs(args: &SimulateArgs) -> anyhow::Result<(Option<Output>, Option<Output>)> {
+    if args.out.is_none() && args.into_db.is_none() {
+        return Err(usage("name --out FILE or --into-db NAME: where the samples go".to_owned()));
+    }
+    if args.motion_out.is_some() && args.motion.is_none() {
+        return Err(usage("--motion-out has nothing to write without --motion".to_owned()));
+    }
+    let stdout = Path::new("-");
+    match (&args.out, &args.motion_out) {
+        (_, Some(motion)) if motion == stdout => {
+            return Err(usage("--motion-out -: expected a file; standard output takes samples alone".to_owned()));
+        }
+        (Some(one), Some(other)) if is_same(one, other) => {
+            return Err(usage(format!("{} cannot be samples and motion", one.display())));
+        }
+        _ => {}
+    }
     let read =
         [args.model.as_deref(), args.motion.as_deref().map(Path::new), args.temperature.as_deref().map(Path::new)];
-    let read: Vec<_> = read.into_iter().flatten().filter_map(place).collect();
-    let written: Vec<&Path> = [args.out.as_deref(), args.motion_out.as_deref()].into_iter().flatten().collect();
-    for path in &written {
-        if place(path).is_some_and(|place| read.contains(&place)) {
-            return Err(usage(format!("{} is read: write to another file", path.display())));
-        }
-    }
-    match written.as_slice() {
-        [one, other] if one == other => Err(usage(format!("{} cannot be samples and motion", one.display()))),
-        _ => Ok(()),
-    }
+    let read: Vec<&Path> = read.into_iter().flatten().filter(|path| path.exists()).collect();
+    let output = |path: &Path| Output::create(path, args.force, &read);
+    let out = args.out.as_deref().filter(|path| *path != stdout).map(output).transpose()?;
+    Ok((out, args.motion_out.as_deref().map(output).transpose()?))
 }
 
-/// A motion brings gravity with it.
-fn without_gravity(model: &mut SensorModel) {
+/// Leaves gravity to what brings it: a motion, another program.
+pub(super) fn without_gravity(model: &mut SensorModel, brings: &str) {
     if let Some(level) = gravity::take_out(model, Site::default().gravity_m_s2) {
         eprintln!(
-            "note: the model's accelerometer biases ({:.4}, {:.4}, {:.4} m/s²) hold gravity, which the motion brings: they count as \
+            "note: the model's accelerometer biases ({:.4}, {:.4}, {:.4} m/s²) hold gravity, which {brings} brings: they count as \
              what exceeds {} m/s² along them",
             level[0],
             level[1],
@@ -157,8 +177,15 @@ fn given(named: &str, rate_hz: f64, internal_hz: f64, duration_s: Option<f64>) -
 
 fn open(path: &str) -> anyhow::Result<BufReader<File>> {
     let kinds = Kind::ALL.map(Kind::name).join(", ");
-    let file =
-        File::open(path).with_context(|| format!("{path} cannot be opened (motions without a file: {kinds})"))?;
+    open_file(path).with_context(|| format!("the motion {path} cannot be read (motions without a file: {kinds})"))
+}
+
+/// A folder can be opened too, and would fail at its first line.
+fn open_file(path: &str) -> std::io::Result<BufReader<File>> {
+    let file = File::open(path)?;
+    if file.metadata()?.is_dir() {
+        return Err(std::io::ErrorKind::IsADirectory.into());
+    }
     Ok(BufReader::new(file))
 }
 
@@ -202,12 +229,14 @@ fn temperature(named: &str) -> anyhow::Result<Temperatures> {
         }
         return Ok(Temperatures::constant(constant));
     }
-    Ok(Temperatures::read(open(named)?, named)?)
+    let file =
+        open_file(named).with_context(|| format!("--temperature {named}: neither °C nor a file that can be read"))?;
+    Ok(Temperatures::read(file, named)?)
 }
 
 /// The reference as a diagnosis takes it: a row for every sample sent.
 fn write_motion(
-    path: &Path,
+    output: &Output,
     motion: &Given,
     temperature: Option<&Temperatures>,
     rate_hz: f64,
@@ -215,14 +244,13 @@ fn write_motion(
     samples: u64,
     failed: &Failed,
 ) -> anyhow::Result<()> {
-    let name = path.display();
     let every = match motion {
         Given::File { samples_per_row: 1, .. } => (internal_hz / rate_hz).round().max(1.0) as usize,
         _ => 1,
     };
     let known = temperature.is_some() || matches!(motion, Given::File { has_temperature: true, .. });
     let write = || -> anyhow::Result<()> {
-        let mut writer = Writer::new(BufWriter::new(File::create(path)?), known)?;
+        let mut writer = Writer::new(BufWriter::new(output.file()), known)?;
         for (index, mut of) in (0..samples).zip(motion.rows(rate_hz, failed)?.step_by(every)) {
             let time_s = index as f64 / rate_hz;
             of.temperature_c = temperature.map(|course| course.at(time_s)).or(of.temperature_c);
@@ -230,7 +258,7 @@ fn write_motion(
         }
         Ok(writer.finish()?)
     };
-    write().with_context(|| format!("the motion {name} cannot be written"))
+    write().with_context(|| format!("the motion {} cannot be written", output.path().display()))
 }
 
 fn bar(samples: u64) -> ProgressBar {
@@ -241,57 +269,62 @@ fn bar(samples: u64) -> ProgressBar {
     if let Ok(style) = style { bar.with_style(style) } else { bar }
 }
 
-/// Hands the samples to `take`, block by block: at most `samples`, lost ones counted.
-fn each(
-    simulator: &mut Simulator,
+/// A simulation under way.
+struct Run<'a> {
+    simulator: &'a mut Simulator,
+    /// Samples at most.
     samples: u64,
-    bar: &ProgressBar,
-    mut take: impl FnMut(&Block<'_>, usize) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    let mut left = samples;
-    while left > 0 {
-        let Some(block) = simulator.next_block() else { return Ok(()) };
-        let length = block.len().min(usize::try_from(left).unwrap_or(usize::MAX));
-        take(&block, length)?;
-        left -= length as u64;
-        bar.inc(length as u64);
-    }
-    Ok(())
+    bar: ProgressBar,
+    /// Ctrl-C and SIGTERM: what was begun is cleared away.
+    stop: Arc<AtomicBool>,
+    failed: &'a Failed,
 }
 
-/// Rows of the contract's CSV (section 4); lost samples have none. A file comes into being whole or not at all.
-fn to_csv(
-    path: &Path,
-    simulator: &mut Simulator,
-    samples: u64,
-    bar: &ProgressBar,
-    failed: &Failed,
-) -> anyhow::Result<Made> {
-    if path == Path::new("-") {
-        let made = csv_rows(std::io::stdout().lock(), simulator, samples, bar)?;
-        return whole(failed).map(|()| made);
+impl Run<'_> {
+    /// Hands the samples to `take`, block by block.
+    fn each(&mut self, mut take: impl FnMut(&Block<'_>, usize) -> anyhow::Result<()>) -> anyhow::Result<()> {
+        let (channels, rate_hz) = (self.simulator.channels(), self.simulator.rate_hz());
+        let mut left = self.samples;
+        while left > 0 {
+            let Some(block) = self.simulator.next_block() else { break };
+            if self.stop.load(Ordering::Relaxed) {
+                let message = "stopped before the end: nothing is kept".to_owned();
+                return Err(CliError { failure: Failure::Other, message }.into());
+            }
+            let length = block.len().min(usize::try_from(left).unwrap_or(usize::MAX));
+            for channel in channels.iter() {
+                let values = block.values(channel).and_then(|values| values.get(..length)).unwrap_or_default();
+                if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+                    let at_s = (block.first_index + place as u64) as f64 / rate_hz;
+                    let message = format!(
+                        "channel {channel} is no finite number at {at_s} s: an effect on it is too large for this motion, \
+                         temperature or length"
+                    );
+                    return Err(CliError { failure: Failure::Other, message }.into());
+                }
+            }
+            take(&block, length)?;
+            left -= length as u64;
+            self.bar.inc(length as u64);
+        }
+        whole(self.failed)
     }
-    let cannot = || format!("{} cannot be written", path.display());
-    if path.exists() && !path.is_file() {
-        // A pipe or a device takes what comes.
-        let made = csv_rows(File::create(path).with_context(cannot)?, simulator, samples, bar).with_context(cannot)?;
-        return whole(failed).map(|()| made);
-    }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let file = tempfile::Builder::new()
-        .prefix(".simulating-")
-        .permissions(Permissions::from_mode(0o666))
-        .tempfile_in(folder)
-        .with_context(cannot)?;
-    let made = csv_rows(file.as_file(), simulator, samples, bar).with_context(cannot)?;
-    whole(failed)?;
-    file.persist(path).with_context(cannot)?;
+}
+
+/// Rows of the contract's CSV (section 4); lost samples have none. Standard output where there is no file.
+fn to_csv(output: Option<Output>, run: &mut Run<'_>) -> anyhow::Result<Made> {
+    let Some(output) = output else { return csv_rows(std::io::stdout().lock(), run) };
+    let made = csv_rows(output.file(), run).map_err(|error| match error.is::<std::io::Error>() {
+        true => error.context(format!("{} cannot be written", output.path().display())),
+        false => error,
+    })?;
+    output.keep()?;
     Ok(made)
 }
 
-fn csv_rows(to: impl Write, simulator: &mut Simulator, samples: u64, bar: &ProgressBar) -> anyhow::Result<Made> {
+fn csv_rows(to: impl Write, run: &mut Run<'_>) -> anyhow::Result<Made> {
     let mut to = BufWriter::with_capacity(1 << 20, to);
-    let channels: Vec<Channel> = simulator.channels().iter().collect();
+    let channels: Vec<Channel> = run.simulator.channels().iter().collect();
     write!(to, "time_s")?;
     for channel in &channels {
         write!(to, ",{}{}", channel.name(), channel.csv_suffix())?;
@@ -300,7 +333,7 @@ fn csv_rows(to: impl Write, simulator: &mut Simulator, samples: u64, bar: &Progr
     let mut made = Made::default();
     // Lost before the first sample or after the last one is not missing between any, as in the database.
     let mut lost = 0;
-    each(simulator, samples, bar, |block, length| {
+    run.each(|block, length| {
         let columns: Vec<&[f64]> = channels.iter().filter_map(|channel| block.values(*channel)).collect();
         for row in 0..length {
             if block.lost[row] {
@@ -321,16 +354,12 @@ fn csv_rows(to: impl Write, simulator: &mut Simulator, samples: u64, bar: &Progr
     Ok(made)
 }
 
-#[expect(clippy::too_many_arguments, reason = "what goes in, what is said, where it goes")]
 fn to_database(
     context: &Context,
     args: &SimulateArgs,
     name: &str,
     model: &SensorModel,
-    simulator: &mut Simulator,
-    samples: u64,
-    bar: &ProgressBar,
-    failed: &Failed,
+    run: &mut Run<'_>,
 ) -> anyhow::Result<Made> {
     let store = Store::open(&context.database()?, StoreOptions::default())
         .context("simulate with --out FILE and import that where a daemon has the database")?;
@@ -349,11 +378,11 @@ fn to_database(
         ..NewCapture::new("simulator", CaptureState::Simulated)
     };
     let mut import = store.begin_import(capture, None)?;
-    let mut records = Records::new(simulator.rate_hz(), simulator.channels(), simulator.has_jitter(), utc_ns);
-    each(simulator, samples, bar, |block, length| {
+    let mut records =
+        Records::new(run.simulator.rate_hz(), run.simulator.channels(), run.simulator.has_jitter(), utc_ns);
+    run.each(|block, length| {
         (0..length).try_for_each(|row| Ok(records.take(&block.sample(row), |record| import.push(record))?))
     })?;
-    whole(failed)?;
     let (received, missing) = records.counts();
     let id = import.finish(None)?.id();
     crate::jobs::leave_for_daemon(&store, id)?;

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 pub enum Course {
     /// From −½ to ½ over the record.
     Ramp,
-    /// The temperature about its mean, °C.
+    /// The temperature about its reference, °C.
     Temperature,
     /// exp(−t/τ), τ in samples.
     WarmUp(f64),
@@ -22,7 +22,7 @@ pub struct Courses {
     samples: usize,
     kept: usize,
     ramp: Vec<f64>,
-    /// The temperature about its mean, °C, and its transform.
+    /// The temperature about the reference, °C, and its transform.
     temperature: Option<(Vec<f64>, Vec<f64>)>,
 }
 
@@ -30,22 +30,20 @@ impl Courses {
     /// Coefficients that are looked at: courses are slow.
     pub const KEPT: usize = 4096;
 
-    /// For records as long as the transform's; `temperature_c` is the sensor's at every sample, if it was measured: rounded
-    /// readings are to be smoothed before.
+    /// For records as long as the transform's; `temperature` is the sensor's at every sample about some reference, °C, if it
+    /// was measured: rounded readings are to be smoothed before.
     #[must_use]
-    pub fn new(transform: &mut Cosines, temperature_c: Option<&[f64]>) -> Self {
+    pub fn new(transform: &mut Cosines, temperature: Option<&[f64]>) -> Self {
         let samples = transform.length();
         let kept = Self::KEPT.min(samples);
         let mut ramp: Vec<f64> = (0..samples).map(|t| ramp(t, samples)).collect();
         transform.forward(&mut ramp);
         ramp.truncate(kept);
-        let temperature = temperature_c.filter(|values| values.len() == samples).map(|values| {
-            let mean = values.iter().sum::<f64>() / samples as f64;
-            let about: Vec<f64> = values.iter().map(|value| value - mean).collect();
-            let mut coefficients = about.clone();
+        let temperature = temperature.filter(|values| values.len() == samples).map(|values| {
+            let mut coefficients = values.to_vec();
             transform.forward(&mut coefficients);
             coefficients.truncate(kept);
-            (about, coefficients)
+            (values.to_vec(), coefficients)
         });
         Self { samples, kept, ramp, temperature }
     }
@@ -56,7 +54,7 @@ impl Courses {
         self.samples
     }
 
-    /// The temperature about its mean, °C.
+    /// The temperature about its reference, °C.
     #[must_use]
     pub fn temperature(&self) -> Option<&[f64]> {
         self.temperature.as_ref().map(|(about, _)| about.as_slice())

@@ -157,7 +157,7 @@ fn gains(term: &Term, grid: &Grid) -> Vec<f64> {
 
 impl Pieces {
     fn of(law: &Law, data: Data<'_>) -> Self {
-        let bins = data.power.len();
+        let bins = data.grid.counts().len();
         let mut pieces = Self {
             levels: std::array::from_fn(|level| {
                 let power = law.levels[level].exp();
@@ -369,7 +369,7 @@ impl Law {
             for (level, corner) in [(1, flicker), (2, walk)] {
                 let at = |f: f64| {
                     let near = data.grid.frequencies_hz().partition_point(|own| *own < f);
-                    near.min(data.power.len() - 1)
+                    near.min(data.grid.counts().len() - 1)
                 };
                 let bin = at(corner * nyquist_hz);
                 let shape = data.base.shapes[level][bin];

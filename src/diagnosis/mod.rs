@@ -8,17 +8,30 @@
 //! [`course`]s and sines ([`series`]). What each effect would give is in [`evidence`]; [`search`] adds one after the other as
 //! long as they are worth their price, which is what chance gives in simulated records of the same length.
 
+mod compose;
 pub mod course;
+pub mod diagnose;
 pub mod error;
 pub mod evidence;
+pub mod facts;
 pub mod grid;
+pub mod holdout;
 pub mod law;
+pub mod omnibus;
+pub mod prepare;
+pub mod prices;
 pub mod recording;
 pub mod report;
+pub mod response;
 pub mod search;
+mod sentence;
 pub mod series;
+pub mod shared;
+pub mod tiles;
 pub mod transform;
+pub mod translate;
 
+pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use error::DiagnosisError;
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};

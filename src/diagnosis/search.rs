@@ -48,7 +48,7 @@ const SIMPLER: [(Kind, Kind, f64); 9] = [
     (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
     (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
     (Kind::HeavyTails, Kind::Spikes, 0.0),
-    (Kind::MovingAverage, Kind::LowPass, 0.0),
+    (Kind::LowPass, Kind::MovingAverage, 6.0),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
 ];
 
@@ -57,7 +57,9 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
-        let candidates = evidence::all(series);
+        let mut candidates = evidence::all(series);
+        // What is named is named once: more of the same would be a failure to explain it.
+        candidates.retain(|of| of.kind.repeats() || steps.iter().all(|step| step.kind.effect() != of.kind.effect()));
         let Some(step) = choose(&candidates, prices) else { break };
         let Some(chosen) = candidates.into_iter().find(|candidate| candidate.kind == step.kind) else { break };
         series.explanation = chosen.explanation;

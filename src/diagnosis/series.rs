@@ -43,6 +43,9 @@ pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f
     }
 }
 
+/// From this ratio of variances on a stretch says nothing about the noise: it is excluded.
+const LOUD: f64 = 4.0;
+
 /// A factor on the white part's standard deviation inside a range of samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loud {
@@ -52,6 +55,17 @@ pub struct Loud {
     pub to: usize,
     /// On the variance.
     pub ratio: f64,
+}
+
+/// Spikes of a series.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpikeLaw {
+    /// Chance that a sample is one.
+    pub rate: f64,
+    /// Typical size, in the series' scale.
+    pub size: f64,
+    /// Variance of a residual that is one.
+    pub variance: f64,
 }
 
 /// How the variance of the white part depends on something.
@@ -75,12 +89,34 @@ pub struct Explanation {
     pub sines: Vec<Sine>,
     /// Samples that are no noise: spikes, held or clipped values.
     pub outliers: Vec<usize>,
+    /// What the spikes among them are like.
+    pub spikes: Option<SpikeLaw>,
     /// Stretches of another variance.
     pub loud: Vec<Loud>,
     /// Variance by temperature or time.
     pub scedasticity: Option<Scedasticity>,
     /// Degrees of freedom of Student's t.
     pub tails: Option<f64>,
+    /// Where the samples are cut off, below and above.
+    pub limits: [Option<f64>; 2],
+}
+
+impl Explanation {
+    /// Noise alone.
+    #[must_use]
+    pub fn noise(law: Law) -> Self {
+        Self {
+            law,
+            courses: Vec::new(),
+            sines: Vec::new(),
+            outliers: Vec::new(),
+            spikes: None,
+            loud: Vec::new(),
+            scedasticity: None,
+            tails: None,
+            limits: [None, None],
+        }
+    }
 }
 
 /// What belongs to the whole record.
@@ -93,8 +129,6 @@ pub struct Setting<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
-    /// Variance of a rounding that the samples went through, in the series' scale.
-    pub rounding: f64,
 }
 
 impl std::fmt::Debug for Setting<'_> {
@@ -133,32 +167,29 @@ pub struct Series<'a> {
 }
 
 impl<'a> Series<'a> {
-    /// A series of samples, explained by nothing but noise.
+    /// A series of samples with what is known to explain them.
     #[must_use]
-    pub fn new(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Law) -> Self {
+    pub fn new(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
+        let mut series = Self::unbuilt(setting, transform, samples, start);
+        series.rebuild(true);
+        series
+    }
+
+    fn unbuilt(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
         let grid = Grid::new(samples.len(), setting.rate_hz, &[]);
         let base = (setting.base)(&grid);
-        let explanation = Explanation {
-            law: start.clone(),
-            courses: Vec::new(),
-            sines: Vec::new(),
-            outliers: Vec::new(),
-            loud: Vec::new(),
-            scedasticity: None,
-            tails: None,
-        };
         let power = vec![1.0; grid.counts().len()];
         let fitted = Fitted {
-            law: start,
+            law: start.law.clone(),
             log_likelihood: f64::NEG_INFINITY,
             log_posterior: f64::NEG_INFINITY,
             covariance: None,
             logarithms: vec![0.0; grid.counts().len()],
         };
-        let mut series = Self {
+        Self {
             setting,
             transform,
-            explanation,
+            explanation: start,
             grid,
             base,
             rest: samples.clone(),
@@ -170,9 +201,7 @@ impl<'a> Series<'a> {
             whitened: Vec::new(),
             residual: Vec::new(),
             variance: Vec::new(),
-        };
-        series.rebuild(true);
-        series
+        }
     }
 
     /// The record's setting.
@@ -219,41 +248,167 @@ impl<'a> Series<'a> {
 
     /// Builds everything anew from samples and explanation; `several`: from several starts of the law.
     pub fn rebuild(&mut self, several: bool) {
-        let lines: Vec<Narrow> = self
-            .explanation
-            .law
-            .terms
-            .iter()
-            .filter(|term| term.shape == Shape::Resonance)
-            .map(|term| Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() })
-            .collect();
-        self.grid = Grid::new(self.len(), self.setting.rate_hz, &lines);
-        self.base = (self.setting.base)(&self.grid);
+        self.resolve_lines();
         self.fit_means();
-        let mut coefficients = self.rest.clone();
-        self.transform.forward(&mut coefficients);
-        self.power = self.grid.power(&coefficients);
-        self.coefficients = coefficients;
+        self.refit(several);
+        if !self.excluded().is_empty() {
+            // What stands for excluded samples depends on the law, and the law a little on that.
+            for _ in 0..2 {
+                self.fit_means();
+                self.interpolate();
+                self.refit(false);
+            }
+        }
+        self.refine_means();
+    }
+
+    /// Transforms the rest, fits the law to it and whitens it.
+    fn refit(&mut self, several: bool) {
+        self.transformed();
         let law = &self.explanation.law;
         let fitted = if several { law.fit_from_several(self.data()) } else { law.fit(self.data()) };
         self.explanation.law = fitted.law.clone();
         self.fitted = fitted;
         self.whiten();
-        self.refine_means();
     }
 
-    /// Fits the factors of courses and sines once more, all together, at the law as it is now.
-    fn refine_means(&mut self) {
-        if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
+    fn transformed(&mut self) {
+        let mut coefficients = self.rest.clone();
+        self.transform.forward(&mut coefficients);
+        self.power = self.grid.power(&coefficients);
+        self.coefficients = coefficients;
+    }
+
+    /// The samples that are no noise, in order: outliers, and stretches that are much louder than the rest.
+    fn excluded(&self) -> Vec<usize> {
+        let mut places = self.explanation.outliers.clone();
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
+            places.extend(loud.from..loud.to);
+        }
+        places.sort_unstable();
+        places.dedup();
+        places
+    }
+
+    /// Puts in place of excluded samples what noise of the present law would be there, given all others: a draw from the
+    /// conditional distribution, so that they look like nothing in particular.
+    ///
+    /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
+    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Limits are left to the simple way.
+    fn interpolate(&mut self) {
+        const ROUNDS: usize = 40;
+        const ENOUGH: f64 = 1e-3;
+        let places = self.excluded();
+        if places.is_empty() || self.explanation.limits != [None, None] || places.len() * 3 > self.len() {
             return;
         }
-        let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
-        if !courses.is_empty() {
-            let drift = self.with_courses(&courses);
-            for ((_, factor), more) in self.explanation.courses.iter_mut().zip(&drift.factors) {
-                *factor += more;
+        let n = self.len();
+        let mut stream = Stream::new(n as u64, crate::effects::StreamId { owner: 0, effect: 3, instance: 0 });
+        let mut drawn: Vec<f64> =
+            self.spectrum.iter().map(|s| if s.is_finite() { s.sqrt() * stream.normal() } else { 0.0 }).collect();
+        self.transform.backward(&mut drawn);
+        // What is known of the difference, with a first guess in the excluded places: nothing.
+        let mut difference: Vec<f64> = self.rest.iter().zip(&drawn).map(|(own, other)| own - other).collect();
+        let guess = self.simple_guess(&difference, &places);
+        for (place, value) in places.iter().zip(guess) {
+            difference[*place] = value;
+        }
+        let mut precision = |values: &[f64]| -> Vec<f64> {
+            let mut c = values.to_vec();
+            self.transform.forward(&mut c);
+            c.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s);
+            self.transform.backward(&mut c);
+            places.iter().map(|place| c[*place]).collect()
+        };
+        let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
+        let mut direction = residual.clone();
+        let mut square: f64 = residual.iter().map(|r| r * r).sum();
+        let first = square;
+        let mut spread = vec![0.0; n];
+        for _ in 0..ROUNDS {
+            if square <= ENOUGH * ENOUGH * first || square == 0.0 {
+                break;
+            }
+            for (place, value) in places.iter().zip(&direction) {
+                spread[*place] = *value;
+            }
+            let image = precision(&spread);
+            let curvature: f64 = direction.iter().zip(&image).map(|(d, a)| d * a).sum();
+            if curvature <= 0.0 {
+                break;
+            }
+            let step = square / curvature;
+            for (at, place) in places.iter().enumerate() {
+                difference[*place] += step * direction[at];
+                residual[at] -= step * image[at];
+            }
+            let next: f64 = residual.iter().map(|r| r * r).sum();
+            let ratio = next / square;
+            direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = r + ratio * *d);
+            square = next;
+        }
+        for place in &places {
+            self.rest[*place] = difference[*place] + drawn[*place];
+        }
+        let mean = self.rest.iter().sum::<f64>() / n as f64;
+        self.rest.iter_mut().for_each(|value| *value -= mean);
+    }
+
+    /// A course between the neighbours.
+    fn simple_guess(&self, values: &[f64], places: &[usize]) -> Vec<f64> {
+        let mut filled = values.to_vec();
+        fill_in(&mut filled, places, 0.0);
+        places.iter().map(|place| filled[*place]).collect()
+    }
+
+    /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know.
+    #[must_use]
+    pub fn frozen(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, explanation: Explanation) -> Self {
+        let mut series = Self::unbuilt(setting, transform, samples, explanation);
+        series.resolve_lines();
+        let amplitudes: Vec<f64> = series.explanation.sines.iter().map(Sine::amplitude).collect();
+        for pass in 0..3 {
+            series.fit_means();
+            if series.spectrum.is_empty() {
+                series.fitted.logarithms = series.explanation.law.logarithms(series.data());
+                series.spectrum = series.grid.fill(&series.fitted.logarithms);
+            }
+            series.interpolate();
+            series.transformed();
+            series.whiten();
+            if series.explanation.sines.is_empty() || pass == 2 {
+                break;
+            }
+            series.refine_sines();
+            for (sine, amplitude) in series.explanation.sines.iter_mut().zip(&amplitudes) {
+                let found = sine.amplitude();
+                if found > 0.0 && *amplitude > 0.0 {
+                    sine.quadratures = sine.quadratures.map(|value| value * amplitude / found);
+                }
             }
         }
+        series
+    }
+
+    /// ln of density in nats, in as many blocks of time as are asked for; without what belongs to spikes and tails.
+    #[must_use]
+    pub fn density(&self, blocks: usize) -> Vec<f64> {
+        let n = self.len();
+        let constant: f64 = self.spectrum.iter().skip(1).map(|s| s.ln()).sum::<f64>() / n as f64;
+        let size = n.div_ceil(blocks.max(1));
+        let of = |block: usize| {
+            let range = (block * size).min(n)..((block + 1) * size).min(n);
+            range
+                .map(|t| {
+                    let variance = self.variance.get(t).map_or(0.0, |v| v.ln());
+                    -0.5 * (self.residual[t].powi(2) + variance + constant)
+                })
+                .sum()
+        };
+        (0..blocks).map(of).collect()
+    }
+
+    fn refine_sines(&mut self) {
         let n = self.len();
         for index in 0..self.explanation.sines.len() {
             let cycles = self.explanation.sines[index].cycles;
@@ -268,14 +423,38 @@ impl<'a> Series<'a> {
             own[0] += scale * sums[0];
             own[1] += scale * sums[1];
         }
+    }
+
+    /// Fits the factors of courses and sines once more, all together, at the law as it is now.
+    fn refine_means(&mut self) {
+        if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
+            return;
+        }
+        let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
+        if !courses.is_empty() {
+            let drift = self.with_courses(&courses);
+            for ((_, factor), more) in self.explanation.courses.iter_mut().zip(&drift.factors) {
+                *factor += more;
+            }
+        }
+        self.refine_sines();
         self.fit_means();
-        let mut coefficients = self.rest.clone();
-        self.transform.forward(&mut coefficients);
-        self.power = self.grid.power(&coefficients);
-        self.coefficients = coefficients;
-        self.fitted = self.explanation.law.fit(self.data());
-        self.explanation.law = self.fitted.law.clone();
-        self.whiten();
+        self.interpolate();
+        self.refit(false);
+    }
+
+    /// A grid that resolves the narrow bands of the law.
+    fn resolve_lines(&mut self) {
+        let lines: Vec<Narrow> = self
+            .explanation
+            .law
+            .terms
+            .iter()
+            .filter(|term| term.shape == Shape::Resonance)
+            .map(|term| Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() })
+            .collect();
+        self.grid = Grid::new(self.len(), self.setting.rate_hz, &lines);
+        self.base = (self.setting.base)(&self.grid);
     }
 
     /// The rest without means, given the present law: samples with outliers filled in, less sines and courses.
@@ -290,7 +469,8 @@ impl<'a> Series<'a> {
         }
         let white = self.white().clamp(1e-3, 1e3);
         fill_in(&mut rest, &explanation.outliers, white);
-        for loud in explanation.loud.iter().filter(|loud| loud.ratio > 4.0) {
+        beyond(&mut rest, &self.samples, &explanation.outliers, explanation.limits, white);
+        for loud in explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
             let inside: Vec<usize> = (loud.from..loud.to).collect();
             fill_in(&mut rest, &inside, white);
         }
@@ -311,19 +491,32 @@ impl<'a> Series<'a> {
         self.residual = residual;
     }
 
-    /// The variance that the explanation gives each sample of the residual, 1 on average over ln; empty if it is the same.
+    /// By how much the white part's variance is on average above what it is where nothing changes it: the law's level of
+    /// white noise is the average.
+    #[must_use]
+    pub fn average_variance(&self) -> f64 {
+        let raw = self.raw_variances();
+        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+    }
+
+    /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
     fn variances(&self) -> Vec<f64> {
+        normalised(self.raw_variances())
+    }
+
+    /// The same over that where nothing changes it.
+    fn raw_variances(&self) -> Vec<f64> {
         let n = self.len();
         let Some(how) = &self.explanation.scedasticity else {
-            let quiet: Vec<&Loud> = self.explanation.loud.iter().filter(|loud| loud.ratio <= 4.0).collect();
+            let quiet: Vec<&Loud> = self.explanation.loud.iter().filter(|loud| loud.ratio <= LOUD).collect();
             if quiet.is_empty() {
                 return Vec::new();
             }
             let mut variance = vec![1.0; n];
             for loud in quiet {
-                variance[loud.from..loud.to].fill(loud.ratio);
+                variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
             }
-            return normalised(variance);
+            return variance;
         };
         let logarithms: Vec<f64> = match how {
             Scedasticity::PerDegree(slope) => {
@@ -331,7 +524,7 @@ impl<'a> Series<'a> {
             }
             Scedasticity::Profile(values) => (0..n).map(|t| profile(values, t, n)).collect(),
         };
-        normalised(logarithms.iter().map(|l| l.exp()).collect())
+        logarithms.iter().map(|l| l.exp()).collect()
     }
 
     /// The transform for records of this length.
@@ -429,6 +622,49 @@ fn normalised(mut variance: Vec<f64>) -> Vec<f64> {
     let mean = variance.iter().sum::<f64>() / variance.len().max(1) as f64;
     variance.iter_mut().for_each(|value| *value /= mean);
     variance
+}
+
+/// Lets samples that are cut off lie beyond the limit, as noise about their neighbours' level would.
+fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], white: f64) {
+    use statrs::distribution::{ContinuousCDF, Normal};
+    const NEAR: usize = 12;
+    if limits == [None, None] {
+        return;
+    }
+    let normal = Normal::standard();
+    let n = rest.len();
+    let mut stream = Stream::new(n as u64, crate::effects::StreamId { owner: 0, effect: 1, instance: 0 });
+    for place in places {
+        let at =
+            |limit: Option<f64>| limit.filter(|limit| (samples[*place] - limit).abs() < 1e-9 * limit.abs().max(1.0));
+        let (limit, sign) = match (at(limits[0]), at(limits[1])) {
+            (Some(limit), _) => (limit, -1.0),
+            (_, Some(limit)) => (limit, 1.0),
+            _ => continue,
+        };
+        let near = place.saturating_sub(NEAR)..(place + NEAR + 1).min(n);
+        let (sum, count) = near
+            .filter(|t| places.binary_search(t).is_err())
+            .fold((0.0, 0.0), |(sum, count), t| (sum + samples[t], count + 1.0));
+        let level = if count > 0.0 { sum / count } else { limit };
+        // The chance of being below the limit, and a place beyond it.
+        let below = normal.cdf(sign * (limit - level) / white);
+        let share = below + (1.0 - below) * stream.uniform();
+        let z = normal.inverse_cdf(share.clamp(1e-12, 1.0 - 1e-12)).clamp(-6.0, 6.0);
+        let value = level + sign * white * z;
+        let value = if sign * (value - limit) < 0.0 { limit } else { value };
+        // What was explained of the sample beside the noise stays so.
+        rest[*place] = value + (rest_of(rest, *place, places, samples));
+    }
+}
+
+/// By how much explained means moved the samples about a place.
+fn rest_of(rest: &[f64], place: usize, places: &[usize], samples: &[f64]) -> f64 {
+    let near = place.saturating_sub(2)..(place + 3).min(rest.len());
+    let (sum, count) = near
+        .filter(|t| places.binary_search(t).is_err())
+        .fold((0.0, 0.0), |(sum, count), t| (sum + rest[t] - samples[t], count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
 }
 
 /// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise

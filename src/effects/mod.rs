@@ -64,7 +64,7 @@ pub use rate_ramp::RateRamp;
 pub use resolution::Resolution;
 pub use resonance::Resonance;
 pub use saturation::Saturation;
-pub use spec::{Kind, Refusal, Spec};
+pub use spec::{Kind, LARGEST, Refusal, Spec};
 pub use spikes::Spikes;
 pub use stream::{Stream, StreamId};
 pub use temperature_bias::TemperatureBias;

@@ -22,7 +22,10 @@ pub struct Refusal {
     pub allowed: String,
 }
 
-/// A range of numbers. The numbers are finite in any case.
+/// The largest parameter, in its unit: what is made of larger ones is soon no finite number. Nothing that is measured comes near.
+pub const LARGEST: f64 = 1e30;
+
+/// A range of numbers. The numbers are finite in any case, and none is larger than [`LARGEST`] or smaller than its negative.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_enums, reason = "a closed vocabulary of ranges")]
 pub enum Range {
@@ -38,13 +41,20 @@ pub enum Range {
 
 impl Range {
     fn contains(self, number: f64) -> bool {
-        number.is_finite()
+        number.abs() <= LARGEST
             && match self {
                 Self::Any => true,
                 Self::FromZero => number >= 0.0,
                 Self::Above(least) => number > least,
                 Self::Probability => (0.0..1.0).contains(&number),
             }
+    }
+    /// In words for someone who gave this number: the limit of all ranges is told where it was passed.
+    fn words_for(self, number: Option<f64>) -> String {
+        match number.filter(|number| number.abs() > LARGEST) {
+            Some(_) => format!("{} of {LARGEST:e} at most in size", self.words()),
+            None => self.words(),
+        }
     }
     /// In words: "a number above 0".
     #[must_use]
@@ -58,9 +68,9 @@ impl Range {
     }
     fn schema(self) -> Value {
         match self {
-            Self::Any => json!({"type": "number"}),
-            Self::FromZero => json!({"type": "number", "minimum": 0}),
-            Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least}),
+            Self::Any => json!({"type": "number", "minimum": -LARGEST, "maximum": LARGEST}),
+            Self::FromZero => json!({"type": "number", "minimum": 0, "maximum": LARGEST}),
+            Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least, "maximum": LARGEST}),
             Self::Probability => json!({"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
         }
     }
@@ -302,9 +312,10 @@ impl Parameter {
         };
         let at = |index: usize| wrong(format!("[{index}]"), &value[index]);
         match self.form {
-            Form::Number(range) => {
-                value.as_f64().filter(|number| range.contains(*number)).map(|_| ()).ok_or_else(whole)
-            }
+            Form::Number(range) => match value.as_f64() {
+                Some(number) if range.contains(number) => Ok(()),
+                found => Err((String::new(), value.to_string(), range.words_for(found))),
+            },
             Form::Whole(from, to) => match whole_of(value) {
                 Some(number) if (from..=to).contains(&number) => Ok(()),
                 _ => Err(whole()),
@@ -314,7 +325,7 @@ impl Parameter {
                 list()?.iter().position(|value| !fits(value)).map_or(Ok(()), |index| Err(at(index)))
             }
             Form::Intervals => {
-                let fits = |(from, to): &(f64, f64)| 0.0 <= *from && from < to;
+                let fits = |(from, to): &(f64, f64)| 0.0 <= *from && from < to && *to <= LARGEST;
                 pairs()?.iter().position(|pair| !fits(pair)).map_or(Ok(()), |index| Err(at(index)))
             }
             Form::Profile => {
@@ -323,7 +334,9 @@ impl Parameter {
                     return Err(whole());
                 }
                 let rises = |index: usize| index == 0 || pairs[index - 1].0 < pairs[index].0;
-                let fits = |index: usize| pairs[index].0 >= 0.0 && pairs[index].1 >= 0.0 && rises(index);
+                let size = 0.0..=LARGEST;
+                let fits =
+                    |index: usize| size.contains(&pairs[index].0) && size.contains(&pairs[index].1) && rises(index);
                 (0..pairs.len()).find(|index| !fits(*index)).map_or(Ok(()), |index| Err(at(index)))
             }
             Form::Matrix => matrix_of(value).map(|_| ()).ok_or_else(whole),
@@ -386,7 +399,7 @@ fn matrix_of(value: &Value) -> Option<[[f64; 3]; 3]> {
     for (row, places) in rows.iter().zip(&mut matrix) {
         let numbers = row.as_array().filter(|numbers| numbers.len() == 3)?;
         for (number, place) in numbers.iter().zip(places) {
-            *place = number.as_f64()?;
+            *place = number.as_f64().filter(|number| number.abs() <= LARGEST)?;
         }
     }
     Some(matrix)

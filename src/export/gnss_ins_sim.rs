@@ -1,11 +1,11 @@
 //! The `imu_err` dictionary of gnss-ins-sim.
 //!
 //! # Source
-//! Aceinna/gnss-ins-sim, README, step 1.1: `gyro_b` and `gyro_b_stability` in deg/hr, `gyro_arw` in deg/rt-hr,
+//! Aceinna/gnss-ins-sim, README, step 1.1: `gyro_b` (constant biases; `accel_b` in m/s²) and `gyro_b_stability` in deg/hr, `gyro_arw` in deg/rt-hr,
 //! `accel_vrw` in m/s/rt-hr, `accel_b_stability` in m/s², correlation times in s, `mag_std` in µT. A correlation time of
 //! `inf` is called a random walk there, but draws independent values: it is not used here.
 
-use super::{Axis, ImuNoise, Known};
+use super::{Axis, ImuNoise, Known, Part};
 use crate::units::{MICROTESLA_PER_GAUSS, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR};
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
     const DEG: f64 = 1.0 / RAD_PER_DEG;
     // Long enough to walk over the whole record.
     let walk_s = (10.0 * noise.duration_s).max(1.0);
-    let mut text = format!("# {}\n", noise.origin);
+    let mut text = super::comment("# ", &noise.origin_for(&[Part::Bias]));
     let _ = write!(
         text,
         "# Biases are first-order Gauss-Markov processes here: K stands as one of {walk_s:?} s with sigma K*sqrt(Tc/2), which walks\n\
@@ -33,11 +33,12 @@ pub(super) fn write(noise: &ImuNoise) -> String {
         (None, Known::Value(k)) => (k * (walk_s / 2.0).sqrt(), walk_s),
         _ => (0.0, walk_s),
     };
-    row("gyro_b", "deg/hr", [0.0; 3]);
+    let bias = |axes: &[Axis; 3], factor: f64| axes.map(|axis| axis.fixed.bias.unwrap_or(0.0) * factor);
+    row("gyro_b", "deg/hr", bias(&noise.gyro, DEG * SECONDS_PER_HOUR));
     row("gyro_arw", &with_limits("deg/rt-hr", &noise.gyro), white(&noise.gyro, DEG * SQRT_HOUR));
     row("gyro_b_stability", "deg/hr", noise.gyro.map(|axis| drift(&axis).0 * DEG * SECONDS_PER_HOUR));
     row("gyro_b_corr", "s", noise.gyro.map(|axis| drift(&axis).1));
-    row("accel_b", "m/s^2", [0.0; 3]);
+    row("accel_b", "m/s^2", bias(&noise.accel, 1.0));
     row("accel_vrw", &with_limits("m/s/rt-hr", &noise.accel), white(&noise.accel, SQRT_HOUR));
     row("accel_b_stability", "m/s^2", noise.accel.map(|axis| drift(&axis).0));
     row("accel_b_corr", "s", noise.accel.map(|axis| drift(&axis).1));

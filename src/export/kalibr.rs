@@ -9,7 +9,7 @@ use super::{Axis, ImuNoise, Known, each, worst};
 use std::fmt::Write as _;
 
 pub(super) fn write(noise: &ImuNoise) -> String {
-    let mut text = format!("# {}\n", noise.origin);
+    let mut text = super::comment("# ", &noise.origin_for(&[]));
     text.push_str(
         "# Continuous-time, SI. One number per sensor: the largest axis; each axis in the comment (x, y, z).\n\
          # `<`: not identified in this record, 95 % upper limit; where it is the largest it stands as the number, which is\n\

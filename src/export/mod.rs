@@ -17,6 +17,7 @@ use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::{Channel, Triad};
 use crate::simulator::SensorModel;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// Where parameters can go.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -128,23 +129,60 @@ pub struct Axis {
     pub k: Known,
     /// Gauss–Markov process: standard deviation and correlation time in s.
     pub gauss_markov: Option<(f64, f64)>,
+    /// What is no noise.
+    pub fixed: Fixed,
+}
+
+/// What an axis does to its values besides noise, in the channel's unit U; None where the source has none.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write axes out")]
+pub struct Fixed {
+    /// A constant, U.
+    pub bias: Option<f64>,
+    /// The step that values are multiples of, U.
+    pub resolution: Option<f64>,
+    /// Slope, U/°C, and the temperature at which it adds nothing, °C.
+    pub temperature: Option<(f64, f64)>,
+    /// Nothing is beyond plus or minus this, U.
+    pub range: Option<f64>,
+    /// Of a gyroscope's own axis' acceleration, (rad/s)/(m/s²).
+    pub acceleration: Option<f64>,
+}
+
+/// A part of a sensor model that only some targets can hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Bias,
+    Resolution,
+    Temperature,
+    Range,
+    Acceleration,
 }
 
 impl Axis {
     /// Nothing known.
-    pub const UNKNOWN: Self = Self { n: Known::Nothing, b: Known::Nothing, k: Known::Nothing, gauss_markov: None };
+    pub const UNKNOWN: Self = Self {
+        n: Known::Nothing,
+        b: Known::Nothing,
+        k: Known::Nothing,
+        gauss_markov: None,
+        fixed: Fixed { bias: None, resolution: None, temperature: None, range: None, acceleration: None },
+    };
 
     fn of(parameters: &NoiseParameters) -> Self {
         let gauss_markov = parameters.gauss_markov.as_ref().and_then(|gm| gm.sigma.value.zip(gm.tc_s.value));
-        Self { n: Known::of(&parameters.n), b: Known::of(&parameters.b), k: Known::of(&parameters.k), gauss_markov }
+        let [n, b, k] = [&parameters.n, &parameters.b, &parameters.k].map(Known::of);
+        Self { n, b, k, gauss_markov, fixed: Fixed::default() }
     }
 }
 
 /// What all makers write from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImuNoise {
-    /// Where the parameters come from, and what of it no target can hold: one line for a comment.
+    /// Where the parameters come from: one line for a comment.
     pub origin: String,
+    /// What of it no target can hold, each by its name and whose it is.
+    pub others: Vec<(String, String)>,
     /// Rate of the samples, Hz.
     pub rate_hz: f64,
     /// Length of the record, s.
@@ -167,6 +205,7 @@ impl ImuNoise {
         let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
             origin: format!("VN-100 capture {name}: {duration_s} s at {} Hz", report.rate_hz),
+            others: Vec::new(),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
             accel: axes(Triad::Accel),
@@ -175,57 +214,156 @@ impl ImuNoise {
         }
     }
 
-    /// The parameters of a sensor model. A Gauss–Markov process counts where an axis has one; all other effects, and how the
-    /// sensor samples, are named as left out.
+    /// The parameters of a sensor model. Of an axis' effects one Gauss–Markov process, `resolution` and `temperature_bias` count,
+    /// of a triad's its bias, its range, and the diagonal of `g_sensitivity` where nothing is beside it; all others are named as
+    /// left out. A magnetometer's level is the field where it lay, and no bias.
     #[must_use]
     pub fn of_model(model: &SensorModel) -> Self {
-        let mut omitted = Vec::new();
+        let mut others = Vec::new();
         let mut axis = |channel: Channel| {
             let Some(of) = model.channels.get(&channel) else { return Axis::UNKNOWN };
-            let mut gauss_markov = None;
+            let (mut gauss_markov, mut fixed) = (None, Fixed::default());
             for effect in &of.effects {
                 let number = |key: &str| {
                     let found = effect.parameters().into_iter().find(|(name, _)| *name == key);
                     found.and_then(|(_, value)| value.as_f64())
                 };
-                let process = number("sigma").zip(number("tc_s")).filter(|_| effect.name() == "gauss_markov");
-                match (process, gauss_markov) {
-                    (Some(process), None) => gauss_markov = Some(process),
-                    _ => omitted.push(format!("{} of {channel}", effect.name())),
+                // The first of a kind; two of them no target takes.
+                let held = match effect.name() {
+                    "gauss_markov" => first(&mut gauss_markov, number("sigma").zip(number("tc_s"))),
+                    "resolution" => first(&mut fixed.resolution, number("step")),
+                    "temperature_bias" => first(&mut fixed.temperature, number("per_c").zip(number("reference_c"))),
+                    _ => false,
+                };
+                if !held {
+                    others.push((effect.name().to_owned(), channel.name().to_owned()));
                 }
             }
-            omitted.extend(of.bias.filter(|bias| *bias != 0.0).map(|_| format!("bias of {channel}")));
-            let known = |value: f64, key: &str| {
-                let limit = of.uncertainty.as_ref().and_then(|of| of.get(key)?.get("upper_limit95")?.as_f64());
-                match limit {
-                    Some(limit) if value == 0.0 => Known::Below(limit),
-                    _ => Known::Value(value),
-                }
+            let level = of.bias.filter(|bias| *bias != 0.0);
+            if channel.triad() == Some(Triad::Mag) {
+                others.extend(level.map(|_| ("field in the bias".to_owned(), channel.name().to_owned())));
+            } else {
+                fixed.bias = level;
+            }
+            let known = |value: f64, key: &str| match of.upper_limit(key) {
+                Some(limit) if value == 0.0 => Known::Below(limit),
+                _ => Known::Value(value),
             };
             // What is faster than half the output's rate folds into it; slow noise is left as it is.
             let folded = model.sampling.map_or(1.0, |sampling| sampling.density_factor(model.rate_hz));
-            Axis { n: scaled(known(of.n, "N"), folded), b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov }
+            Axis { n: scaled(known(of.n, "N"), folded), b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov, fixed }
         };
-        let [accel, gyro, mag] = [Triad::Accel, Triad::Gyro, Triad::Mag].map(|triad| triad.channels().map(&mut axis));
+        let mut triads = [Triad::Accel, Triad::Gyro, Triad::Mag].map(|triad| triad.channels().map(&mut axis));
         for (triad, of) in &model.triads {
-            omitted.extend(of.effects.iter().map(|effect| format!("{} of {}", effect.name(), triad.name())));
+            let place = [Triad::Accel, Triad::Gyro, Triad::Mag].iter().position(|other| other == triad);
+            for effect in &of.effects {
+                let axes = place.and_then(|place| triads.get_mut(place));
+                if !axes.is_some_and(|axes| of_triad(axes, effect.name(), &effect.parameters())) {
+                    others.push((effect.name().to_owned(), triad.name().to_owned()));
+                }
+            }
         }
         let mut origin = format!("Sensor model {} at {} Hz", harmless(&model.name), model.rate_hz);
         if let Some(sampling) = model.sampling {
             let (own_hz, window) = (sampling.internal_rate_hz, sampling.filter_window);
             origin = format!("{origin}, N with what folds from {own_hz} Hz through means of {window}");
         }
-        if !omitted.is_empty() {
-            origin = format!("{origin}. Left out here: {}", omitted.join(", "));
-        }
         let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
+        let [accel, gyro, mag] = triads;
         // Where no record is behind it: a day, over which its walks would be seen.
-        Self { origin, rate_hz: model.rate_hz, duration_s: told.unwrap_or(86_400.0), accel, gyro, mag }
+        let duration_s = told.unwrap_or(86_400.0);
+        Self { origin, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
+    }
+
+    /// The origin, and what of it a target that holds these parts leaves out.
+    fn origin_for(&self, held: &[Part]) -> String {
+        let mut left: Vec<(&str, Vec<&str>)> = Vec::new();
+        let mut leave = |name, whose| match left.iter_mut().find(|(other, _)| *other == name) {
+            Some((_, all)) => all.push(whose),
+            None => left.push((name, vec![whose])),
+        };
+        for (triad, axes) in [(Triad::Accel, &self.accel), (Triad::Gyro, &self.gyro), (Triad::Mag, &self.mag)] {
+            for (channel, Axis { fixed, .. }) in triad.channels().iter().zip(axes) {
+                for (part, there, name) in [
+                    (Part::Bias, fixed.bias.is_some(), "bias"),
+                    (Part::Resolution, fixed.resolution.is_some(), "resolution"),
+                    (Part::Temperature, fixed.temperature.is_some(), "temperature_bias"),
+                    (Part::Range, fixed.range.is_some(), "saturation"),
+                    (Part::Acceleration, fixed.acceleration.is_some(), "g_sensitivity"),
+                ] {
+                    if there && !held.contains(&part) {
+                        leave(name, channel.name());
+                    }
+                }
+            }
+        }
+        self.others.iter().for_each(|(name, whose)| leave(name, whose));
+        if left.is_empty() {
+            return self.origin.clone();
+        }
+        let left: Vec<String> = left.iter().map(|(name, whose)| format!("{name} of {}", whose.join(" "))).collect();
+        format!("{}. Left out here: {}", self.origin, left.join(", "))
     }
 
     fn has_mag(&self) -> bool {
         self.mag.iter().any(|axis| axis.n != Known::Nothing)
     }
+}
+
+/// Whether this is the first there is.
+fn first<T>(place: &mut Option<T>, found: Option<T>) -> bool {
+    let fits = place.is_none() && found.is_some();
+    if fits {
+        *place = found;
+    }
+    fits
+}
+
+/// Whether an effect of a triad can be told axis by axis; if so, it is.
+fn of_triad(axes: &mut [Axis; 3], name: &str, parameters: &[(&'static str, Value)]) -> bool {
+    let of = |key: &str| parameters.iter().find(|(name, _)| *name == key).map(|(_, value)| value);
+    let number = |key: &str| of(key).and_then(Value::as_f64);
+    match name {
+        "bias" => {
+            for (axis, key) in axes.iter_mut().zip(["x", "y", "z"]) {
+                let more = number(key).filter(|more| *more != 0.0);
+                axis.fixed.bias = more.map(|more| more + axis.fixed.bias.unwrap_or(0.0)).or(axis.fixed.bias);
+            }
+            true
+        }
+        // Several limits are the tightest one.
+        "saturation" => number("range").is_some_and(|range| {
+            axes.iter_mut()
+                .for_each(|axis| axis.fixed.range = Some(axis.fixed.range.map_or(range, |old| old.min(range))));
+            true
+        }),
+        "g_sensitivity" => {
+            let m: Vec<Vec<f64>> = of("m").and_then(|m| serde_json::from_value(m.clone()).ok()).unwrap_or_default();
+            let entry = |row: usize, column: usize| m.get(row).and_then(|row| row.get(column)).copied().unwrap_or(0.0);
+            let beside = (0..3).any(|row| (0..3).any(|column| row != column && entry(row, column) != 0.0));
+            if beside || axes.iter().any(|axis| axis.fixed.acceleration.is_some()) {
+                return false;
+            }
+            axes.iter_mut().enumerate().for_each(|(row, axis)| axis.fixed.acceleration = Some(entry(row, row)));
+            true
+        }
+        _ => false,
+    }
+}
+
+/// A comment in lines of at most a hundred characters, each after `mark`.
+fn comment(mark: &str, text: &str) -> String {
+    const WIDTH: usize = 100;
+    let (mut lines, mut line) = (String::new(), String::new());
+    for word in text.split_whitespace() {
+        if !line.is_empty() && mark.chars().count() + line.chars().count() + 1 + word.chars().count() > WIDTH {
+            lines.push_str(&format!("{mark}{line}\n"));
+            line.clear();
+        }
+        line.push_str(if line.is_empty() { "" } else { " " });
+        line.push_str(word);
+    }
+    lines + mark + &line + "\n"
 }
 
 fn scaled(known: Known, factor: f64) -> Known {

@@ -9,7 +9,7 @@ use crate::units::TESLA_PER_GAUSS;
 use std::fmt::Write as _;
 
 pub(super) fn write(noise: &ImuNoise) -> String {
-    let mut text = format!("# {}\n", noise.origin);
+    let mut text = super::comment("# ", &noise.origin_for(&[]));
     let _ = writeln!(
         text,
         "# Variances of one sample at {} Hz (N^2 x rate), SI. A covariance holds white noise only: bias instability B, rate\n\

@@ -3,13 +3,14 @@
 use super::*;
 
 fn axis(n: f64, b: f64, k: Known) -> Axis {
-    Axis { n: Known::Value(n), b: Known::Value(b), k, gauss_markov: None }
+    Axis { n: Known::Value(n), b: Known::Value(b), k, gauss_markov: None, fixed: Fixed::default() }
 }
 
 fn noise() -> ImuNoise {
     let gyro = axis(1e-4, 2e-5, Known::Value(4e-7));
     ImuNoise {
         origin: "VN-100 capture night: 18000 s at 40 Hz".into(),
+        others: Vec::new(),
         rate_hz: 40.0,
         duration_s: 18000.0,
         accel: [
@@ -169,8 +170,64 @@ fn a_model_is_exported_with_what_no_target_can_hold_in_words() {
     assert_eq!(y, Axis::UNKNOWN);
     for target in Target::ALL {
         let text = target.write(&noise);
-        for words in ["unit _7_", "tone of gyro_x", "bias of gyro_x", "scale_factor of gyro", "800 Hz"] {
+        for words in ["unit _7_", "tone of gyro_x", "scale_factor of gyro", "800 Hz"] {
             assert!(text.contains(words), "{}: {words:?} is not in\n{text}", target.name());
         }
+    }
+}
+
+#[test]
+fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
+    let model = crate::simulator::SensorModel::from_json(
+        r#"{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,"channels":{
+            "gyro_x":{"N":1e-4,"bias":0.01,"effects":[{"effect":"resolution","step":1e-3},
+                {"effect":"temperature_bias","per_c":1e-4,"reference_c":15}]},
+            "gyro_y":{"N":1e-4,"effects":[{"effect":"resolution","step":2e-3}]}, "gyro_z":{"N":1e-4},
+            "mag_x":{"N":1e-4,"bias":0.2},"mag_y":{"N":1e-4},"mag_z":{"N":1e-4}},
+            "triads":{"gyro":{"effects":[{"effect":"bias","x":0.002,"y":-0.003,"z":0},{"effect":"saturation","range":35},
+                {"effect":"g_sensitivity","m":[[1e-5,0,0],[0,2e-5,0],[0,0,3e-5]]},
+                {"effect":"g_sensitivity","m":[[0,1e-5,0],[0,0,0],[0,0,0]]}]},
+                "mag":{"effects":[{"effect":"bias","x":0.01,"y":0,"z":0}]}}}"#,
+        "m.json",
+    )
+    .unwrap();
+    let noise = ImuNoise::of_model(&model);
+    assert_eq!(noise.gyro.map(|axis| axis.fixed.bias), [Some(0.012), Some(-0.003), None]);
+    let matlab: Value = serde_json::from_str(&Target::Matlab.write(&noise)).unwrap();
+    let gyro = &matlab["VN100"]["Gyroscope"];
+    let numbers = |value: &Value| value.as_array().unwrap().iter().map(|of| of.as_f64().unwrap()).collect::<Vec<_>>();
+    // The slope counts from 25 °C there: ten degrees of it are bias.
+    for (found, expected) in numbers(&gyro["ConstantBias"]).iter().zip([0.013, -0.003, 0.0]) {
+        assert!((found - expected).abs() < 1e-12, "{gyro}");
+    }
+    assert_eq!(numbers(&gyro["TemperatureBias"]), [1e-4, 0.0, 0.0]);
+    assert_eq!(numbers(&gyro["AccelerationBias"]), [1e-5, 2e-5, 3e-5]);
+    assert_eq!((gyro["Resolution"].as_f64(), gyro["MeasurementRange"].as_f64()), (Some(1e-3), Some(35.0)));
+    assert_eq!(matlab["VN100"]["Magnetometer"]["ConstantBias"][0], 1.0);
+    let gazebo = Target::Gazebo.write(&noise);
+    for part in [
+        "<x><noise type=\"gaussian_quantized\">\n        <mean>1.200000e-2</mean><stddev>6.324555e-4</stddev>\n        \
+         <precision>1.000000e-3</precision>",
+        "<z><noise type=\"gaussian\">\n        <mean>0.0</mean>",
+        "<mean>1.000000e-6</mean>",
+    ] {
+        assert!(gazebo.contains(part), "{part}\nin\n{gazebo}");
+    }
+    assert!(Target::GnssInsSim.write(&noise).contains("'gyro_b': np.array([2.475178e3, -6.187944e2, 0.000000e0])"));
+    for (target, left) in [
+        (
+            Target::Kalibr,
+            "bias of gyro_x gyro_y mag_x, resolution of gyro_x gyro_y, temperature_bias of gyro_x, saturation of",
+        ),
+        (
+            Target::GnssInsSim,
+            "resolution of gyro_x gyro_y, temperature_bias of gyro_x, saturation of gyro_x gyro_y gyro_z",
+        ),
+        (Target::Gazebo, "temperature_bias of gyro_x, saturation of gyro_x gyro_y gyro_z, g_sensitivity of"),
+        (Target::Matlab, "Left out here: field in the bias of mag_x, g_sensitivity of gyro. Part"),
+    ] {
+        let text = target.write(&noise).split(['#', '\n']).map(str::trim).collect::<Vec<_>>().join(" ");
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(text.contains(left), "{target:?}: {left}\nin\n{text}");
     }
 }

@@ -1,7 +1,7 @@
 //! Differences of two models, parameter by parameter.
 
 use crate::sample::Channel;
-use crate::simulator::{ChannelModel, SensorModel};
+use crate::simulator::SensorModel;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
@@ -50,10 +50,11 @@ pub fn differences(first: &SensorModel, second: &SensorModel) -> Vec<Difference>
         let path = |key: &str| format!("channels.{channel}.{key}");
         let side = |model: &Value, key: &str| of(&of(&of(model, "channels"), channel.name()), key);
         for key in ["N", "B", "K", "bias"] {
-            let interval = first.channels.get(&channel).and_then(|model| interval(model, key));
+            let interval = first.channels.get(&channel).and_then(|model| model.interval(key));
             note(path(key), side(&one, key), side(&other, key), interval);
         }
-        effects(&path("effects"), &side(&one, "effects"), &side(&other, "effects"), &mut note);
+        let known = |index: usize, key: &str| first.channels.get(&channel)?.effect_interval(index, key);
+        effects(&path("effects"), &side(&one, "effects"), &side(&other, "effects"), known, &mut note);
     }
     let triads =
         |model: &Value| of(model, "triads").as_object().map(Map::keys).into_iter().flatten().cloned().collect();
@@ -61,7 +62,7 @@ pub fn differences(first: &SensorModel, second: &SensorModel) -> Vec<Difference>
     names.extend(more);
     for triad in names {
         let side = |model: &Value| of(&of(&of(model, "triads"), &triad), "effects");
-        effects(&format!("triads.{triad}.effects"), &side(&one), &side(&other), &mut note);
+        effects(&format!("triads.{triad}.effects"), &side(&one), &side(&other), |_, _| None, &mut note);
     }
     found
 }
@@ -74,13 +75,15 @@ fn of(value: &Value, key: &str) -> Value {
     value.get(key).cloned().unwrap_or_default()
 }
 
-fn interval(model: &ChannelModel, key: &str) -> Option<[f64; 2]> {
-    let ci95 = model.uncertainty.as_ref()?.get(key)?.get("ci95")?;
-    Some([ci95.get(0)?.as_f64()?, ci95.get(1)?.as_f64()?])
-}
-
-/// Effects of one kind are compared in the order in which they stand, their parameters one by one.
-fn effects(path: &str, one: &Value, other: &Value, note: &mut impl FnMut(String, Value, Value, Option<[f64; 2]>)) {
+/// Effects of one kind are compared in the order in which they stand, their parameters one by one. `known`: the interval of a
+/// parameter of the first list's effect at a place.
+fn effects(
+    path: &str,
+    one: &Value,
+    other: &Value,
+    known: impl Fn(usize, &str) -> Option<[f64; 2]>,
+    note: &mut impl FnMut(String, Value, Value, Option<[f64; 2]>),
+) {
     let numbered = |list: &Value| -> Vec<(String, usize, Value)> {
         let mut seen: Vec<(String, usize, Value)> = Vec::new();
         for effect in list.as_array().into_iter().flatten() {
@@ -98,14 +101,19 @@ fn effects(path: &str, one: &Value, other: &Value, note: &mut impl FnMut(String,
         0 => format!("{path}.{name}"),
         _ => format!("{path}.{name}[{number}]"),
     };
-    for (name, number, effect) in &first {
+    for (index, (name, number, effect)) in first.iter().enumerate() {
         match partner(&second, name, *number) {
             None => note(place(name, *number), effect.clone(), Value::Null, None),
             Some(theirs) => {
                 let keys: BTreeSet<&String> =
                     [effect, &theirs].into_iter().filter_map(Value::as_object).flat_map(Map::keys).collect();
                 for key in keys {
-                    note(format!("{}.{key}", place(name, *number)), of(effect, key), of(&theirs, key), None);
+                    note(
+                        format!("{}.{key}", place(name, *number)),
+                        of(effect, key),
+                        of(&theirs, key),
+                        known(index, key),
+                    );
                 }
             }
         }
@@ -139,7 +147,8 @@ mod tests {
     #[test]
     fn parameters_are_compared_with_the_interval_and_effects_one_by_one() {
         let one = model(
-            r#"{"N":1e-4,"B":1e-5,"uncertainty":{"N":{"ci95":[0.9e-4,1.1e-4]}},
+            r#"{"N":1e-4,"B":1e-5,
+                "uncertainty":{"N":{"ci95":[0.9e-4,1.1e-4]},"effects":[{"frequency_hz":{"ci95":[6.5,8.5]}},{}]},
                 "effects":[{"effect":"tone","frequency_hz":7,"amplitude":1e-3},{"effect":"rate_ramp","R":1e-6}]}"#,
         );
         let other = model(
@@ -158,6 +167,7 @@ mod tests {
             ]
         );
         assert_eq!((found[0].ratio, found[0].within_ci95), (Some(2.0), Some(false)));
+        assert_eq!((found[1].within_ci95, found[2].within_ci95), (Some(true), None));
         assert_eq!((found[2].second.is_null(), found[3].first.is_null()), (true, true));
     }
 }

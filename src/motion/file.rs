@@ -62,7 +62,8 @@ pub enum MotionError {
     },
     /// A row does not lie one period after the one before.
     #[error(
-        "{file}, line {line}: {step_s:.6} s after the row before; a motion at {rate_hz} Hz has a row every {period_s:.6} s and no gaps"
+        "{file}, line {line}: {step_s:.6} s after the row before; a motion at {} Hz has a row every {period_s:.6} s and no gaps",
+        rounded(*rate_hz)
     )]
     Step {
         /// The file.
@@ -77,7 +78,7 @@ pub enum MotionError {
         period_s: f64,
     },
     /// A motion at a rate that is neither the sensor's own nor that of its output.
-    #[error("{file} has {found_hz:.6} rows per second; a motion for this simulation has {}", allowed(*output_hz, *internal_hz))]
+    #[error("{file} has {} rows per second; a motion for this simulation has {}", rounded(*found_hz), allowed(*output_hz, *internal_hz))]
     Rate {
         /// The file.
         file: String,
@@ -106,12 +107,23 @@ pub enum MotionError {
         /// The time there.
         time_s: f64,
     },
+    /// One row has no rate.
+    #[error("{file} has a single row; a motion has two or more, a period apart")]
+    Single {
+        /// The file.
+        file: String,
+    },
     /// There is no row.
     #[error("{file} has no row below its header")]
     Empty {
         /// The file.
         file: String,
     },
+}
+
+/// A rate as a person would write it: that of a file comes out of its stamps, with their rounding.
+fn rounded(rate_hz: f64) -> f64 {
+    format!("{rate_hz:.6}").parse().unwrap_or(rate_hz)
 }
 
 fn allowed(output_hz: f64, internal_hz: f64) -> String {
@@ -175,7 +187,7 @@ impl<R: Read> Rows<R> {
     /// Reads all rows and tells how many they are and at which rate they come.
     ///
     /// # Errors
-    /// What any row is refused for; [`MotionError::Empty`].
+    /// What any row is refused for; [`MotionError::Empty`] and [`MotionError::Single`].
     pub fn survey(mut self) -> Result<Survey, MotionError> {
         let (mut rows, mut first_s) = (0, None);
         for row in &mut self {
@@ -186,8 +198,11 @@ impl<R: Read> Rows<R> {
         let (Some(first_s), Some(last_s)) = (first_s, self.last_s) else {
             return Err(MotionError::Empty { file: self.file });
         };
+        if rows < 2 {
+            return Err(MotionError::Single { file: self.file });
+        }
         // Over the whole file: single steps carry the stamps' rounding.
-        let rate_hz = if rows > 1 { (rows - 1) as f64 / (last_s - first_s) } else { self.rate_hz.unwrap_or(1.0) };
+        let rate_hz = (rows - 1) as f64 / (last_s - first_s);
         Ok(Survey { rows, rate_hz, has_temperature: self.temperature.is_some() })
     }
 
@@ -214,6 +229,11 @@ impl<R: Read> Rows<R> {
             }
             _ => None,
         };
+        if let (Some(last_s), None) = (self.last_s, self.rate_hz) {
+            if time_s <= last_s {
+                return Err(MotionError::Backwards { file: self.file.clone(), line: line(record), time_s });
+            }
+        }
         if let Some((last_s, rate_hz)) = self.last_s.zip(self.rate_hz) {
             let step_s = time_s - last_s;
             if (step_s * rate_hz - 1.0).abs() >= STRAY_PERIODS {
@@ -427,6 +447,8 @@ mod tests {
             (rows(3, 0.01), Some(40.0), ["line 3", "0.01", "a motion at 40 Hz has a row every 0.025000 s"]),
             (rows(3, 0.0), Some(40.0), ["line 3", "0 s after", "40 Hz"]),
             (rows(3, 0.0376), Some(40.0), ["line 3", "0.0376", "no gaps"]),
+            (rows(3, -0.025), None, ["line 3", "4.975 s", "later than the one before"]),
+            (rows(3, 0.1), Some(40.000_000_000_000_01), ["line 3", "0.1", "a motion at 40 Hz"]),
         ] {
             let message = read(&text, rate_hz).unwrap_err().to_string();
             for part in ["table.csv"].into_iter().chain(parts) {
@@ -435,6 +457,8 @@ mod tests {
         }
         let empty = Rows::new(HEADER.as_bytes(), "table.csv", None).unwrap().survey().unwrap_err();
         assert!(empty.to_string().contains("table.csv has no row below"));
+        let single = Rows::new(rows(1, 0.1).as_bytes(), "table.csv", None).unwrap().survey().unwrap_err();
+        assert!(single.to_string().contains("table.csv has a single row"));
     }
 
     #[test]

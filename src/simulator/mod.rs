@@ -22,7 +22,7 @@ pub mod default_model;
 pub mod model;
 pub mod records;
 pub mod reference;
-mod response;
+pub mod response;
 pub mod spectrum;
 #[cfg(test)]
 mod whole;

@@ -7,7 +7,7 @@ use crate::sample::Triad;
 use std::sync::Arc;
 
 /// The memoryless stages in the chain's order.
-const STAGES: [Stage; 3] = [Stage::CrossAxis, Stage::Scale, Stage::Bias];
+pub const STAGES: [Stage; 3] = [Stage::CrossAxis, Stage::Scale, Stage::Bias];
 
 /// One triad's motion chain and the block it made last.
 #[derive(Debug)]
@@ -75,7 +75,8 @@ impl Response {
 }
 
 /// The stage's input and what its effects add to it, each from that input.
-fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
+#[must_use]
+pub fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
     let mut values = drive.input;
     for effect in effects {
         for (value, deviation) in values.iter_mut().zip(effect.deviation(drive)) {

@@ -127,11 +127,18 @@ fn what_is_simulated_is_what_a_fit_finds() {
     assert_eq!(plain["provenance"]["capture"], csv.as_str());
     done(&["simulate", "--model", &fitted, "--duration", "1min", "--out", &path("again.csv")]);
     let shown = done(&["model", "show", &fitted]);
-    assert!(shown.contains("tone: frequency_hz 7.3") && shown.contains("resolution: step 0.0"), "{shown}");
+    let told = |parameter: &str, value: &str| {
+        let mut lines = shown.lines().map(|line| line.split('┆').map(str::trim).collect::<Vec<_>>());
+        lines.any(|cells| matches!(cells.as_slice(), [_, name, of, ..] if *name == parameter && of.starts_with(value)))
+    };
+    assert!(told("tone.frequency_hz", "7.3") && told("resolution.step", "0.001"), "{shown}");
+    assert!(shown.lines().all(|line| line.chars().count() <= 80), "{shown}");
     let differ = json_of(&["--json", "model", "diff", &file, &fitted]);
     let paths: Vec<&str> = differ.as_array().unwrap().iter().map(|of| of["path"].as_str().unwrap()).collect();
     assert!(paths.contains(&"channels.accel_x.N") && paths.contains(&"channels.gyro_x.effects.gauss_markov.sigma"));
     assert!(!paths.contains(&"rate_hz"), "{paths:?}");
+    let differ = done(&["model", "diff", &file, &fitted]);
+    assert!(differ.lines().all(|line| line.chars().count() <= 80) && differ.contains("accel_x.N"), "{differ}");
     assert!(done(&["model", "diff", &file, &file]).contains("no difference"));
     let kalibr = done(&["model", "export", &fitted, "--format", "kalibr"]);
     assert!(kalibr.contains("gyroscope_noise_density: ") && kalibr.contains("tone of accel_y"), "{kalibr}");
@@ -168,7 +175,7 @@ fn a_capture_is_made_marked_as_simulated_with_every_lost_sample_accounted_for() 
     let (_, said) = refused(&[&["--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
     assert!(said.contains("sim"), "{said}");
     let once = std::fs::read(&csv).unwrap();
-    done(&[&simulate[..], &["--out", &csv]].concat());
+    done(&[&simulate[..], &["--out", &csv, "--force"]].concat());
     assert_eq!(std::fs::read(&csv).unwrap(), once, "the same seed, the same samples");
     assert_eq!(done(&[&simulate[..], &["--out", "-"]].concat()).into_bytes(), once);
 }
@@ -191,8 +198,8 @@ fn a_motion_is_followed_and_read_back_from_its_file() {
         let file = model(folder.path(), Value::Object(channels.clone()), more);
         let (csv, motion, again) = (path("table.csv"), path("motion.csv"), path("again.csv"));
         let simulate = ["simulate", "--model", &file, "--duration", "5min"];
-        done(&[&simulate[..], &["--motion", "rate-table", "--motion-out", &motion, "--out", &csv]].concat());
-        done(&[&simulate[..], &["--motion", &motion, "--out", &again]].concat());
+        done(&[&simulate[..], &["--motion", "rate-table", "--motion-out", &motion, "--out", &csv, "--force"]].concat());
+        done(&[&simulate[..], &["--motion", &motion, "--out", &again, "--force"]].concat());
         let rows = |path: &str| -> Vec<Vec<f64>> {
             let text = std::fs::read_to_string(path).unwrap();
             text.lines().skip(1).map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
@@ -232,6 +239,8 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
             ["channels.gyro_x.effects[0]", "20"],
         ),
         (json!({"effects": [{"effect": "gauss_markov", "sigma": 1e-3, "tc_s": 0}]}), ["tc_s", "0"]),
+        (json!({"K": 1e308}), ["channels.gyro_x.K", "from 0 to 1e30"]),
+        (json!({"N": 1, "uncertainty": {"N": 3}}), ["channels.gyro_x.uncertainty.N", "an object"]),
     ] {
         let file = model(folder.path(), json!({ "gyro_x": gyro_x }), json!({}));
         let (code, said) = refused(&["simulate", "--model", &file, "--duration", "1min", "--out", &out]);
@@ -249,12 +258,25 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         ([0.0, 0.025, 0.05, 0.2].map(row).concat(), ["line 5", "no gaps"]),
         ([0.0, 0.01, 0.02, 0.03].map(row).concat(), ["100", "40"]),
         ("0,0,0,0,0,0,x\n".to_owned(), ["line 2", "`ref_accel_z_m_s2`"]),
+        ([1.0, 0.975, 0.95].map(row).concat(), ["line 3", "later than the one before"]),
+        (row(0.0), ["single row", "a period apart"]),
     ] {
         std::fs::write(&motion, format!("{header}{rows}")).unwrap();
         let (_, said) = refused(&["simulate", "--model", &file, "--motion", &motion, "--out", &out]);
         for words in words.iter().chain(&["motion.csv"]) {
             assert!(said.contains(words), "{words:?} is not in {said}");
         }
+    }
+    let twice = path("twice.json");
+    std::fs::write(&twice, std::fs::read_to_string(&file).unwrap().replace("{\"N\":", "{\"N\":0,\"N\":")).unwrap();
+    for (model, motion, words) in [
+        (&twice, "still", "twice.json: channels.gyro_x.N: found `N` a second time"),
+        (&file, folder.path().to_str().unwrap(), "cannot be read"),
+        (&file, "tumbl", "still, tumble, rate-table"),
+    ] {
+        let simulate = ["simulate", "--model", model, "--duration", "1min", "--motion", motion, "--out", &out];
+        let (_, said) = refused(&simulate);
+        assert!(said.contains(words) && !Path::new(&out).exists(), "{words:?} is not in {said}");
     }
     for (arguments, words) in [
         (vec!["--duration", "20s", "--motion", "tumble", "--out", &out], "tumble"),
@@ -264,10 +286,49 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         (vec!["--duration", "1ms", "--out", &out], "less than a sample"),
         (vec!["--duration", "1min", "--out", &file], "is read"),
         (vec!["--duration", "1min", "--temperature", "-400", "--out", &out], "-273.15"),
+        (vec!["--duration", "1min", "--temperature", "warm", "--out", &out], "neither °C nor a file"),
+        (vec!["--duration", "1000000h", "--out", &out], "a hundred years"),
+        (vec!["--duration", "1min", "--motion", "still", "--motion-out", "-", "--out", &out], "--motion-out -"),
     ] {
         let (_, said) = refused(&[&["simulate", "--model", &file], &arguments[..]].concat());
         assert!(said.contains(words), "{words:?} is not in {said}");
     }
+}
+
+#[test]
+fn nothing_is_written_over_or_left_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let hot = json!({"N": 1e-4, "effects": [{"effect": "variance_change", "per_c": 1000}]});
+    let file = model(folder.path(), json!({ "gyro_x": hot }), json!({}));
+    let (kept, none, motion) = (path("kept.csv"), path("none/out.csv"), path("motion.csv"));
+    std::fs::write(&kept, "a night's work").unwrap();
+    let simulate = ["simulate", "--model", &file, "--duration", "10min"];
+    for (arguments, words) in [
+        (vec!["--out", &kept], "kept.csv exists already: choose another name, or say --force"),
+        (vec!["--motion", "tumble", "--motion-out", &kept, "--out", &motion], "kept.csv exists already"),
+        (vec!["--motion", "tumble", "--motion-out", &motion, "--out", &none], "none/out.csv cannot be written"),
+        (vec!["--motion", "tumble", "--motion-out", &motion, "--out", &motion], "cannot be samples and motion"),
+        (vec!["--force", "--out", &file], "is read"),
+        (vec!["--force", "--temperature", "30", "--out", &kept], "channel gyro_x is no finite number at 0 s"),
+    ] {
+        let (_, said) = refused(&[&simulate[..], &arguments[..]].concat());
+        assert!(said.contains(words) && !said.contains(".vn100d-"), "{words:?} is not in {said}");
+    }
+    done(&["simulate", "--model", &file, "--duration", "1min", "--out", &motion]);
+    // A fit does not take its own record away.
+    for (arguments, words) in [
+        (vec!["--out", &kept], "exists already"),
+        (vec!["--force", "--out", &motion], "is read"),
+        (vec!["--out", &none], "none/out.csv cannot be written: No such file or directory (os error 2)"),
+    ] {
+        let (_, said) = refused(&[&["model", "fit", &motion], &arguments[..]].concat());
+        assert!(said.contains(words), "{words:?} is not in {said}");
+    }
+    assert_eq!(std::fs::read_to_string(&kept).unwrap(), "a night's work");
+    let mut names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["kept.csv", "model.json", "motion.csv"]);
 }
 
 /// What the plain model of a real record lacks is there to be named, and some of it is, where it is asked for.

@@ -7,6 +7,9 @@ use nalgebra::{DMatrix, DVector};
 /// Squares above this say nothing about a variance that changes slowly: they are outliers.
 const LARGEST: f64 = 16.0;
 
+/// A quiet stretch is as long at least: a few rounded values are easily equal.
+const SHORTEST_QUIET: usize = 128;
+
 /// Means of squares over blocks, and samples in a block.
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
@@ -112,7 +115,9 @@ impl Sums {
     }
     /// Gain in nats of another variance inside, by squares that are limited, so that an outlier is no stretch.
     fn gain(&self, from: usize, to: usize, level: f64) -> f64 {
-        gain((self.limited[to] - self.limited[from]) / level, to - from)
+        let sum = (self.limited[to] - self.limited[from]) / level;
+        let quiet = sum < (to - from) as f64 && to - from < SHORTEST_QUIET;
+        if quiet { 0.0 } else { gain(sum, to - from) }
     }
     /// The ratio of variances inside and its gain by the squares as they are, where the stretch is loud throughout.
     fn whole(&self, from: usize, to: usize) -> (f64, f64) {
@@ -156,7 +161,11 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
         let small = sums.small(from, to);
         let expected = statrs::function::erf::erf((0.5 / ratio).sqrt());
         let spread = (expected * (1.0 - expected) / (to - from) as f64).sqrt();
-        let genuine = ratio < 1.0 || small < expected + 4.0 * spread + 0.1 * (0.683 - expected);
+        let genuine = if ratio < 1.0 {
+            to - from >= SHORTEST_QUIET
+        } else {
+            small < expected + 4.0 * spread + 0.1 * (0.683 - expected)
+        };
         let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
         if !genuine || gain < price.max(8.0) {
             if found.is_empty() {

@@ -88,6 +88,26 @@ impl Kind {
     }
 }
 
+impl Kind {
+    /// Whether the samples' own distribution is the kind's matter, so that what remains of it says nothing else.
+    #[must_use]
+    pub fn is_marginal(self) -> bool {
+        matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
+    }
+
+    /// Whether there may be several of it.
+    #[must_use]
+    pub fn repeats(self) -> bool {
+        matches!(self, Self::Tone | Self::Resonance)
+    }
+
+    /// Whether it happens at its time and is no property that a later record has as well.
+    #[must_use]
+    pub fn is_transient(self) -> bool {
+        matches!(self, Self::BiasStep | Self::WarmUp | Self::Bursts | Self::VarianceInterval | Self::VarianceProfile)
+    }
+}
+
 /// An effect that may explain more.
 #[derive(Debug, Clone)]
 pub struct Candidate {

@@ -1,7 +1,7 @@
 //! Outliers and tails: what the residual's single samples look like.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::series::Series;
+use crate::diagnosis::series::{Series, SpikeLaw};
 use statrs::function::gamma::ln_gamma;
 
 /// ln of a normal density's ratio to the standard one, at the square of a value.
@@ -15,7 +15,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     const ROUNDS: usize = 200;
     const LARGEST_SHARE: f64 = 0.12;
     let mut explanation = series.explanation.clone();
-    if explanation.tails.is_some() {
+    if explanation.tails.is_some() || explanation.spikes.is_some() {
         return None;
     }
     let squares: Vec<f64> = series.residual.iter().map(|e| e * e).collect();
@@ -66,11 +66,38 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     }
     let difference =
         |a: f64| share.ln() - 0.5 * wide.ln() - 0.5 * a / wide - (-share).ln_1p() + 0.5 * core.ln() + 0.5 * a / core;
-    let flagged = squares.iter().enumerate().filter(|(_, a)| difference(**a) > 0.0).map(|(t, _)| t);
+    let flagged: Vec<usize> =
+        squares.iter().enumerate().filter(|(_, a)| difference(**a) > 0.0).map(|(t, _)| t).collect();
+    if clustered(&flagged, n) {
+        // Stretches of noise, not spikes.
+        return None;
+    }
+    // Their typical size as they stand in the samples, less their neighbours' level.
+    let white = series.white();
+    let mut sizes: Vec<f64> = flagged.iter().map(|t| (series.residual[*t] * white).abs()).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    let size = sizes.get(sizes.len() / 2).copied().unwrap_or_else(|| wide.sqrt());
+    explanation.spikes = Some(SpikeLaw { rate: flagged.len().max(1) as f64 / n, size, variance: wide });
     explanation.outliers.extend(flagged);
     explanation.outliers.sort_unstable();
     explanation.outliers.dedup();
     Some(Candidate { kind: Kind::Spikes, gain, explanation })
+}
+
+/// Whether places have neighbours far more often than independent ones would.
+fn clustered(places: &[usize], samples: f64) -> bool {
+    const NEAR: usize = 4;
+    const FEWEST: usize = 8;
+    if places.len() < FEWEST {
+        return false;
+    }
+    let count = places.len();
+    let near = |at: usize| {
+        (at > 0 && places[at] - places[at - 1] <= NEAR) || (at + 1 < count && places[at + 1] - places[at] <= NEAR)
+    };
+    let share = (0..count).filter(|at| near(*at)).count() as f64 / count as f64;
+    let expected = 1.0 - (1.0 - count as f64 / samples).powi(2 * NEAR as i32);
+    share > 0.3 + 2.0 * expected
 }
 
 /// Student's t.

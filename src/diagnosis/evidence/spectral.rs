@@ -87,7 +87,7 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
 /// A boxcar of the window that fits best.
 #[must_use]
 pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
-    const WINDOWS: [u64; 8] = [2, 3, 4, 5, 6, 8, 10, 16];
+    const LONGEST: u64 = 20;
     if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
         return None;
     }
@@ -95,6 +95,13 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
         let fitted = with_term(series, Shape::MovingAverage(window), [vec![white(series) - 6.0]])?;
         Some(fitted)
     };
-    let best = WINDOWS.into_iter().filter_map(of).reduce(|a, b| if b.0 > a.0 { b } else { a })?;
-    Some(candidate(series, Kind::MovingAverage, best))
+    let best = (2..=LONGEST)
+        .filter_map(|window| Some((window, of(window)?)))
+        .reduce(|a, b| if b.1.0 > a.1.0 { b } else { a })?;
+    let mut candidate = candidate(series, Kind::MovingAverage, best.1);
+    // Before the first window is full the filter is another one.
+    candidate.explanation.outliers.extend(0..best.0 as usize - 1);
+    candidate.explanation.outliers.sort_unstable();
+    candidate.explanation.outliers.dedup();
+    Some(candidate)
 }

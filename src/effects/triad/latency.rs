@@ -70,6 +70,14 @@ impl DelayLine {
     /// A delay by `samples` (0 or more).
     #[must_use]
     pub fn new(samples: f64) -> Self {
+        let (skip, weights) = Self::nodes(samples);
+        Self { weights, skip, past: VecDeque::new() }
+    }
+
+    /// Which samples a delay by `samples` (0 or more) is made of: how many of the latest to skip, and the weights of the
+    /// four from there back.
+    #[must_use]
+    pub fn nodes(samples: f64) -> (usize, [f64; 4]) {
         // The four nodes skip, skip + 1 … lie around the delay, as far as there are samples that young.
         let skip = (samples.floor() - 1.0).max(0.0);
         let at = samples - skip;
@@ -77,7 +85,7 @@ impl DelayLine {
             let others = (0..4).filter(|other| *other != node);
             others.map(|other| (at - f64::from(other as u8)) / (node as f64 - f64::from(other as u8))).product()
         });
-        Self { weights, skip: skip as usize, past: VecDeque::new() }
+        (skip as usize, weights)
     }
 
     /// Takes the present values and returns the delayed ones.

@@ -1,7 +1,7 @@
 //! Checking: whether a model can be simulated at a rate. Files, requests and models made in code pass through here alike.
 
 use super::{ChannelModel, Sampling, SensorModel};
-use crate::effects::{Effect, Refusal, Scope};
+use crate::effects::{Effect, LARGEST, Refusal, Scope};
 use crate::sample::{Channel, Triad};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -117,15 +117,30 @@ impl Sampling {
     }
 }
 
+/// Numbers far from 1 in powers of ten: 1e300 has three hundred digits otherwise.
+fn shown(value: f64) -> String {
+    let size = value.abs();
+    if size == 0.0 || (1e-6..1e15).contains(&size) { value.to_string() } else { format!("{value:e}") }
+}
+
 impl ChannelModel {
     fn check(&self, place: &str, internal_rate_hz: f64, rate_hz: f64) -> Result<(), Fault> {
         for (key, value) in [("N", self.n), ("B", self.b), ("K", self.k)] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Fault::new(format!("{place}.{key}"), value, "a number of 0 or more"));
+            if !(0.0..=LARGEST).contains(&value) {
+                let expected = if value > LARGEST {
+                    format!("a number from 0 to {LARGEST:e}")
+                } else {
+                    "a number of 0 or more".to_owned()
+                };
+                return Err(Fault::new(format!("{place}.{key}"), shown(value), expected));
             }
         }
-        if let Some(bias) = self.bias.filter(|bias| !bias.is_finite()) {
-            return Err(Fault::new(format!("{place}.bias"), bias, "a number"));
+        if let Some(bias) = self.bias.filter(|bias| bias.is_nan() || bias.abs() > LARGEST) {
+            return Err(Fault::new(
+                format!("{place}.bias"),
+                shown(bias),
+                format!("a number from -{LARGEST:e} to {LARGEST:e}"),
+            ));
         }
         for (index, effect) in self.effects.iter().enumerate() {
             let acts_at_hz = if effect.stage().is_internal() { internal_rate_hz } else { rate_hz };

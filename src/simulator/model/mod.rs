@@ -5,8 +5,11 @@
 //! channels share and disagree about. Nothing is ignored silently. The lists in the messages, and the JSON Schema
 //! ([`schema`], committed as `docs/sensor-model.schema.json`), come from [`crate::effects::registry`].
 //!
-//! `provenance` (top level) and `uncertainty` (per channel, entries for N, B, K and bias) are kept as they are and written
-//! back.
+//! A key that stands twice is refused: one of the two would be ignored.
+//!
+//! `provenance` (top level) may hold anything and is written back. `uncertainty` (per channel) has entries for N, B, K and bias,
+//! and a list `effects` beside the channel's effects: an object of the parameters of each whose uncertainty is known. An entry
+//! is `{"ci95": [low, high]}` or `{"upper_limit95": limit}`, in the parameter's unit.
 
 mod check;
 mod place;
@@ -14,6 +17,8 @@ mod read;
 #[cfg(test)]
 mod round_trip;
 pub mod schema;
+mod uncertainty;
+mod unique;
 mod write;
 
 pub use check::Fault;
@@ -32,8 +37,9 @@ const KEYS: [&str; 7] = ["format", "name", "rate_hz", "channels", "triads", "sam
 const CHANNEL_KEYS: [&str; 6] = ["N", "B", "K", "bias", "effects", "uncertainty"];
 const TRIAD_KEYS: [&str; 1] = ["effects"];
 const SAMPLING_KEYS: [&str; 2] = ["internal_rate_hz", "filter_window"];
-/// Parameters whose uncertainty a channel may state.
-const UNCERTAIN_KEYS: [&str; 4] = ["N", "B", "K", "bias"];
+/// Parameters whose uncertainty a channel may state, and the list of its effects' parameters.
+const UNCERTAIN_KEYS: [&str; 5] = ["N", "B", "K", "bias", EFFECTS];
+const EFFECTS: &str = "effects";
 /// The triads that may carry effects.
 const TRIADS: [Triad; 4] = [Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gyro];
 
@@ -78,7 +84,9 @@ pub struct ChannelModel {
     /// Further error sources. Their order matters only among several of one kind: each has a random stream of its own, the
     /// first, the second…
     pub effects: Vec<Arc<dyn Effect>>,
-    /// What is known about the parameters' accuracy: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`.
+    /// What is known about the parameters' accuracy: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`, and under
+    /// `effects` a list of objects, one for each of `effects`, such as `[{"tau_s": {"ci95": […]}}]`. Read and written by
+    /// [`ChannelModel::interval`], [`ChannelModel::effect_interval`], [`ChannelModel::push_effect`] and their neighbours.
     pub uncertainty: Option<Map<String, Value>>,
 }
 
@@ -170,6 +178,12 @@ mod tests {
     fn errors_name_file_path_and_what_is_allowed() {
         for (text, parts) in [
             (with_gyro_x(r#"{"N":-1}"#), ["m.json", "channels.gyro_x.N", "found -1", "0 or more"]),
+            (with_gyro_x(r#"{"K":1e300}"#), ["m.json", "channels.gyro_x.K", "found 1e300", "from 0 to 1e30"]),
+            (with_gyro_x(r#"{"bias":-1e31}"#), ["m.json", "channels.gyro_x.bias", "found -1e31", "from -1e30 to 1e30"]),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"tone","frequency_hz":11,"amplitude":1e40}]}"#),
+                ["m.json", "channels.gyro_x.effects[0].amplitude", "found 1e+40", "0 or more of 1e30 at most"],
+            ),
             (with_gyro_x(r#"{"N":"1"}"#), ["m.json", "channels.gyro_x.N", "found \"1\"", "a number"]),
             (
                 with_gyro_x(r#"{"M":1}"#),
@@ -202,12 +216,50 @@ mod tests {
             ),
             (
                 with_gyro_x(r#"{"uncertainty":{"Q":{}}}"#),
-                ["m.json", "channels.gyro_x.uncertainty.Q", "unknown key `Q`", "one of N, B, K, bias"],
+                ["m.json", "channels.gyro_x.uncertainty.Q", "unknown key `Q`", "one of N, B, K, bias, effects"],
+            ),
+            (
+                with_gyro_x(r#"{"N":1e-4,"B":1e-5,"N":2e-4}"#),
+                ["m.json", "channels.gyro_x.N:", "found `N` a second time", "every key once"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"N":3}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.N:", "found 3", "an object"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"N":{"ci_95":[1,2]}}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.N.ci_95", "unknown key", "one of ci95, upper_limit95"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"N":{"ci95":[2,1]}}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.N.ci95", "found [2,1]", "low ≤ high"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"N":{"ci95":[0,1,"x"]}}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.N.ci95", "found [0,1,\"x\"]", "[low, high]"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"K":{"upper_limit95":-1}}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.K.upper_limit95", "found -1", "0 or more"],
+            ),
+            (
+                with_gyro_x(r#"{"uncertainty":{"effects":[{}]}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.effects:", "found 1 entries", "the channel's effects, 0"],
+            ),
+            (
+                with_gyro_x(
+                    r#"{"effects":[{"effect":"rate_ramp","R":1}],"uncertainty":{"effects":[{"Q":{"ci95":[0,1]}}]}}"#,
+                ),
+                ["m.json", "channels.gyro_x.uncertainty.effects[0].Q", "unknown key `Q`", "one of R"],
+            ),
+            (
+                with_gyro_x(r#"{"effects":[{"effect":"rate_ramp","R":1}],"uncertainty":{"effects":[{"R":[0,1]}]}}"#),
+                ["m.json", "channels.gyro_x.uncertainty.effects[0].R:", "found [0,1]", "an object"],
             ),
             (with_gyro_x("{}").replace("gyro_x", "gyro_w"), ["m.json", "channels.gyro_w", "gyro_w", "gyro_x, gyro_y"]),
             (with_gyro_x("{}").replace("model-1", "model-2"), ["m.json", "format", "model-2", FORMAT]),
             (with_gyro_x("{}").replace("\"rate_hz\":40,", ""), ["m.json", "top level", "no `rate_hz`", "output rate"]),
-            (with_gyro_x("{}").replace("40", "0"), ["m.json", "rate_hz", "found 0", "above 0"]),
+            (with_gyro_x("{}").replace("40", "0"), ["m.json", "rate_hz", "found 0", "from 0.001 to 100000 Hz"]),
             (
                 with_gyro_x("{}").replace(
                     "\"rate_hz\"",
@@ -243,5 +295,42 @@ mod tests {
                 assert!(message.contains(part), "{part:?} is not in {message:?}");
             }
         }
+    }
+
+    #[test]
+    fn what_is_known_about_an_effect_goes_with_it() {
+        let tone = |frequency_hz| Arc::new(crate::effects::Tone { frequency_hz, amplitude: 1e-3 }) as Arc<dyn Effect>;
+        let mut channel = ChannelModel { n: 1e-4, ..ChannelModel::default() };
+        channel.set_interval("N", [0.9e-4, 1.1e-4]);
+        channel.push_effect(tone(3.0), &[]);
+        channel.push_effect(tone(7.0), &[("frequency_hz", [6.9, 7.1]), ("amplitude", [f64::NAN, 1.0])]);
+        let model = SensorModel {
+            name: "t".into(),
+            rate_hz: 40.0,
+            channels: [(Channel::GyroX, channel)].into(),
+            ..SensorModel::default()
+        };
+        let read = |model: &SensorModel| {
+            let text = serde_json::to_string(model).unwrap();
+            SensorModel::from_json(&text, "m.json").unwrap()
+        };
+        let mut again = read(&model);
+        assert_eq!(again, model);
+        let of = again.channels.get_mut(&Channel::GyroX).unwrap();
+        assert_eq!((of.interval("N"), of.upper_limit("N")), (Some([0.9e-4, 1.1e-4]), None));
+        assert_eq!(of.effect_interval(0, "frequency_hz"), None);
+        assert_eq!(
+            (of.effect_interval(1, "frequency_hz"), of.effect_interval(1, "amplitude")),
+            (Some([6.9, 7.1]), None)
+        );
+        // Whoever pushes an effect by itself does not make a file that cannot be read.
+        of.effects.push(tone(9.0));
+        assert_eq!(of.remove_effect(0), Some(tone(3.0)));
+        assert_eq!(of.effect_interval(0, "frequency_hz"), Some([6.9, 7.1]));
+        assert_eq!(of.remove_effect(5), None);
+        let of = &read(&again).channels[&Channel::GyroX];
+        assert_eq!((of.effects.len(), of.effect_interval(0, "frequency_hz")), (2, Some([6.9, 7.1])));
+        again.channels.values_mut().for_each(|of| of.effects.clear());
+        assert_eq!(read(&again).channels[&Channel::GyroX].effect_interval(0, "frequency_hz"), None);
     }
 }

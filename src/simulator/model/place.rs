@@ -8,6 +8,18 @@ pub(super) fn one_of(names: &[&str]) -> String {
     format!("one of {}", names.join(", "))
 }
 
+/// The place of a key inside the object at `path`.
+pub(super) fn inside(path: &str, key: &str) -> String {
+    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
+}
+
+/// What stands there, as far as a sentence can hold it.
+fn shown(value: &Value) -> String {
+    const MOST: usize = 60;
+    let text = value.to_string();
+    if text.chars().count() <= MOST { text } else { text.chars().take(MOST).chain(['…']).collect() }
+}
+
 /// A value and where it stands.
 pub(super) struct Place<'a> {
     pub(super) file: &'a str,
@@ -23,8 +35,7 @@ impl<'a> Place<'a> {
         Self { file, path: String::new(), key: String::new(), value }
     }
     fn child(&self, key: &str, value: &'a Value) -> Self {
-        let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
-        Self { file: self.file, path, key: key.to_owned(), value }
+        Self { file: self.file, path: inside(&self.path, key), key: key.to_owned(), value }
     }
     pub(super) fn optional(&self, key: &str) -> Option<Self> {
         self.value.get(key).map(|value| self.child(key, value))
@@ -67,18 +78,16 @@ impl<'a> Place<'a> {
         if self.path.is_empty() { "top level".to_owned() } else { self.path.clone() }
     }
     pub(super) fn refuse(&self, expected: &str) -> ModelError {
-        ModelError::Content {
-            file: self.file.to_owned(),
-            path: self.shown_path(),
-            found: self.value.to_string(),
-            expected: expected.to_owned(),
-        }
+        self.refuse_as(shown(self.value), expected)
     }
     pub(super) fn refuse_key(&self, expected: &str) -> ModelError {
+        self.refuse_as(format!("the unknown key `{}`", self.last_key()), expected)
+    }
+    pub(super) fn refuse_as(&self, found: String, expected: &str) -> ModelError {
         ModelError::Content {
             file: self.file.to_owned(),
             path: self.shown_path(),
-            found: format!("the unknown key `{}`", self.last_key()),
+            found,
             expected: expected.to_owned(),
         }
     }

@@ -3,7 +3,7 @@
 use super::place::{Place, one_of};
 use super::{
     CHANNEL_KEYS, ChannelModel, FORMAT, KEYS, ModelError, SAMPLING_KEYS, Sampling, SensorModel, TRIAD_KEYS, TRIADS,
-    TriadModel, UNCERTAIN_KEYS,
+    TriadModel,
 };
 use crate::effects::{Kind, registry};
 use crate::sample::{Channel, Triad};
@@ -11,18 +11,28 @@ use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Rates of a model's output: a sample in a quarter of an hour, and more than inertial sensors give.
+pub(super) const RATES_HZ: std::ops::RangeInclusive<f64> = 0.001..=100_000.0;
+
 impl SensorModel {
     /// Reads a model from JSON text; `file` names it in messages.
     ///
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.
     pub fn from_json(text: &str, file: &str) -> Result<Self, ModelError> {
-        let value =
-            serde_json::from_str(text).map_err(|source| ModelError::Syntax { file: file.to_owned(), source })?;
+        let parsed =
+            super::unique::parse(text).map_err(|source| ModelError::Syntax { file: file.to_owned(), source })?;
+        let value = parsed.map_err(|twice| ModelError::Content {
+            file: file.to_owned(),
+            path: twice.path,
+            found: format!("`{}` a second time", twice.key),
+            expected: "every key once".to_owned(),
+        })?;
         Self::from_value(&value, file)
     }
 
-    /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages.
+    /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages. Keys that stood twice
+    /// cannot be told any more.
     ///
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.
@@ -37,8 +47,8 @@ impl SensorModel {
         let name = name.value.as_str().ok_or_else(|| name.refuse("a text"))?.to_owned();
         let rate = root.key("rate_hz", "the output rate in Hz")?;
         let rate_hz = rate.number()?;
-        if rate_hz <= 0.0 {
-            return Err(rate.refuse("a rate in Hz above 0"));
+        if !RATES_HZ.contains(&rate_hz) {
+            return Err(rate.refuse(&format!("a rate from {} to {} Hz", RATES_HZ.start(), RATES_HZ.end())));
         }
         let sampling = root.optional("sampling").map(|place| sampling(&place)).transpose()?;
         let places = root.key("channels", "an object of channels")?;
@@ -78,17 +88,16 @@ fn channel_model(place: &Place<'_>) -> Result<ChannelModel, ModelError> {
     place.only_keys(&CHANNEL_KEYS)?;
     let number = |key| place.optional(key).map(|place| place.number()).transpose();
     let effects = place.optional("effects").map(|place| effects(&place, &registry::CHANNEL)).transpose()?;
+    let effects = effects.unwrap_or_default();
     let uncertainty = place.optional("uncertainty");
-    if let Some(uncertainty) = &uncertainty {
-        uncertainty.only_keys(&UNCERTAIN_KEYS)?;
-    }
+    let uncertainty = uncertainty.map(|place| super::uncertainty::read(&place, &effects)).transpose()?;
     Ok(ChannelModel {
         n: number("N")?.unwrap_or(0.0),
         b: number("B")?.unwrap_or(0.0),
         k: number("K")?.unwrap_or(0.0),
         bias: number("bias")?,
-        effects: effects.unwrap_or_default(),
-        uncertainty: uncertainty.map(|place| object(&place)).transpose()?,
+        effects,
+        uncertainty,
     })
 }
 

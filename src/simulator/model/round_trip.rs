@@ -89,7 +89,13 @@ fn model(pool: &mut Pool<'_>) -> Value {
         let mut body = json!({"N": pool.unit(), "K": pool.unit() * 1e-7, "effects": effects});
         if pool.unit() < 0.5 {
             body["bias"] = json!(pool.unit() - 0.5);
-            body["uncertainty"] = json!({"N": {"ci95": [pool.unit(), 2.0]}});
+            let of = |effect: &Value| {
+                let names =
+                    effect.as_object().into_iter().flatten().map(|(name, _)| name).filter(|name| *name != "effect");
+                names.map(|name| (name.clone(), json!({"ci95": [0.1, 0.2]}))).collect::<Map<_, _>>()
+            };
+            let known: Vec<_> = body["effects"].as_array().into_iter().flatten().map(of).collect();
+            body["uncertainty"] = json!({"N": {"ci95": [pool.unit(), 2.0]}, "effects": known});
         }
         model["channels"][channel.name()] = body;
     }
@@ -117,6 +123,8 @@ proptest! {
                     prop_assert_eq!(&kept[key], given);
                 }
             }
+            let known = |of: &Value| of["uncertainty"]["effects"].clone();
+            prop_assert_eq!(known(channel), known(&written));
         }
     }
 

@@ -1,20 +1,31 @@
 //! The JSON Schema of sensor models, made of the same tables as the reader.
 
-use super::{CHANNEL_KEYS, FORMAT, TRIADS, UNCERTAIN_KEYS};
-use crate::effects::{Kind, registry};
+use super::read::RATES_HZ;
+use super::uncertainty::ENTRY_KEYS;
+use super::{CHANNEL_KEYS, EFFECTS, FORMAT, TRIADS, UNCERTAIN_KEYS};
+use crate::effects::{Kind, LARGEST, registry};
 use crate::sample::Channel;
 use serde_json::{Map, Value, json};
 
 /// The schema (draft 2020-12) of `docs/sensor-model.schema.json`.
 ///
 /// It says what a table of ranges can say; frequencies from half the rate up, rates that do not divide one another, limits
-/// in the wrong order and channels that disagree about a shared effect are refused by the reader alone.
+/// in the wrong order, channels that disagree about a shared effect, keys that stand twice and uncertainties of what is not
+/// there are refused by the reader alone.
 #[must_use]
 pub fn schema() -> Value {
     let object = |properties: Map<String, Value>, required: &[&str]| json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false});
-    let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "default": 0, "description": meaning});
-    let uncertainty: Map<String, Value> =
-        UNCERTAIN_KEYS.iter().map(|key| ((*key).to_owned(), json!({"type": "object"}))).collect();
+    let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "maximum": LARGEST, "default": 0, "description": meaning});
+    let entry = json!({"$ref": "#/$defs/uncertainty"});
+    let of_effects = json!({
+        "type": "array",
+        "items": {"type": "object", "additionalProperties": entry},
+        "description": "an object for each of the channel's effects: its parameters whose accuracy is known"
+    });
+    let uncertainty: Map<String, Value> = UNCERTAIN_KEYS
+        .iter()
+        .map(|key| ((*key).to_owned(), if *key == EFFECTS { of_effects.clone() } else { entry.clone() }))
+        .collect();
     let mut uncertainty = object(uncertainty, &[]);
     uncertainty["description"] = json!("what is known about the parameters' accuracy");
     let channel: Map<String, Value> = CHANNEL_KEYS
@@ -24,7 +35,9 @@ pub fn schema() -> Value {
                 "N" => amplitude("white noise, U/√Hz: two-sided density N²"),
                 "B" => amplitude("flicker noise, U: two-sided density B²/(2πf)"),
                 "K" => amplitude("rate random walk, U/√s: two-sided density (K/2πf)²"),
-                "bias" => json!({"type": "number", "description": "a constant, U"}),
+                "bias" => {
+                    json!({"type": "number", "minimum": -LARGEST, "maximum": LARGEST, "description": "a constant, U"})
+                }
                 "effects" => json!({"type": "array", "items": {"oneOf": kinds(&registry::CHANNEL)}}),
                 _ => uncertainty.clone(),
             };
@@ -55,7 +68,7 @@ pub fn schema() -> Value {
         "properties": {
             "format": {"const": FORMAT},
             "name": {"type": "string", "description": "for people"},
-            "rate_hz": {"type": "number", "exclusiveMinimum": 0, "description": "the output's rate, Hz"},
+            "rate_hz": {"type": "number", "minimum": RATES_HZ.start(), "maximum": RATES_HZ.end(), "description": "the output's rate, Hz"},
             "sampling": {
                 "type": "object",
                 "description": "how the sensor makes its output; N, B and K are then its own, before its boxcar",
@@ -81,6 +94,12 @@ pub fn schema() -> Value {
         },
         "$defs": {
             "channel": object(channel, &[]),
+            "uncertainty": {
+                "type": "object",
+                "description": "95 % interval, low to high, or upper limit, in the parameter's unit",
+                "additionalProperties": false,
+                "properties": entry_properties()
+            },
             "triad": {
                 "type": "object",
                 "properties": {"effects": effects},
@@ -88,6 +107,14 @@ pub fn schema() -> Value {
             }
         }
     })
+}
+
+fn entry_properties() -> Map<String, Value> {
+    let schema = |key: &str| match key {
+        "ci95" => json!({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}),
+        _ => json!({"type": "number", "minimum": 0}),
+    };
+    ENTRY_KEYS.iter().map(|key| ((*key).to_owned(), schema(key))).collect()
 }
 
 fn kinds<E: ?Sized>(kinds: &[&Kind<E>]) -> Vec<Value> {

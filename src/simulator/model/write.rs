@@ -40,8 +40,8 @@ impl Serialize for ChannelModel {
         if !self.effects.is_empty() {
             map.serialize_entry("effects", &channel_entries(&self.effects))?;
         }
-        if let Some(uncertainty) = &self.uncertainty {
-            map.serialize_entry("uncertainty", uncertainty)?;
+        if let Some(uncertainty) = self.written_uncertainty() {
+            map.serialize_entry("uncertainty", &uncertainty)?;
         }
         map.end()
     }

@@ -1,0 +1,206 @@
+//! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
+
+use super::error::DiagnosisError;
+use super::evidence::Kind;
+use super::holdout::{self, BLOCKS, Scores, Whole};
+use super::law::{Beliefs, Fitted};
+use super::omnibus::{self, Statistic};
+use super::prepare::{self, Prepared, Ready};
+use super::prices;
+use super::recording::Recording;
+use super::report::Diagnosis;
+use super::search::{self, Step};
+use super::series::{Explanation, Series, Setting};
+use super::shared::{self, Shared, Whitened};
+use super::tiles::Tiles;
+use crate::sample::Channel;
+use crate::simulator::SensorModel;
+use std::sync::{Mutex, PoisonError};
+
+/// Who does the work: several channels may be looked at at a time.
+pub trait Workers: Sync {
+    /// Calls `work` once with each number below `count`.
+    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
+}
+
+/// One after the other.
+#[derive(Debug, Clone, Copy, Default)]
+#[expect(clippy::exhaustive_structs, reason = "nothing to it")]
+pub struct Alone;
+
+impl Workers for Alone {
+    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
+        (0..count).for_each(work);
+    }
+}
+
+/// What a diagnosis is told besides record and model.
+#[derive(Clone, Copy)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out over its default")]
+pub struct Options<'a> {
+    /// The program and its version.
+    pub software: &'a str,
+    /// What the recording is called.
+    pub real: &'a str,
+    /// What the model is called.
+    pub sim: &'a str,
+    /// The part of records of noise alone in which an effect may be named by chance.
+    pub level: f64,
+    /// Who does the work.
+    pub workers: &'a dyn Workers,
+}
+
+impl std::fmt::Debug for Options<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Options").field("real", &self.real).field("sim", &self.sim).finish_non_exhaustive()
+    }
+}
+
+impl Default for Options<'_> {
+    fn default() -> Self {
+        Self { software: "vn100d", real: "", sim: "", level: 0.005, workers: &Alone }
+    }
+}
+
+/// What a diagnosis gives.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Outcome {
+    /// The report.
+    pub diagnosis: Diagnosis,
+    /// The model with its parameters corrected and what it lacked added.
+    pub augmented: SensorModel,
+}
+
+/// What was found on a channel.
+#[derive(Debug)]
+pub(super) struct Findings {
+    pub(super) prepared: Prepared,
+    pub(super) explanation: Explanation,
+    pub(super) steps: Vec<Step>,
+    /// The law without effects, its levels free of beliefs.
+    pub(super) plain: Fitted,
+    /// The law with effects, its levels free of beliefs.
+    pub(super) fitted: Fitted,
+    /// Where the plain law fails.
+    pub(super) before: Tiles,
+    /// Where everything found still fails.
+    pub(super) after: Tiles,
+    pub(super) statistics: Vec<(Statistic, f64)>,
+    pub(super) scores: Scores,
+    /// Standard deviation of the white part, U per sample.
+    pub(super) white: f64,
+    /// The white part's mean variance over that where nothing changes it.
+    pub(super) average_variance: f64,
+}
+
+/// What was found in a record.
+#[derive(Debug)]
+pub(super) struct Found {
+    pub(super) channels: Vec<Findings>,
+    pub(super) shared: Option<Shared>,
+    pub(super) repeats: Vec<(Vec<Channel>, super::facts::Repeats)>,
+    pub(super) further: Vec<Channel>,
+    pub(super) samples: usize,
+    pub(super) temperature_c: f64,
+}
+
+/// Compares a record with a model.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared.
+pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
+    let ready = prepare::prepare(real, sim)?;
+    let samples = real.len();
+    let prices = prices::of_effects(samples, ready.channels.len(), options.level);
+    let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
+    options.workers.each(ready.channels.len(), &|index| {
+        let found = explain(&ready, sim, index, &prices);
+        *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
+    });
+    let both = places.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
+    let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
+    let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
+    let shared = shared::shared(&whitened, price);
+    let found = Found {
+        channels,
+        shared,
+        repeats: ready.repeats,
+        further: ready.further,
+        samples,
+        temperature_c: ready.reference_c,
+    };
+    Ok(super::compose::outcome(&found, real, sim, options))
+}
+
+/// Everything about one channel.
+fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Prices) -> (Findings, Whitened) {
+    const FREE: Beliefs = [None, None, None];
+    let prepared = ready.channels[index].clone();
+    let base = |grid: &super::grid::Grid| prepare::base_of(sim, &prepared, grid);
+    let setting = Setting { courses: &ready.courses, base: &base, beliefs: prepared.beliefs, rate_hz: ready.rate_hz };
+    let known = Explanation {
+        sines: prepared.sines.clone(),
+        outliers: prepared.outliers.clone(),
+        loud: prepared.loud.clone(),
+        scedasticity: prepared.scedasticity.clone(),
+        limits: prepared.limits,
+        ..Explanation::noise(prepared.declared.clone())
+    };
+    let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
+    for (name, evidence) in [
+        ("spikes", super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
+        ("heavy_tails", super::evidence::outlier::heavy_tails),
+    ] {
+        if prepared.has.contains(&name)
+            && let Some(candidate) = evidence(&series)
+        {
+            series.explanation = candidate.explanation;
+            series.rebuild(false);
+        }
+    }
+    let known = Explanation { law: prepared.declared.clone(), ..series.explanation.clone() };
+    let free = |series: &Series<'_>| {
+        let mut data = series.data();
+        data.beliefs = &FREE;
+        series.explanation.law.fit(data)
+    };
+    let plain = free(&series);
+    let before = Tiles::of(&series);
+    let steps = search::explain(&mut series, prices);
+    let fitted = free(&series);
+    let after = Tiles::of(&series);
+    let statistics = omnibus::statistics(&mut series);
+    let whole = Whole {
+        samples: &prepared.samples,
+        temperature: ready.courses.temperature(),
+        base: &base,
+        beliefs: prepared.beliefs,
+        rate_hz: ready.rate_hz,
+        known: &known,
+        found: &series.explanation,
+    };
+    let scores = holdout::scores(whole);
+    debug_assert_eq!(scores.effects.len(), BLOCKS);
+    let whitened = Whitened::of(&series);
+    let white = series.white() * prepared.scale;
+    let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
+    drop(series);
+    (
+        Findings {
+            average_variance,
+            prepared,
+            explanation,
+            steps,
+            plain,
+            fitted,
+            before,
+            after,
+            statistics,
+            scores,
+            white,
+        },
+        whitened,
+    )
+}

@@ -1,0 +1,272 @@
+//! Facts: what the values show by themselves, beyond inference: a step that all are multiples of, limits, repeats, stamps.
+
+/// What one channel's values show.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Facts {
+    /// The step that the values are multiples of.
+    pub step: Option<f64>,
+    /// The least value, where the channel was cut off there.
+    pub low: Option<f64>,
+    /// The greatest.
+    pub high: Option<f64>,
+}
+
+/// The facts of a channel's values (finite, those that are there).
+#[must_use]
+pub fn of(values: &[f64]) -> Facts {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (sorted.first().copied(), sorted.last().copied()) else { return Facts::default() };
+    let rounding = 8.0 * f64::EPSILON * first.abs().max(last.abs());
+    // Values and how often each is there.
+    let mut counted: Vec<(f64, usize)> = Vec::new();
+    for value in sorted {
+        match counted.last_mut() {
+            Some((own, count)) if value - *own <= rounding => *count += 1,
+            _ => counted.push((value, 1)),
+        }
+    }
+    let step = step(&counted, values.len());
+    let limited = |extreme: f64| {
+        // Apart from one another: a value that is held is one.
+        let mut runs = 0;
+        let mut inside = false;
+        for value in values {
+            let there = (value - extreme).abs() <= rounding;
+            runs += usize::from(there && !inside);
+            inside = there;
+        }
+        runs
+    };
+    // How often the extreme would be there if it were a tail's: the logarithms of a distribution's counts bend down, so that
+    // a straight line through the next two is above.
+    let near = |inwards: &mut dyn Iterator<Item = &(f64, usize)>| {
+        let (next, after) =
+            (inwards.next().map_or(1, |one| one.1) as f64, inwards.next().map_or(1, |one| one.1) as f64);
+        (next * next / after).min(next).max(1.0)
+    };
+    let cut = |extreme: f64, expected: f64| {
+        let runs = limited(extreme);
+        match step {
+            // Without a step no two values are equal.
+            None => runs >= 3,
+            Some(_) => {
+                let runs = runs as f64;
+                runs >= 5.0 && runs > expected && runs * (runs / expected).ln() - (runs - expected) > 12.0
+            }
+        }
+    };
+    let low = cut(first, near(&mut counted.iter().skip(1))).then_some(first);
+    let high = cut(last, near(&mut counted.iter().rev().skip(1))).then_some(last);
+    Facts { step, low, high }
+}
+
+/// The step: a distance that nearly all distances of neighbouring values are whole multiples of.
+fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
+    /// Values that were seen before, at least: else the step is far below the noise.
+    const REPEATED: f64 = 0.2;
+    /// How far from whole a multiple may be, and how many may be farther: limits and spikes need not lie on the lattice.
+    const WHOLE: f64 = 0.03;
+    const ASTRAY: f64 = 0.02;
+    if counted.len() < 3 || counted.len() as f64 > (1.0 - REPEATED) * samples as f64 {
+        return None;
+    }
+    // Each distance counts as often as the rarer of its two values was seen.
+    let mut distances: Vec<(f64, f64)> =
+        counted.windows(2).map(|pair| (pair[1].0 - pair[0].0, pair[0].1.min(pair[1].1) as f64)).collect();
+    distances.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let allowed = ASTRAY * distances.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut passed = 0.0;
+    let smallest = distances.iter().find(|(_, weight)| {
+        passed += weight;
+        passed > allowed
+    });
+    let (smallest, _) = smallest?;
+    let (mut best, mut astray_of_best) = (None, f64::INFINITY);
+    for part in 1..=6 {
+        let mut step = smallest / f64::from(part);
+        // Ever longer distances make it ever more exact.
+        for _ in 0..3 {
+            let (mut length, mut count) = (0.0, 0.0);
+            for (distance, weight) in &distances {
+                let multiple = (distance / step).round();
+                if multiple <= 8.0 && (distance / step - multiple).abs() < 0.2 {
+                    length += weight * distance;
+                    count += weight * multiple;
+                }
+            }
+            if count > 0.0 {
+                step = length / count;
+            }
+        }
+        let far = |(distance, _): &&(f64, f64)| (distance / step - (distance / step).round()).abs() > WHOLE;
+        let astray: f64 = distances.iter().filter(far).map(|(_, weight)| weight).sum();
+        if astray < astray_of_best {
+            (best, astray_of_best) = (Some(step), astray);
+        }
+        if astray <= allowed {
+            break;
+        }
+    }
+    best.filter(|_| astray_of_best <= allowed)
+}
+
+/// Samples that are the ones before them again.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Repeats {
+    /// Which.
+    pub places: Vec<usize>,
+    /// How many chance would make.
+    pub expected: f64,
+    /// Nats that repeats explain, 0 where they are chance's.
+    pub gain: f64,
+}
+
+/// The repeats of channels that repeat together; `columns` of one length, those of one triad.
+#[must_use]
+pub fn repeats(columns: &[&[f64]]) -> Repeats {
+    let n = columns.iter().map(|column| column.len()).min().unwrap_or_default();
+    if n < 3 || columns.is_empty() {
+        return Repeats::default();
+    }
+    let same = |t: usize, back: usize| columns.iter().all(|column| column[t] == column[t - back]);
+    let places: Vec<usize> = (1..n).filter(|t| same(*t, 1)).collect();
+    let chance: f64 = columns.iter().map(|column| chance(&column[..n])).product();
+    let expected = chance * (n - 1) as f64;
+    let found = places.len() as f64;
+    // Fewer than one expected is counted as a part of one, so that a single repeat is no proof.
+    let floor = expected.max(1e-3);
+    let gain = if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 };
+    Repeats { places, expected, gain }
+}
+
+/// The chance that a rounded value is the one before it again: from how often neighbours differ by one step and by two, as a
+/// normal distribution of the differences has it.
+fn chance(column: &[f64]) -> f64 {
+    let distances: Vec<f64> = column.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    let equal = distances.iter().filter(|d| **d == 0.0).count() as f64;
+    if equal == 0.0 {
+        return 0.0;
+    }
+    let Some(step) = of(column).step else {
+        // Values of many digits are never equal by chance; those of coarse floats now and then, two samples apart as well.
+        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
+        return (apart / column.len() as f64).min(equal / column.len() as f64);
+    };
+    let count = |multiple: f64| distances.iter().filter(|d| (*d / step - multiple).abs() < 0.2).count() as f64 / 2.0;
+    let (one, two) = (count(1.0), count(2.0));
+    if one < 20.0 || two < 1.0 {
+        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
+        return apart / column.len() as f64;
+    }
+    // ln of the counts is a − b·multiple².
+    let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
+    (at_zero / distances.len() as f64).min(1.0)
+}
+
+/// What stamps show.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Stamps {
+    /// Standard deviation about evenly spaced instants, s.
+    pub jitter_s: f64,
+    /// Samples per second.
+    pub rate_hz: f64,
+}
+
+/// The stamps of samples at the given places of a grid; None for fewer than 16.
+#[must_use]
+pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
+    let pairs: Vec<(f64, f64)> = places.map(|place| place as f64).zip(time_s.iter().copied()).collect();
+    if pairs.len() < 16 {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let (place, time) = pairs.iter().fold((0.0, 0.0), |(p, t), (place, time)| (p + place / n, t + time / n));
+    let (mut product, mut square) = (0.0, 0.0);
+    for (own_place, own_time) in &pairs {
+        product += (own_place - place) * (own_time - time);
+        square += (own_place - place).powi(2);
+    }
+    let period = product / square;
+    let residual: f64 = pairs.iter().map(|(p, t)| (t - time - period * (p - place)).powi(2)).sum();
+    let rate_hz = 1.0 / period;
+    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: (residual / (n - 2.0)).sqrt(), rate_hz })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::{Stream, StreamId};
+
+    fn noise(seed: u64, n: usize) -> Vec<f64> {
+        let mut stream = Stream::new(seed, StreamId { owner: 0, effect: 1, instance: 0 });
+        (0..n).map(|_| -9.8 + stream.normal()).collect()
+    }
+
+    #[test]
+    fn a_step_is_found_and_floats_have_none() {
+        for step in [0.03, 0.2, 0.003_33 * 9.806_65, 1.0, 3.0] {
+            let mut values: Vec<f64> = noise(1, 30_001).iter().map(|v| (v / step).round() * step).collect();
+            assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-4, "{step}: {:?}", of(&values));
+            // A few values off the lattice change nothing.
+            values[17] += 0.377;
+            assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-3, "{step}: {:?}", of(&values));
+        }
+        assert_eq!(of(&noise(2, 20_000)), Facts::default());
+    }
+
+    #[test]
+    fn limits_are_told_from_extremes() {
+        let cut = |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v.min(-7.0)).collect() };
+        let values = noise(3, 20_000);
+        assert_eq!(of(&cut(&values)).high, Some(-7.0));
+        let rounded: Vec<f64> = values.iter().map(|v| (v / 0.2).round() * 0.2).collect();
+        assert_eq!((of(&rounded).low, of(&rounded).high), (None, None));
+        let cut_off: Vec<f64> = rounded.iter().map(|v| v.min(-8.0)).collect();
+        let found = of(&cut_off);
+        assert!((found.high.unwrap() + 8.0).abs() < 1e-9, "{found:?}");
+        // One extreme sample, held a few times.
+        let mut held = values;
+        held[100..106].fill(50.0);
+        assert_eq!(of(&held).high, None);
+    }
+
+    #[test]
+    fn repeats_of_rounded_values_are_chance_and_held_ones_are_not() {
+        let rounded = |seed: u64, step: f64| -> Vec<f64> {
+            noise(seed, 20_000).iter().map(|v| (v / step).round() * step).collect()
+        };
+        let columns = [rounded(4, 0.3), rounded(5, 0.3), rounded(6, 0.3)];
+        let of_all = |columns: &[Vec<f64>]| repeats(&columns.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let by_chance = of_all(&columns);
+        assert!(by_chance.gain < 6.0 && !by_chance.places.is_empty(), "{}", by_chance.gain);
+        assert!(of_all(&columns[..1]).gain < 6.0, "{}", of_all(&columns[..1]).gain);
+        let mut held = columns;
+        for t in [50, 700, 701, 9000, 15_000, 15_100, 16_000, 17_000] {
+            for column in &mut held {
+                column[t] = column[t - 1];
+            }
+        }
+        let mut few = [noise(7, 5000), noise(8, 5000)];
+        for column in &mut few {
+            column[70] = column[69];
+            column[71] = column[69];
+            column[90] = column[89];
+        }
+        assert_eq!(of_all(&few).places, [70, 71, 90]);
+        assert!(of_all(&few).gain > 12.0);
+        assert!(of_all(&held).gain > by_chance.gain);
+    }
+
+    #[test]
+    fn stamps_tell_rate_and_jitter() {
+        let scatter = noise(9, 5000);
+        let time_s: Vec<f64> = (0..5000).map(|i| 3.0 + i as f64 / 40.0 + 0.001 * (scatter[i] + 9.8)).collect();
+        let found = stamps(&time_s, 0..5000).unwrap();
+        assert!((found.jitter_s / 0.001 - 1.0).abs() < 0.05 && (found.rate_hz / 40.0 - 1.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(stamps(&time_s[..10], 0..10), None);
+    }
+}

@@ -1,0 +1,176 @@
+//! Holdout: how far the discrepancy shrinks, measured on the half of a record that chose no number.
+
+use super::course::{Course, Courses};
+use super::grid::Grid;
+use super::law::{Base, Beliefs, Law};
+use super::series::{Explanation, Loud, Series, Setting};
+use super::transform::Cosines;
+use statrs::function::gamma::ln_gamma;
+
+/// Blocks of time in which densities are summed, for the bootstrap.
+pub const BLOCKS: usize = 64;
+/// Nats for a sine's phase, which no one can foretell.
+const PHASE: f64 = 4.0;
+
+/// ln of density of the second half's samples, nats, in [`BLOCKS`] blocks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scores {
+    /// Under the declared model.
+    pub declared: Vec<f64>,
+    /// With the levels of the first half.
+    pub parameters: Vec<f64>,
+    /// With everything found, its numbers from the first half.
+    pub effects: Vec<f64>,
+    /// With everything found, its numbers from the second half itself: a ceiling, too high by half a nat a number.
+    pub ceiling: Vec<f64>,
+    /// How many numbers.
+    pub numbers: usize,
+    /// Samples.
+    pub samples: usize,
+}
+
+/// What a half is made of.
+#[derive(Clone, Copy)]
+pub struct Whole<'a> {
+    /// The samples.
+    pub samples: &'a [f64],
+    /// The temperature about its mean, °C.
+    pub temperature: Option<&'a [f64]>,
+    /// Spectra.
+    pub base: &'a (dyn Fn(&Grid) -> Base + Sync),
+    /// Beliefs.
+    pub beliefs: Beliefs,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// What the model explains already.
+    pub known: &'a Explanation,
+    /// Everything.
+    pub found: &'a Explanation,
+}
+
+/// An explanation's structure on a part of the record from `from` to `to`; its numbers are those of the whole as they apply
+/// there.
+fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
+    let n = to - from;
+    let mut part = of.clone();
+    part.courses = of
+        .courses
+        .iter()
+        .filter_map(|(course, factor)| match *course {
+            Course::Ramp => Some((Course::Ramp, factor * n as f64 / whole as f64)),
+            Course::Temperature => Some((Course::Temperature, *factor)),
+            Course::WarmUp(tau) => Some((Course::WarmUp(tau), factor * (-(from as f64) / tau).exp())),
+            Course::Step(at) => (at > from && at < to).then(|| (Course::Step(at - from), *factor)),
+        })
+        .collect();
+    part.sines.iter_mut().for_each(|sine| {
+        let turn = std::f64::consts::TAU * (sine.cycles * from as f64).fract();
+        let (s, c) = turn.sin_cos();
+        let [a, b] = sine.quadratures;
+        sine.quadratures = [a * c + b * s, b * c - a * s];
+    });
+    part.outliers = of.outliers.iter().filter(|t| (from..to).contains(*t)).map(|t| t - from).collect();
+    part.loud = of
+        .loud
+        .iter()
+        .filter(|loud| loud.to > from && loud.from < to)
+        .map(|loud| Loud { from: loud.from.max(from) - from, to: loud.to.min(to) - from, ratio: loud.ratio })
+        .collect();
+    if let Some(super::series::Scedasticity::Profile(values)) = &of.scedasticity {
+        let at = |share: f64| super::series::profile(values, (from as f64 + share * (n - 1) as f64) as usize, whole);
+        let count = values.len().max(2);
+        let cut = (0..count).map(|index| at(index as f64 / (count - 1) as f64)).collect();
+        part.scedasticity = Some(super::series::Scedasticity::Profile(cut));
+    }
+    part
+}
+
+/// The parts of the density that are not the whitened residual's: spikes, tails, and what cannot be foretold.
+fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
+    let explanation = &series.explanation;
+    let n = series.len() as f64;
+    let mut sum = -PHASE * explanation.sines.len().saturating_sub(known.sines.len()) as f64;
+    let steps = explanation.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
+    sum -= (n.ln() + 3.0) * steps as f64;
+    sum -= (2.0 * n.ln() + 3.0) * explanation.loud.len().saturating_sub(known.loud.len()) as f64;
+    if let Some(spikes) = explanation.spikes {
+        let flagged = explanation.outliers.len().saturating_sub(carried) as f64;
+        // Each costs its place and has the wide density; the value that stands for it was counted as noise.
+        let (rate, variance) = (spikes.rate.clamp(1e-9, 0.5), spikes.variance);
+        sum += flagged * (rate.ln() - 0.5 * variance.ln()) + (n - flagged) * (-rate).ln_1p();
+    }
+    if let Some(degrees) = explanation.tails {
+        let scale = (degrees - 2.0) / degrees;
+        let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
+        let of = |e: &f64| constant - 0.5 * (degrees + 1.0) * (e * e / (degrees * scale)).ln_1p() + 0.5 * e * e;
+        sum += series.residual.iter().map(of).sum::<f64>();
+    }
+    sum
+}
+
+/// Scores the second half.
+#[must_use]
+pub fn scores(whole: Whole<'_>) -> Scores {
+    let total = whole.samples.len();
+    let middle = total / 2;
+    let halves = [(0, middle), (middle, total)];
+    let transforms = halves.map(|(from, to)| Cosines::new(to - from));
+    let courses: Vec<Courses> = halves
+        .iter()
+        .zip(&transforms)
+        .map(|((from, to), transform)| Courses::new(&mut transform.clone(), whole.temperature.map(|t| &t[*from..*to])))
+        .collect();
+    let setting = |half: usize| Setting {
+        courses: &courses[half],
+        base: whole.base,
+        beliefs: whole.beliefs,
+        rate_hz: whole.rate_hz,
+    };
+    let (first, second) = (setting(0), setting(1));
+    let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
+    let known = |half: usize| part(whole.known, halves[half].0, halves[half].1, total);
+    let found = |half: usize| part(whole.found, halves[half].0, halves[half].1, total);
+    let carried = known(1).outliers.len();
+    let scored = |series: &Series<'_>, known: &Explanation| {
+        let more = besides(series, known, carried) / BLOCKS as f64;
+        series.density(BLOCKS).into_iter().map(|sum| sum + more).collect::<Vec<f64>>()
+    };
+    let declared = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), known(1)), &known(1));
+    // The levels and numbers of the first half.
+    let plain: Law = Series::new(&first, transforms[0].clone(), samples(0), known(0)).explanation.law;
+    let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
+    let quiet = full.average_variance().ln();
+    let full = full.explanation;
+    let with_levels = Explanation { law: plain, ..known(1) };
+    let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
+    let mut carried_over = found(1);
+    carried_over.law = full.law.clone();
+    for (course, factor) in &mut carried_over.courses {
+        let same =
+            full.courses.iter().find(|(other, _)| std::mem::discriminant(other) == std::mem::discriminant(course));
+        match (*course, same) {
+            (Course::Ramp, Some((_, learned))) => {
+                *factor = learned * (halves[1].1 - halves[1].0) as f64 / (halves[0].1 - halves[0].0) as f64;
+            }
+            (Course::Temperature, Some((_, learned))) => *factor = *learned,
+            (Course::WarmUp(tau), Some((_, learned))) => *factor = learned * (-(middle as f64) / tau).exp(),
+            _ => {}
+        }
+    }
+    for (sine, learned) in carried_over.sines.iter_mut().zip(&full.sines) {
+        let (own, known) = (sine.amplitude(), learned.amplitude());
+        if own > 0.0 {
+            sine.quadratures = sine.quadratures.map(|value| value * known / own);
+        }
+    }
+    let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
+    // The white noise where nothing changes it is the same in both.
+    carried_over.law.levels[0] += best.average_variance().ln() - quiet;
+    let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
+    let numbers = 3
+        + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
+        + best.explanation.courses.len()
+        + 3 * best.explanation.sines.len();
+    let ceiling = scored(&best, &known(1));
+    Scores { declared, parameters, effects, ceiling, numbers, samples: total - middle }
+}

@@ -1,0 +1,386 @@
+//! Preparation: a recording and a model become series of samples of which the model's own effects are explained already.
+
+use super::course::Courses;
+use super::error::DiagnosisError;
+use super::facts::{self, Facts, Repeats};
+use super::grid::Grid;
+use super::law::{Base, Beliefs, Law};
+use super::recording::Recording;
+use super::series::{Loud, Scedasticity, Sine};
+use super::transform::Cosines;
+use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
+use crate::sample::{Channel, Triad};
+use crate::simulator::{ChannelModel, SensorModel, Spectrum};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Fewest samples of which anything is said.
+pub const LEAST: usize = 1000;
+/// A rounded temperature is a mean over so many s.
+const SMOOTHED_S: f64 = 60.0;
+
+/// One channel, ready to be explained.
+#[derive(Debug, Clone)]
+pub struct Prepared {
+    /// Which.
+    pub channel: Channel,
+    /// U per unit of the series.
+    pub scale: f64,
+    /// What was subtracted as its level, U.
+    pub level: f64,
+    /// The samples less what the model says of their level, in the series' scale.
+    pub samples: Vec<f64>,
+    /// What the values show.
+    pub facts: Facts,
+    /// Samples that are no noise: missing, held, at a limit.
+    pub outliers: Vec<usize>,
+    /// Samples at an upper limit and at a lower one, and the limits in the series' scale.
+    pub limits: [Option<f64>; 2],
+    /// The declared levels of N, B and K.
+    pub declared: Law,
+    /// Beliefs about them.
+    pub beliefs: Beliefs,
+    /// The step that counts as rounding, U: the capture's, or the model's.
+    pub step: Option<f64>,
+    /// Lines that the model has.
+    pub sines: Vec<Sine>,
+    /// Stretches of another variance that it has.
+    pub loud: Vec<Loud>,
+    /// Its variance by temperature or time.
+    pub scedasticity: Option<Scedasticity>,
+    /// Names of the effects that it has.
+    pub has: Vec<&'static str>,
+}
+
+/// All of them, and what belongs to the record.
+#[derive(Debug)]
+pub struct Ready {
+    /// Channels in the model's order.
+    pub channels: Vec<Prepared>,
+    /// Courses.
+    pub courses: Courses,
+    /// The transform.
+    pub transform: Cosines,
+    /// By triad (or single channel): repeats that are not chance's.
+    pub repeats: Vec<(Vec<Channel>, Repeats)>,
+    /// What the recording has and the model does not.
+    pub further: Vec<Channel>,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Mean temperature, °C, that effects refer to.
+    pub reference_c: f64,
+}
+
+/// Looks at a recording and a model together.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared.
+pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisError> {
+    let n = real.len();
+    let found_hz = real.rate_hz;
+    if !found_hz.is_finite() || (found_hz / sim.rate_hz - 1.0).abs() > 0.01 {
+        return Err(DiagnosisError::Rate { found_hz, expected_hz: sim.rate_hz });
+    }
+    if n < LEAST {
+        return Err(DiagnosisError::TooShort { found: n, least: LEAST, least_s: LEAST as f64 / sim.rate_hz });
+    }
+    sim.check(sim.rate_hz).map_err(|fault| DiagnosisError::Model(fault.to_string()))?;
+    let missing: Vec<usize> =
+        real.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(t, _)| t).collect();
+    for (channel, values) in &real.channels {
+        if values.len() != n {
+            return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
+        }
+        let bad = values.iter().enumerate().find(|(t, value)| !value.is_finite() && !is_missing(real, *t));
+        if let Some((index, value)) = bad {
+            return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
+        }
+    }
+    let wanted: Vec<Channel> =
+        sim.channels.keys().copied().filter(|channel| *channel != Channel::Temperature).collect();
+    for channel in &wanted {
+        if real.values(*channel).is_none() {
+            let found: Vec<&str> = real.channels.iter().map(|(channel, _)| channel.name()).collect();
+            return Err(DiagnosisError::MissingChannel { channel: channel.to_string(), found: found.join(", ") });
+        }
+    }
+    let mut transform = Cosines::new(n);
+    let temperature = temperature(real);
+    let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
+    let about: Option<Vec<f64>> =
+        temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
+    let courses = Courses::new(&mut transform, about.as_deref());
+    let repeats = repeats(real, &wanted);
+    let mut channels = Vec::new();
+    for channel in wanted {
+        let Some(model) = sim.channels.get(&channel) else { continue };
+        let held =
+            repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
+        let mut outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
+        outliers.sort_unstable();
+        outliers.dedup();
+        channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
+    }
+    let further = real.channels.iter().map(|(channel, _)| *channel);
+    let further = further.filter(|channel| !sim.channels.contains_key(channel)).collect();
+    Ok(Ready {
+        channels,
+        courses,
+        transform,
+        repeats,
+        further,
+        rate_hz: sim.rate_hz,
+        reference_c: reference_c.unwrap_or(USUAL_TEMPERATURE_C),
+    })
+}
+
+fn is_missing(real: &Recording, t: usize) -> bool {
+    real.missing.get(t).copied().unwrap_or(false)
+}
+
+/// The temperature with its gaps filled, smoothed where it moves in steps; None where it does not move.
+fn temperature(real: &Recording) -> Option<Vec<f64>> {
+    let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
+    let mut filled = read.clone();
+    let mut last =
+        read.iter().enumerate().find(|(t, value)| value.is_finite() && !is_missing(real, *t)).map(|(_, v)| *v)?;
+    for (t, value) in filled.iter_mut().enumerate() {
+        if value.is_finite() && !is_missing(real, t) {
+            last = *value;
+        } else {
+            *value = last;
+        }
+    }
+    let (low, high) = filled.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    if high - low <= 0.0 {
+        return None;
+    }
+    let width = ((SMOOTHED_S * real.rate_hz) as usize).min(filled.len() / 8);
+    Some(smoothed(&filled, width))
+}
+
+/// Means over `width` samples about each, fewer at the ends.
+fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
+    let n = values.len();
+    let mut sums = vec![0.0; n + 1];
+    for (t, value) in values.iter().enumerate() {
+        sums[t + 1] = sums[t] + value;
+    }
+    (0..n)
+        .map(|t| {
+            let half = (width / 2).min(t).min(n - 1 - t);
+            (sums[t + half + 1] - sums[t - half]) / (2 * half + 1) as f64
+        })
+        .collect()
+}
+
+/// The channels that repeat together, and where.
+fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)> {
+    const PROOF: f64 = 14.0;
+    let mut groups: BTreeMap<Option<Triad>, Vec<Channel>> = BTreeMap::new();
+    let mut found = Vec::new();
+    for channel in wanted {
+        groups.entry(channel.triad()).or_default().push(*channel);
+    }
+    let singles = groups.remove(&None).unwrap_or_default().into_iter().map(|channel| vec![channel]);
+    for group in groups.into_values().chain(singles) {
+        let columns: Vec<&[f64]> = group.iter().filter_map(|channel| real.values(*channel)).collect();
+        let mut of = facts::repeats(&columns);
+        of.places.retain(|t| !is_missing(real, *t) && !is_missing(real, t - 1));
+        if of.gain > PROOF && of.places.len() >= 3 {
+            found.push((group, of));
+        }
+    }
+    found
+}
+
+fn channel_of(
+    real: &Recording,
+    sim: &SensorModel,
+    channel: Channel,
+    model: &ChannelModel,
+    mut outliers: Vec<usize>,
+    temperature: Option<&[f64]>,
+) -> Result<Prepared, DiagnosisError> {
+    let values = real.values(channel).unwrap_or_default();
+    let there: Vec<f64> =
+        values.iter().enumerate().filter(|(t, _)| outliers.binary_search(t).is_err()).map(|(_, v)| *v).collect();
+    let facts = facts::of(&there);
+    let (low, high) = there.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    if there.len() < LEAST || high <= low {
+        let value = if low.is_finite() { low } else { 0.0 };
+        return Err(DiagnosisError::Constant { channel: channel.to_string(), value });
+    }
+    for limit in [facts.low, facts.high].into_iter().flatten() {
+        let share = there.iter().filter(|value| **value == limit).count() as f64 / there.len() as f64;
+        if share > 0.9 {
+            let share_percent = (1000.0 * share).round() / 10.0;
+            return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
+        }
+    }
+    // What the model says of the level.
+    let mut samples = values.to_vec();
+    let internal_hz = sim.internal_rate_hz(sim.rate_hz);
+    let shifts: Vec<&Arc<dyn Effect>> = model.effects.iter().filter(|effect| effect.stage() == Stage::Bias).collect();
+    if !shifts.is_empty() {
+        for (t, sample) in samples.iter_mut().enumerate() {
+            let temperature_c = temperature.map_or(USUAL_TEMPERATURE_C, |values| values[t]);
+            let at = At { time_s: t as f64 / sim.rate_hz, temperature_c };
+            *sample -= shifts.iter().map(|effect| effect.mean_response(0.0, at)).sum::<f64>();
+        }
+    }
+    let mut middle = there.clone();
+    let half = middle.len() / 2;
+    let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
+    let level = *level;
+    let scale = scale_of(&there).max(model.n * sim.rate_hz.sqrt() * 1e-3);
+    for sample in &mut samples {
+        *sample = if sample.is_finite() { (*sample - level) / scale } else { 0.0 };
+    }
+    let limits = [facts.low, facts.high].map(|limit| limit.map(|limit| (limit - level) / scale));
+    let at_limit = |value: f64| [facts.low, facts.high].into_iter().flatten().any(|limit| value == limit);
+    outliers.extend(values.iter().enumerate().filter(|(_, value)| at_limit(**value)).map(|(t, _)| t));
+    outliers.sort_unstable();
+    outliers.dedup();
+    let square = |value: f64| if value > 0.0 { 2.0 * (value / scale).ln() } else { -60.0 };
+    let levels = [square(model.n), square(model.b), square(model.k)];
+    let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
+    let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
+    let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
+    let record = Record { rate_hz: sim.rate_hz, samples: values.len() as u64 };
+    let alone = SensorModel {
+        channels: [(channel, ChannelModel { effects: model.effects.clone(), ..ChannelModel::default() })].into(),
+        ..sim.clone()
+    };
+    let lines = Spectrum::new(&alone, channel, record).lines();
+    let sines = lines.iter().filter(|line| line.frequency_hz > 0.0);
+    let sines = sines.map(|line| Sine { cycles: line.frequency_hz / sim.rate_hz, quadratures: [0.0; 2] }).collect();
+    let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
+    Ok(Prepared {
+        channel,
+        scale,
+        level,
+        samples,
+        step: facts.step.or(of_model),
+        facts,
+        outliers,
+        limits,
+        declared: Law { levels, terms: Vec::new() },
+        beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
+        sines,
+        loud,
+        scedasticity,
+        has: model.effects.iter().map(|effect| effect.name()).collect(),
+    })
+}
+
+/// A robust standard deviation of what is white, U: from differences of neighbours.
+fn scale_of(values: &[f64]) -> f64 {
+    let mut distances: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    let square: f64 = distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64;
+    let middle = distances.len() / 2;
+    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
+    let robust = *median / (0.674_49 * 2f64.sqrt());
+    // Where half the neighbours are equal, a step is wider than the noise.
+    if robust > 0.2 * (0.5 * square).sqrt() { robust } else { (0.5 * square).sqrt() }
+}
+
+/// What a model says of its white part's variance.
+fn variance_of(
+    model: &ChannelModel,
+    samples: usize,
+    rate_hz: f64,
+    scale: f64,
+    internal_hz: f64,
+) -> (Vec<Loud>, Option<Scedasticity>) {
+    const INSTANTS: usize = 241;
+    let mut loud = Vec::new();
+    let mut scedasticity = None;
+    let white = (model.n / scale).powi(2) * internal_hz;
+    let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
+    for effect in &model.effects {
+        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
+        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
+        match effect.name() {
+            "bursts" => {
+                let ratio = 1.0 + (number("sigma").unwrap_or_default() / scale).powi(2) / white;
+                let pairs = parameters.get("intervals").and_then(serde_json::Value::as_array);
+                for pair in pairs.into_iter().flatten() {
+                    let end = |at: usize| pair.get(at).and_then(serde_json::Value::as_f64).unwrap_or_default();
+                    let (from, to) = (index(end(0)), index(end(1)));
+                    if from < to {
+                        loud.push(Loud { from, to, ratio });
+                    }
+                }
+            }
+            "variance_change" => match (number("per_c"), number("factor")) {
+                (Some(per_c), _) => scedasticity = Some(Scedasticity::PerDegree(2.0 * per_c)),
+                (_, Some(factor)) => {
+                    let (from, to) =
+                        (index(number("from_s").unwrap_or_default()), index(number("to_s").unwrap_or_default()));
+                    if from < to {
+                        loud.push(Loud { from, to, ratio: factor * factor });
+                    }
+                }
+                _ => {
+                    let pairs: Vec<(f64, f64)> = parameters
+                        .get("profile")
+                        .and_then(serde_json::Value::as_array)
+                        .into_iter()
+                        .flatten()
+                        .filter_map(|pair| Some((pair.get(0)?.as_f64()?, pair.get(1)?.as_f64()?)))
+                        .collect();
+                    let at = |instant: usize| {
+                        let time_s = instant as f64 / (INSTANTS - 1) as f64 * samples as f64 / rate_hz;
+                        2.0 * interpolated(&pairs, time_s).max(1e-6).ln()
+                    };
+                    scedasticity = Some(Scedasticity::Profile((0..INSTANTS).map(at).collect()));
+                }
+            },
+            _ => {}
+        }
+    }
+    (loud, scedasticity)
+}
+
+/// Straight between points, constant beyond them.
+fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
+    let next = points.partition_point(|point| point.0 <= at);
+    match (next.checked_sub(1).and_then(|last| points.get(last)), points.get(next)) {
+        (Some(from), Some(to)) => from.1 + (at - from.0) / (to.0 - from.0) * (to.1 - from.1),
+        (Some(one), None) | (None, Some(one)) => one.1,
+        (None, None) => 1.0,
+    }
+}
+
+/// The shapes of a channel's spectrum on a grid, in the series' scale.
+#[must_use]
+pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
+    let channel = prepared.channel;
+    let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
+    let effects = sim.channels.get(&channel).map(|model| model.effects.clone()).unwrap_or_default();
+    let filters: Vec<Arc<dyn Effect>> =
+        effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth).cloned().collect();
+    let shape = |model: ChannelModel| -> Vec<f64> {
+        let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..sim.clone() };
+        let spectrum = Spectrum::new(&alone, channel, record);
+        grid.frequencies_hz().iter().map(|f| sim.rate_hz * spectrum.psd(*f).unwrap_or(0.0)).collect()
+    };
+    let plain = || ChannelModel { effects: filters.clone(), ..ChannelModel::default() };
+    let shapes = [
+        shape(ChannelModel { n: 1.0, ..plain() }),
+        shape(ChannelModel { b: 1.0, ..plain() }),
+        shape(ChannelModel { k: 1.0, ..plain() }),
+    ];
+    let bins = grid.counts().len();
+    let mut known = vec![0.0; bins];
+    for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
+        let with = filters.iter().cloned().chain([effect.clone()]).collect();
+        let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
+        if effect.name() != "bursts" {
+            known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
+        }
+    }
+    let rounding = prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
+    Base { shapes, known, after: vec![rounding; bins], gain: vec![1.0; bins] }
+}

@@ -1,0 +1,131 @@
+//! Tiles: where in time and frequency a residual is louder or quieter than it should be.
+
+use super::series::Series;
+use super::transform::Cosines;
+
+/// Stretches of time, and bands whose upper edges grow by half.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tiles {
+    /// Edges of the bands, Hz.
+    pub edges_hz: Vec<f64>,
+    /// Edges of the stretches, s.
+    pub edges_s: Vec<f64>,
+    /// Nats beyond what chance gives on average: stretch by stretch, band after band.
+    pub excess: Vec<f64>,
+    /// Variance over what it should be.
+    pub ratio: Vec<f64>,
+}
+
+/// A rectangle of tiles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that callers read")]
+pub struct Rectangle {
+    /// Hz.
+    pub band_hz: [f64; 2],
+    /// s.
+    pub time_s: [f64; 2],
+    /// Nats in it.
+    pub excess: f64,
+    /// Mean ratio.
+    pub ratio: f64,
+}
+
+impl Tiles {
+    const STRETCHES: usize = 32;
+
+    /// Of a series' residual.
+    #[must_use]
+    pub fn of(series: &Series<'_>) -> Self {
+        let rate_hz = series.setting().rate_hz;
+        let size = series.len() / Self::STRETCHES;
+        let mut edges = vec![1usize];
+        while edges.last().is_some_and(|edge| *edge < size) {
+            let next = edges.last().map_or(size, |edge| (edge * 3 / 2).max(edge + 4)).min(size);
+            edges.push(next);
+        }
+        let mut transform = Cosines::new(size);
+        let (mut excess, mut ratio) = (Vec::new(), Vec::new());
+        // A change of variance is the white part's alone: its share of each band.
+        let white = series.white().powi(2);
+        let share = |span: &[usize]| {
+            let of = series.spectrum.get(span[0] * Self::STRETCHES..span[1] * Self::STRETCHES).unwrap_or_default();
+            of.iter().map(|s| (white / s).min(1.0)).sum::<f64>() / of.len().max(1) as f64
+        };
+        let shares: Vec<f64> = edges.windows(2).map(share).collect();
+        for stretch in 0..Self::STRETCHES {
+            let range = stretch * size..(stretch + 1) * size;
+            let mut values = series.residual[range.clone()].to_vec();
+            let variance = series.variance.get(range);
+            if let Some(variance) = variance {
+                values.iter_mut().zip(variance).for_each(|(e, v)| *e *= v.sqrt());
+            }
+            transform.forward(&mut values);
+            let change = variance.map_or(0.0, |of| of.iter().sum::<f64>() / of.len().max(1) as f64 - 1.0);
+            for (span, share) in edges.windows(2).zip(&shares) {
+                let of = &values[span[0]..span[1]];
+                let mean = of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64 / (1.0 + share * change);
+                excess.push(super::omnibus::excess(mean, of.len() as f64));
+                ratio.push(mean);
+            }
+        }
+        let hz = |edge: usize| edge as f64 * rate_hz / (2.0 * size.max(1) as f64);
+        let s = |edge: usize| (edge * size) as f64 / rate_hz;
+        Self {
+            edges_hz: edges.iter().map(|edge| hz(*edge)).collect(),
+            edges_s: (0..=Self::STRETCHES).map(s).collect(),
+            excess,
+            ratio,
+        }
+    }
+
+    /// Nats in all.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.excess.iter().sum()
+    }
+
+    /// The rectangle of tiles that holds most of the excess for its size.
+    #[must_use]
+    pub fn heaviest(&self) -> Option<Rectangle> {
+        let bands = self.edges_hz.len().checked_sub(1).filter(|bands| *bands > 0)?;
+        let stretches = self.edges_s.len() - 1;
+        // A tile of chance has 0.7 nats' standard deviation: each costs a little.
+        const COST: f64 = 1.0;
+        let of_band = |band: usize, times: &std::ops::Range<usize>| -> f64 {
+            times.clone().map(|stretch| self.excess[stretch * bands + band] - COST).sum()
+        };
+        let mut best: Option<(f64, std::ops::Range<usize>, std::ops::Range<usize>)> = None;
+        for from in 0..stretches {
+            for to in from + 1..=stretches {
+                let times = from..to;
+                // The best run of bands.
+                let (mut sum, mut start) = (0.0, 0);
+                for band in 0..bands {
+                    if sum <= 0.0 {
+                        (sum, start) = (0.0, band);
+                    }
+                    sum += of_band(band, &times);
+                    if best.as_ref().is_none_or(|best| sum > best.0) {
+                        best = Some((sum, times.clone(), start..band + 1));
+                    }
+                }
+            }
+        }
+        let (_, times, band) = best?;
+        let (mut excess, mut ratio, mut weight) = (0.0, 0.0, 0.0);
+        for stretch in times.clone() {
+            for at in band.clone() {
+                excess += self.excess[stretch * bands + at];
+                let width = self.edges_hz[at + 1] - self.edges_hz[at];
+                ratio += width * self.ratio[stretch * bands + at];
+                weight += width;
+            }
+        }
+        Some(Rectangle {
+            band_hz: [self.edges_hz[band.start], self.edges_hz[band.end]],
+            time_s: [self.edges_s[times.start], self.edges_s[times.end]],
+            excess,
+            ratio: ratio / weight,
+        })
+    }
+}
