@@ -39,7 +39,8 @@ impl Default for Wanted {
 }
 
 impl Wanted {
-    /// From words: classes, and kinds. Kinds alone are wanted one at a time; a class without kinds of its own has all.
+    /// From words: classes, and kinds; all cases if there is no word. Kinds alone are wanted one at a time; a class without
+    /// kinds of its own has all.
     ///
     /// # Errors
     /// [`PlanError`]: a word that is neither.
@@ -57,6 +58,9 @@ impl Wanted {
                 let known: Vec<_> = Self::default().kinds.into_iter().map(Kind::name).collect();
                 return Err(PlanError::Unknown { found: word.to_owned(), known: known.join(", ") });
             }
+        }
+        if classes.is_empty() && kinds.is_empty() {
+            return Ok(Self::default());
         }
         let inside = kinds.iter().any(|kind| kind.effect().is_some());
         if inside && !classes.contains(&Class::Single) && !classes.contains(&Class::Pair) {
@@ -152,6 +156,7 @@ mod tests {
         assert!(of(&["tone", "pair", "spikes"]).iter().all(|kinds| *kinds == [Kind::Tone, Kind::Spikes]));
         assert_eq!(counts(&of(&["none", "chirp"])), [10, 0, 0, 10]);
         assert_eq!(counts(&of(&["none"])), [20, 0, 0, 0]);
+        assert_eq!(Wanted::from_words([]).unwrap(), Wanted::default());
         let error = Wanted::from_words(["tune"]).unwrap_err().to_string();
         assert!(error.contains("`tune`") && error.contains("gauss_markov"), "{error}");
     }
