@@ -1,5 +1,6 @@
 //! What a simulation costs: five hours of nine channels with N, B and K, at 40 Hz and at 800 Hz, and through the sensor's
-//! boxcar; time and peak memory. `cargo bench --bench simulator`; `benches/simulator.py` does the same in numpy.
+//! boxcar; time, processor time and peak of the heap. `cargo bench --bench simulator`; `benches/simulator.py` runs it beside NumPy
+//! doing the same.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
@@ -19,9 +20,15 @@ fn nine() -> SensorModel {
     model
 }
 
+/// Processor time of all threads so far, s: what other work on the machine does not lengthen.
+fn processor_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
 fn measure(name: &str, model: &SensorModel, rate_hz: f64, threads: usize) {
     ALLOCATOR.reset_peak_usage();
-    let begun = Instant::now();
+    let (begun, begun_s) = (Instant::now(), processor_s());
     let simulator = Simulator::new(model, 1, rate_hz, LENGTH_S).expect("a model that can be simulated");
     let mut simulator = simulator.with_threads(threads);
     let wanted = (LENGTH_S * rate_hz) as u64;
@@ -32,7 +39,11 @@ fn measure(name: &str, model: &SensorModel, rate_hz: f64, threads: usize) {
         sum += block.values(Channel::GyroX).expect("the channel").iter().sum::<f64>();
     }
     let (took_s, peak) = (begun.elapsed().as_secs_f64(), ALLOCATOR.peak_usage_as_mb());
-    println!("{name:<34} {threads} threads: {took_s:>7.3} s, {peak:>6.1} MB (mean of gyro_x {:.6})", sum / made as f64);
+    let worked_s = processor_s() - begun_s;
+    println!(
+        "{name:<34} {threads} threads: {took_s:>7.3} s, {worked_s:>7.3} s of processor, {peak:>6.1} MB (mean of gyro_x {:.6})",
+        sum / made as f64
+    );
 }
 
 fn main() {

@@ -1,7 +1,7 @@
 //! Arguments: the command line as `clap` reads it.
 
 use crate::datasheet::Datasheet;
-use crate::model_fit::Feature;
+use crate::model_fit::effects_named;
 use crate::units::parse_duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -444,7 +444,7 @@ pub enum ModelCommand {
         /// Rate of recordings without stamps in Hz
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
-        /// Effects to look for besides N, B, K and bias: all, or some of quantization_noise, rate_ramp, gauss_markov, tone, resonance, temperature_bias, warm_up, resolution, with commas between
+        /// Effects to look for besides N, B, K and bias: all, or names of docs/effects.md with commas between, such as tone,resonance
         #[arg(long, value_name = "NAMES", value_parser = effect_names)]
         effects: Option<EffectNames>,
         /// Name of the model (default: the capture's)
@@ -481,7 +481,7 @@ pub enum ModelCommand {
 
 /// Effects by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EffectNames(pub Vec<Feature>);
+pub struct EffectNames(pub Vec<&'static str>);
 
 /// Programs that models are exported for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -531,7 +531,7 @@ fn speed(text: &str) -> Result<f64, String> {
 }
 
 fn effect_names(text: &str) -> Result<EffectNames, String> {
-    Feature::from_names(text).map(EffectNames)
+    effects_named(text).map(EffectNames)
 }
 
 fn rate(text: &str) -> Result<f64, String> {

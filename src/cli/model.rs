@@ -4,9 +4,10 @@ use super::args::{EffectNames, ModelArgs, ModelCommand, ModelFormat};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
+use crate::diagnosis;
 use crate::export::{ImuNoise, Target};
-use crate::jobs::{Plan, SampleSource, direct};
-use crate::model_fit::{Difference, Level, Resolution, differences, model_of};
+use crate::jobs::{Plan, SampleSource, TwoThreads, direct, gridded};
+use crate::model_fit::{Difference, differences, model_of, with_effects};
 use crate::noise::statistics::Moments;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -30,9 +31,25 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let together = analysis::open(context, captures, *rate)?;
             let levels = levels(&together.source, &together.plan)?;
             let (rejected, title) = (together.rejected(), together.name());
+            let gridded = match wanted.is_empty() {
+                true => None,
+                false => Some(gridded(&together.source, &together.plan)?),
+            };
             let report = direct::noise(&together.source, together.plan)?;
             let name = name.clone().unwrap_or(title);
-            let model = model_of(&report, &levels, &wanted, &name, SOFTWARE);
+            let mut model = model_of(&report, &levels, &name, SOFTWARE);
+            if let Some(gridded) = gridded {
+                let options = diagnosis::Options {
+                    workers: &TwoThreads,
+                    effects: Some(&wanted),
+                    believed: false,
+                    ..diagnosis::Options::default()
+                };
+                let found = diagnosis::diagnose(&gridded.recording, &model, &options)?;
+                let temperature_c = levels.get(&Channel::Temperature).copied();
+                let record_s = gridded.recording.length_s();
+                model = with_effects(&model, &found.augmented, &wanted, record_s, temperature_c);
+            }
             match out {
                 None => print_json(&model)?,
                 Some(output) => {
@@ -73,22 +90,19 @@ fn load(path: &Path) -> anyhow::Result<SensorModel> {
     super::emulate::load_model(Some(path))
 }
 
-/// Mean and resolution of every channel of a plan, and of the temperature where it was recorded.
-fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, Level>, StoreError> {
+/// Mean of every channel of a plan, and of the temperature where it was recorded.
+fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
-    let mut seen: Vec<(Moments, Resolution)> = channels.iter().map(|_| Default::default()).collect();
+    let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
     let mut next_seq = 0;
     while next_seq < plan.end_seq {
         let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
-        for ((moments, resolution), column) in seen.iter_mut().zip(&chunk.columns) {
+        for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
             column.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
-            resolution.push(column);
         }
         next_seq = chunk.next_seq();
     }
-    let level =
-        |(moments, resolution): (Moments, Resolution)| Some(Level { mean: moments.mean()?, step: resolution.step() });
-    Ok(channels.into_iter().zip(seen).filter_map(|(channel, seen)| Some((channel, level(seen)?))).collect())
+    Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
 }
 
 fn show(model: &SensorModel) -> std::io::Result<()> {
@@ -103,9 +117,9 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
     }
     let mut rows = narrow(&["channel", "parameter", "value", "95 % interval"]);
     for (channel, of) in &model.channels {
-        let mut head = format!("{channel}\n{}", channel.unit());
+        let mut head = [channel.name(), channel.unit()].into_iter();
         let mut add = |parameter: String, value: String, interval: String| {
-            rows.add_row([std::mem::take(&mut head), parameter, value, interval]);
+            rows.add_row([head.next().unwrap_or_default().to_owned(), parameter, value, interval]);
         };
         for (key, unit, value) in [("N", "U/√Hz", of.n), ("B", "U", of.b), ("K", "U/√s", of.k)] {
             let limit = of.upper_limit(key).filter(|_| value == 0.0).map(|limit| format!("< {limit:.2e}"));
@@ -162,16 +176,17 @@ fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     names.map(number).collect()
 }
 
+/// An interval with as many digits as tell its ends apart.
 fn ends([low, high]: [f64; 2]) -> String {
-    // Frequencies are known to more digits than noise.
-    let near = (high - low).abs() < 0.01 * high.abs();
-    if near { format!("{low:.5e} … {high:.5e}") } else { format!("{low:.2e} … {high:.2e}") }
+    let share = (high - low) / low.abs().max(high.abs());
+    let digits = if share > 0.0 { (1.0 - share.log10().floor()).clamp(2.0, 8.0) as usize } else { 2 };
+    format!("{low:.digits$e} … {high:.digits$e}")
 }
 
 /// A parameter; numbers with the digits that a person takes in.
 fn told(value: &Value) -> String {
     match value.as_f64() {
-        Some(number) if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) => format!("{number:.4e}"),
+        Some(number) if number != 0.0 && !(9.99e-4..1e6).contains(&number.abs()) => format!("{number:.4e}"),
         Some(number) => {
             let text = format!("{number:.6}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -257,7 +272,11 @@ mod tests {
         }
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");
-        assert_eq!(ends([11.39, 11.41]), "1.13900e1 … 1.14100e1");
+        assert_eq!(ends([11.39, 11.41]), "1.1390e1 … 1.1410e1");
+        assert_eq!(
+            (ends([0.0, 2e-5]), ends([1.0, 1.0])),
+            ("0.00e0 … 2.00e-5".to_owned(), "1.00e0 … 1.00e0".to_owned())
+        );
         assert_eq!(numbered(["tone", "comb", "tone"].into_iter()), ["tone", "comb", "tone[1]"]);
         let lines = wrapped(&"word ".repeat(100));
         assert!(lines.lines().all(|line| line.chars().count() <= 80) && lines.lines().count() == 7, "{lines}");

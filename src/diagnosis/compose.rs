@@ -9,7 +9,7 @@ use super::prices;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Parameter, Place, Verdict};
 use super::tiles::Rectangle;
-use super::translate::{self, Units};
+use super::translate::{self, Translated, Units};
 use crate::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Stream, StreamId, Timing};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -35,6 +35,8 @@ struct Named {
     gain: f64,
     confidence: f64,
     evidence: Vec<String>,
+    /// 95 % intervals of its parameters.
+    ci95: Vec<(&'static str, [f64; 2])>,
 }
 
 pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Outcome {
@@ -47,6 +49,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     named.extend(of_repeats(found, sim));
     named.extend(of_shared(found, sim));
     named.extend(of_stamps(real, sim));
+    named.retain(|of| options.wants(of.effect.name()));
     if !found.further.is_empty() {
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
@@ -97,12 +100,12 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
 /// What the search found on a channel.
 fn of_channel(of: &Findings, found: &Found, rate_hz: f64) -> Vec<Named> {
     let units = Units { prepared: &of.prepared, rate_hz, samples: found.samples, temperature_c: found.temperature_c };
-    let effects = translate::effects(&of.explanation, units);
+    let effects = translate::effects(&of.explanation, &of.spread, units);
     let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);
     effects
         .iter()
-        .map(|(kind, effect)| {
-            let several = effects.iter().filter(|(other, _)| other == kind).count().max(1) as f64;
+        .map(|Translated { kind, effect, ci95 }| {
+            let several = effects.iter().filter(|other| other.kind == *kind).count().max(1) as f64;
             let gain = same(*kind).map(|step| step.gain).sum::<f64>() / several;
             let margin = same(*kind)
                 .map(|step| {
@@ -123,7 +126,7 @@ fn of_channel(of: &Findings, found: &Found, rate_hz: f64) -> Vec<Named> {
                 ));
             }
             let confidence = 1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp());
-            Named { channel: of.prepared.channel, effect: effect.clone(), gain, confidence, evidence }
+            Named { channel: of.prepared.channel, effect: effect.clone(), gain, confidence, evidence, ci95: ci95.clone() }
         })
         .collect()
 }
@@ -134,7 +137,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
     let channel = of.prepared.channel;
     let facts = of.prepared.facts;
     let mut add = |effect: Arc<dyn Effect>, gain: f64, evidence: String| {
-        named.push(Named { channel, effect, gain, confidence: 0.999, evidence: vec![evidence] });
+        named.push(Named { channel, effect, gain, confidence: 0.999, evidence: vec![evidence], ci95: Vec::new() });
     };
     if let Some(step) = facts.step
         && step > MATERIAL_STEP * of.white
@@ -184,6 +187,7 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 gain: repeats.gain / channels.len() as f64,
                 confidence: 0.999,
                 evidence: vec![evidence],
+                ci95: vec![("probability", poisson(probability, found.samples))],
             });
         }
     }
@@ -210,9 +214,24 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 of.prepared.channel,
                 100.0 * part * part
             )],
+            ci95: vec![("sigma", shared_interval(part * of.white, *part, found.samples))],
         });
     }
     named
+}
+
+/// The 95 % interval of a chance that was met as often as it says in so many samples.
+fn poisson(chance: f64, samples: usize) -> [f64; 2] {
+    let count = chance * samples as f64;
+    let half = 1.96 * count.max(1.0).sqrt();
+    [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
+}
+
+/// The 95 % interval of a shared part's size: a correlation r has about (1 − r²)/√n, and the part is its root.
+fn shared_interval(sigma: f64, part: f64, samples: usize) -> [f64; 2] {
+    let r = part * part;
+    let half = 1.96 * (1.0 - r * r) / (samples as f64).sqrt() / (2.0 * part.abs().max(1e-3)) * (sigma / part).abs();
+    [sigma - half, sigma + half]
 }
 
 /// Stamps that scatter and samples that are missing one by one.
@@ -261,6 +280,15 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
         gain,
         confidence: 0.99,
         evidence,
+        ci95: [("jitter_s", jitter_s), ("drop_probability", drop_probability)]
+            .into_iter()
+            .filter(|(_, value)| *value > 0.0)
+            .map(|(name, value)| {
+                let half = 1.96 * value / (2.0 * real.len() as f64).sqrt();
+                let ends = if name == "jitter_s" { [value - half, value + half] } else { poisson(value, real.len()) };
+                (name, ends)
+            })
+            .collect(),
     }]
 }
 
@@ -312,7 +340,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             let (found, spread) = (fitted.law.levels[level], variance.max(0.0).sqrt());
             let capture = (0.5 * found).exp() * of.prepared.scale;
             let declared = of.prepared.declared.levels[level];
-            let certain = spread.is_finite() && spread > 0.0 && spread < 1.0;
+            let certain = spread < 1.0;
             if certain && (found - declared).abs() > OFF * spread {
                 let end = |sign: f64| capture * (0.5 * sign * 1.96 * spread).exp();
                 let ratio = (told > 0.0).then(|| capture / told);
@@ -413,6 +441,15 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
                     of.effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
                 parameters.entry(of.channel.name().to_owned()).or_default().push(entry.into());
             }
+            let mut uncertainty: Map<String, Value> = Map::new();
+            for of in group.iter().filter(|of| !of.ci95.is_empty()) {
+                let entry: Map<String, Value> =
+                    of.ci95.iter().map(|(name, ends)| ((*name).to_owned(), serde_json::json!(ends))).collect();
+                let list = uncertainty.entry(of.channel.name()).or_insert_with(|| Value::Array(Vec::new()));
+                if let Value::Array(list) = list {
+                    list.push(entry.into());
+                }
+            }
             let channels = parameters.keys().cloned().collect();
             let parameters = parameters.into_iter().map(|(channel, mut list)| {
                 let only = if list.len() == 1 { list.pop() } else { None };
@@ -428,7 +465,7 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
                 confidence,
                 closes: closed.map(|closed| closed * gain / total),
                 parameters: parameters.collect(),
-                uncertainty: Map::new(),
+                uncertainty,
                 evidence,
             };
             (gain, cause)
@@ -507,6 +544,12 @@ fn places(found: &Found, named: &[Named], verdict: Verdict) -> Vec<Place> {
     places
 }
 
+/// Standard error of ln of a level, with no belief about it.
+fn spread(of: &Findings, level: usize) -> Option<f64> {
+    let variance = of.fitted.covariance.as_ref().map(|covariance| covariance[(level, level)])?;
+    (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+}
+
 /// The model with what was found.
 fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
     let mut model = sim.clone();
@@ -520,8 +563,15 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
         channel.b = if seen(1) { level(1) } else { 0.0 };
         channel.k = if seen(2) { level(2) } else { 0.0 };
         channel.uncertainty = None;
+        for (index, parameter) in [(0, "N"), (1, "B"), (2, "K")] {
+            let value = [channel.n, channel.b, channel.k][index];
+            if let Some(spread) = spread(of, index).filter(|spread| *spread < 1.0 && value > 0.0) {
+                let factor = (0.98 * spread).exp();
+                channel.set_interval(parameter, [value / factor, value * factor]);
+            }
+        }
         for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
-            channel.effects.push(one.effect.clone());
+            channel.push_effect(one.effect.clone(), &one.ci95);
             if let Some(common) = one.effect.parameters().iter().find(|(name, _)| *name == "sigma")
                 && one.effect.name() == "common_mode"
                 && let Some(sigma) = common.1.as_f64()

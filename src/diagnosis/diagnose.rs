@@ -12,6 +12,7 @@ use super::report::Diagnosis;
 use super::search::{self, Step};
 use super::series::{Explanation, Series, Setting};
 use super::shared::{self, Shared, Whitened};
+use super::spread::Spread;
 use super::tiles::Tiles;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -48,6 +49,18 @@ pub struct Options<'a> {
     pub level: f64,
     /// Who does the work.
     pub workers: &'a dyn Workers,
+    /// Names of the effects to look for; none is all.
+    pub effects: Option<&'a [&'static str]>,
+    /// Whether the model's B and K are believed to be about right; else they are fitted as if nothing were known of them.
+    pub believed: bool,
+}
+
+impl Options<'_> {
+    /// Whether an effect is looked for.
+    #[must_use]
+    pub fn wants(&self, effect: &str) -> bool {
+        self.effects.is_none_or(|names| names.contains(&effect) || (effect == "tone" && names.contains(&"comb")))
+    }
 }
 
 impl std::fmt::Debug for Options<'_> {
@@ -58,7 +71,7 @@ impl std::fmt::Debug for Options<'_> {
 
 impl Default for Options<'_> {
     fn default() -> Self {
-        Self { software: "vn100d", real: "", sim: "", level: 0.005, workers: &Alone }
+        Self { software: "vn100d", real: "", sim: "", level: 0.005, workers: &Alone, effects: None, believed: true }
     }
 }
 
@@ -78,8 +91,6 @@ pub(super) struct Findings {
     pub(super) prepared: Prepared,
     pub(super) explanation: Explanation,
     pub(super) steps: Vec<Step>,
-    /// The law without effects, its levels free of beliefs.
-    pub(super) plain: Fitted,
     /// The law with effects, its levels free of beliefs.
     pub(super) fitted: Fitted,
     /// Where the plain law fails.
@@ -92,6 +103,8 @@ pub(super) struct Findings {
     pub(super) white: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub(super) average_variance: f64,
+    /// Standard errors of the explanation.
+    pub(super) spread: Spread,
 }
 
 /// What was found in a record.
@@ -112,21 +125,22 @@ pub(super) struct Found {
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
-    let prices = prices::of_effects(samples, ready.channels.len(), options.level);
+    let mut prices = prices::of_effects(samples, ready.channels.len(), options.level);
+    prices.tails.retain(|(kind, ..)| options.wants(kind.effect()));
     let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
     options.workers.each(ready.channels.len(), &|index| {
-        let found = explain(&ready, sim, index, &prices);
+        let found = explain(&ready, sim, index, &prices, options.believed);
         *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
     });
     let both = places.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
     let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
-    let shared = shared::shared(&whitened, price);
+    let shared = shared::shared(&whitened, price).filter(|_| options.wants("common_mode"));
     let found = Found {
         channels,
         shared,
-        repeats: ready.repeats,
+        repeats: if options.wants("held_samples") { ready.repeats } else { Vec::new() },
         further: ready.further,
         samples,
         temperature_c: ready.reference_c,
@@ -135,9 +149,18 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
 }
 
 /// Everything about one channel.
-fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Prices) -> (Findings, Whitened) {
+fn explain(
+    ready: &Ready,
+    sim: &SensorModel,
+    index: usize,
+    prices: &search::Prices,
+    believed: bool,
+) -> (Findings, Whitened) {
     const FREE: Beliefs = [None, None, None];
-    let prepared = ready.channels[index].clone();
+    let mut prepared = ready.channels[index].clone();
+    if !believed {
+        prepared.beliefs = FREE;
+    }
     let base = |grid: &super::grid::Grid| prepare::base_of(sim, &prepared, grid);
     let setting = Setting { courses: &ready.courses, base: &base, beliefs: prepared.beliefs, rate_hz: ready.rate_hz };
     let known = Explanation {
@@ -166,7 +189,6 @@ fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Pric
         data.beliefs = &FREE;
         series.explanation.law.fit(data)
     };
-    let plain = free(&series);
     let before = Tiles::of(&series);
     let steps = search::explain(&mut series, prices);
     let fitted = free(&series);
@@ -183,17 +205,18 @@ fn explain(ready: &Ready, sim: &SensorModel, index: usize, prices: &search::Pric
     };
     let scores = holdout::scores(whole);
     debug_assert_eq!(scores.effects.len(), BLOCKS);
+    let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (
         Findings {
+            spread,
             average_variance,
             prepared,
             explanation,
             steps,
-            plain,
             fitted,
             before,
             after,

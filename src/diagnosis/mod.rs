@@ -23,10 +23,13 @@ pub mod prices;
 pub mod recording;
 pub mod report;
 pub mod response;
+#[cfg(test)]
+mod round_trip;
 pub mod search;
 mod sentence;
 pub mod series;
 pub mod shared;
+pub mod spread;
 pub mod tiles;
 pub mod transform;
 pub mod translate;

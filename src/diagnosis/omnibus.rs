@@ -81,9 +81,7 @@ impl Statistic {
 /// All statistics of a series' residual.
 #[must_use]
 pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
-    if series.explanation.tails.is_some() {
-        series.residual = scores(&series.residual);
-    }
+    series.residual = series.scores().into_owned();
     let residual = series.residual.clone();
     let n = residual.len();
     let mut found = Vec::with_capacity(Statistic::ALL.len());
@@ -102,19 +100,6 @@ pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
     bands(series, &mut found);
     periodic(&residual, &mut found);
     found
-}
-
-/// Normal scores: the values that a normal distribution has at their ranks. Their order in time stays.
-fn scores(residual: &[f64]) -> Vec<f64> {
-    use statrs::distribution::{ContinuousCDF, Normal};
-    let normal = Normal::standard();
-    let mut order: Vec<usize> = (0..residual.len()).collect();
-    order.sort_unstable_by(|a, b| residual[*a].total_cmp(&residual[*b]));
-    let mut scores = vec![0.0; residual.len()];
-    for (rank, place) in order.into_iter().enumerate() {
-        scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / residual.len() as f64);
-    }
-    scores
 }
 
 /// A gain of n coefficients' own variance, less what chance gives on average.

@@ -9,7 +9,7 @@ use super::series::Series;
 /// records of the same length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prices {
-    /// Offset and scale of each kind.
+    /// Offset and scale of each kind that is looked for.
     pub tails: Vec<(Kind, f64, f64)>,
     /// Chance that one channel of noise alone shows one kind.
     pub level: f64,
@@ -20,8 +20,10 @@ impl Prices {
     #[must_use]
     pub fn of(&self, kind: Kind) -> f64 {
         const LEAST: f64 = 6.0;
-        let tail = self.tails.iter().find(|(own, ..)| *own == kind);
-        let (offset, scale) = tail.map_or((4.0, 1.0), |(_, offset, scale)| (*offset, *scale));
+        let Some((_, offset, scale)) = self.tails.iter().find(|(own, ..)| *own == kind) else {
+            // Not looked for.
+            return f64::INFINITY;
+        };
         (offset + scale * (1.0 / self.level).ln()).max(LEAST)
     }
 }

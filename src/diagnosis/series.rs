@@ -6,6 +6,7 @@ use super::law::{Base, Beliefs, Data, Fitted, Law, Shape};
 use super::transform::Cosines;
 use crate::effects::Stream;
 use nalgebra::{DMatrix, DVector};
+use std::borrow::Cow;
 
 /// A sine in a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,6 +67,8 @@ pub struct SpikeLaw {
     pub size: f64,
     /// Variance of a residual that is one.
     pub variance: f64,
+    /// Standard error of the size, as a part of it.
+    pub relative_error: f64,
 }
 
 /// How the variance of the white part depends on something.
@@ -530,6 +533,39 @@ impl<'a> Series<'a> {
     /// The transform for records of this length.
     pub fn transform(&mut self) -> &mut Cosines {
         &mut self.transform
+    }
+
+    /// The residual as what does not mind its tails should see it: where the explanation has Student's t, normal scores, the
+    /// values that a normal distribution has at the residual's ranks. Their order in time stays.
+    #[must_use]
+    pub fn scores(&self) -> Cow<'_, [f64]> {
+        use statrs::distribution::{ContinuousCDF, Normal};
+        if self.explanation.tails.is_none() {
+            return Cow::Borrowed(&self.residual);
+        }
+        let normal = Normal::standard();
+        let mut order: Vec<usize> = (0..self.residual.len()).collect();
+        order.sort_unstable_by(|a, b| self.residual[*a].total_cmp(&self.residual[*b]));
+        let mut scores = vec![0.0; self.residual.len()];
+        for (rank, place) in order.into_iter().enumerate() {
+            scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / self.residual.len() as f64);
+        }
+        Cow::Owned(scores)
+    }
+
+    /// Covariance of factors of courses whose transforms are `columns`, at the present law; None where they cannot be told
+    /// apart.
+    #[must_use]
+    pub fn covariance(&self, columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
+        let product = |i: usize, j: usize| -> f64 {
+            let places = columns[i].iter().zip(&columns[j]).zip(&self.spectrum).skip(1);
+            places.map(|((a, b), s)| a * b / s).sum()
+        };
+        let mut normal = DMatrix::from_fn(columns.len(), columns.len(), product);
+        for i in 0..columns.len() {
+            normal[(i, i)] *= 1.0 + 1e-12;
+        }
+        normal.cholesky().map(|factor| factor.inverse())
     }
 
     /// The gain in nats, the factors, their covariance and the law where courses are added to the level.

@@ -95,7 +95,7 @@ impl Cosines {
         }
         // The ends are real but for rounding.
         self.complex[0].im = 0.0;
-        if n % 2 == 0 {
+        if n.is_multiple_of(2) {
             self.complex[n / 2].im = 0.0;
         }
         let _ = self.backward.process_with_scratch(&mut self.complex, &mut self.real, &mut self.scratch);

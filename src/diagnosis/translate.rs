@@ -5,6 +5,7 @@ use super::evidence::Kind;
 use super::law::{Shape, Term};
 use super::prepare::Prepared;
 use super::series::{Explanation, Scedasticity};
+use super::spread::Spread;
 use crate::effects::{
     BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, QuantizationNoise, RateRamp,
     Resonance, Spikes, TemperatureBias, Tone, VarianceChange, WarmUp,
@@ -24,37 +25,103 @@ pub struct Units<'a> {
     pub temperature_c: f64,
 }
 
-/// The effects of an explanation, each with its kind; those that the model has already are left out.
+/// An effect in the channel's unit.
+#[derive(Debug, Clone)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that callers read")]
+pub struct Translated {
+    /// Its kind.
+    pub kind: Kind,
+    /// It.
+    pub effect: Arc<dyn Effect>,
+    /// 95 % intervals of its parameters, where they are known.
+    pub ci95: Vec<(&'static str, [f64; 2])>,
+}
+
+/// 97.5 % of a normal distribution.
+const NORMAL_95: f64 = 1.959_964;
+
+/// value ± 1.96 standard errors.
+fn about(value: f64, error: f64) -> [f64; 2] {
+    [value - NORMAL_95 * error.abs(), value + NORMAL_95 * error.abs()]
+}
+
+/// The same on a logarithmic scale, `error` that of the logarithm.
+fn times(value: f64, error: f64) -> [f64; 2] {
+    let factor = (NORMAL_95 * error).min(50.0).exp();
+    [value / factor, value * factor]
+}
+
+/// The effects of an explanation; those that the model has already are left out.
 #[must_use]
-pub fn effects(explanation: &Explanation, units: Units<'_>) -> Vec<(Kind, Arc<dyn Effect>)> {
+pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
     let Units { prepared, rate_hz, samples, temperature_c } = units;
     let scale = prepared.scale;
-    let mut found: Vec<(Kind, Arc<dyn Effect>)> = Vec::new();
-    for (course, factor) in &explanation.courses {
-        let size = factor * scale;
-        found.push(match course {
-            Course::Ramp => (Kind::RateRamp, Arc::new(RateRamp { r: size * rate_hz / samples as f64 })),
-            Course::Temperature => {
-                (Kind::TemperatureBias, Arc::new(TemperatureBias { per_c: size, reference_c: temperature_c }))
+    let mut found: Vec<Translated> = Vec::new();
+    let mut add = |kind: Kind, effect: Arc<dyn Effect>, ci95: Vec<(&'static str, [f64; 2])>| {
+        found.push(Translated { kind, effect, ci95 });
+    };
+    for ((course, factor), (error, second)) in explanation.courses.iter().zip(&spread.courses) {
+        let (size, error) = (factor * scale, error * scale);
+        match course {
+            Course::Ramp => {
+                let per_s = rate_hz / samples as f64;
+                add(
+                    Kind::RateRamp,
+                    Arc::new(RateRamp { r: size * per_s }),
+                    vec![("R", about(size * per_s, error * per_s))],
+                );
             }
-            Course::WarmUp(tau) => (Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s: tau / rate_hz })),
-            Course::Step(at) => (Kind::BiasStep, Arc::new(BiasStep { at_s: *at as f64 / rate_hz, size })),
-        });
+            Course::Temperature => {
+                let effect = TemperatureBias { per_c: size, reference_c: temperature_c };
+                add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
+            }
+            Course::WarmUp(tau) => {
+                let tau_s = tau / rate_hz;
+                let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
+                add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
+            }
+            Course::Step(at) => {
+                let at_s = *at as f64 / rate_hz;
+                let ci95 = vec![("at_s", about(at_s, second / rate_hz)), ("size", about(size, error))];
+                add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
+            }
+        }
     }
     let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
-    let lines: Vec<(f64, f64)> = own.iter().map(|sine| (sine.cycles * rate_hz, scale * sine.amplitude())).collect();
+    let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
+    let lines: Vec<LineFound> = own
+        .iter()
+        .zip(errors)
+        .map(|(sine, (frequency, amplitude))| LineFound {
+            frequency_hz: sine.cycles * rate_hz,
+            amplitude: scale * sine.amplitude(),
+            frequency_error_hz: frequency * rate_hz,
+            amplitude_error: amplitude * scale,
+        })
+        .collect();
     let (combs, tones) = combs(&lines, rate_hz / samples as f64);
-    found.extend(combs.into_iter().map(|comb| (Kind::Tone, Arc::new(comb) as Arc<dyn Effect>)));
-    for (frequency_hz, amplitude) in tones {
-        found.push((Kind::Tone, Arc::new(Tone { frequency_hz, amplitude })));
+    for (comb, error_hz) in combs {
+        let ci95 = vec![("fundamental_hz", about(comb.fundamental_hz, error_hz))];
+        add(Kind::Tone, Arc::new(comb), ci95);
     }
-    for term in &explanation.law.terms {
-        found.push(spectral(term, scale));
+    for line in tones {
+        let effect = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
+        let ci95 = vec![
+            ("frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
+            ("amplitude", about(line.amplitude, line.amplitude_error)),
+        ];
+        add(Kind::Tone, Arc::new(effect), ci95);
+    }
+    for (term, errors) in explanation.law.terms.iter().zip(&spread.terms) {
+        let (kind, effect, ci95) = spectral(term, errors, scale);
+        add(kind, effect, ci95);
     }
     if let Some(degrees) = explanation.tails
         && !prepared.has.contains(&"heavy_tails")
     {
-        found.push((Kind::HeavyTails, Arc::new(HeavyTails { degrees_of_freedom: degrees })));
+        let ci95 = times(degrees, spread.tails);
+        let effect = HeavyTails { degrees_of_freedom: degrees };
+        add(Kind::HeavyTails, Arc::new(effect), vec![("degrees_of_freedom", [ci95[0].max(2.0), ci95[1]])]);
     }
     let seconds = |sample: usize| sample as f64 / rate_hz;
     let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
@@ -64,31 +131,41 @@ pub fn effects(explanation: &Explanation, units: Units<'_>) -> Vec<(Kind, Arc<dy
         [one] if one.to - one.from >= samples / 50 || one.ratio < 1.0 => {
             let (from_s, to_s) = (seconds(one.from), seconds(one.to));
             let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
-            found.push((Kind::VarianceInterval, Arc::new(change)));
+            // An end is where the likelihood of either side is lost in chance.
+            let information = 0.5 * (one.ratio.max(1.0 / one.ratio).sqrt().ln() * 2.0).powi(2).max(1e-3);
+            let end = (5.5 / information + 1.0) / NORMAL_95 / rate_hz;
+            let factor = (0.5 / (one.to - one.from) as f64).sqrt();
+            let ci95 = vec![
+                ("from_s", about(from_s, end)),
+                ("to_s", about(to_s, end)),
+                ("factor", times(one.ratio.sqrt(), factor)),
+            ];
+            add(Kind::VarianceInterval, Arc::new(change), ci95);
         }
         several => {
             let (sum, count) = several.iter().fold((0.0, 0.0), |(sum, count), of| {
                 let width = (of.to - of.from) as f64;
                 (sum + width * (of.ratio - 1.0).max(0.0), count + width)
             });
-            let sigma = white * (sum / count).sqrt();
+            let excess = sum / count;
+            let sigma = white * excess.sqrt();
             let intervals = several.iter().map(|of| (seconds(of.from), seconds(of.to))).collect();
-            found.push((Kind::Bursts, Arc::new(Bursts { intervals, sigma })));
+            let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
+            add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
         }
     }
     if prepared.scedasticity.is_none() {
         match &explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {
                 let change = VarianceChange::PerDegree { per_c: 0.5 * slope, reference_c: temperature_c };
-                found.push((Kind::VariancePerDegree, Arc::new(change)));
+                let ci95 = vec![("per_c", about(0.5 * slope, 0.5 * spread.per_degree))];
+                add(Kind::VariancePerDegree, Arc::new(change), ci95);
             }
             Some(Scedasticity::Profile(values)) => {
                 let last = (values.len().max(2) - 1) as f64;
                 let at = |index: usize| index as f64 / last * seconds(samples);
-                // About a mean square of 1, so that N keeps its meaning.
-                let mean = values.iter().map(|value| value.exp()).sum::<f64>() / values.len().max(1) as f64;
-                let points = values.iter().enumerate().map(|(i, value)| (at(i), (value.exp() / mean).sqrt())).collect();
-                found.push((Kind::VarianceProfile, Arc::new(VarianceChange::Profile(points))));
+                let points = values.iter().enumerate().map(|(i, value)| (at(i), (0.5 * value).exp())).collect();
+                add(Kind::VarianceProfile, Arc::new(VarianceChange::Profile(points)), Vec::new());
             }
             None => {}
         }
@@ -96,53 +173,90 @@ pub fn effects(explanation: &Explanation, units: Units<'_>) -> Vec<(Kind, Arc<dy
     if let Some(spikes) = explanation.spikes
         && !prepared.has.contains(&"spikes")
     {
-        let of = Spikes { rate_hz: spikes.rate * rate_hz, amplitude: spikes.size * scale };
-        found.push((Kind::Spikes, Arc::new(of)));
+        let (per_s, size) = (spikes.rate * rate_hz, spikes.size * scale);
+        let error = (1.0 / (spikes.rate * samples as f64).max(1.0)).sqrt();
+        let ci95 = vec![("rate_hz", times(per_s, error)), ("amplitude", times(size, spikes.relative_error))];
+        add(Kind::Spikes, Arc::new(Spikes { rate_hz: per_s, amplitude: size }), ci95);
     }
     found
 }
 
-fn spectral(term: &Term, scale: f64) -> (Kind, Arc<dyn Effect>) {
+/// A line in the channel's unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct LineFound {
+    frequency_hz: f64,
+    amplitude: f64,
+    frequency_error_hz: f64,
+    amplitude_error: f64,
+}
+
+/// An effect of the spectrum with the intervals of its parameters.
+type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
+
+fn spectral(term: &Term, errors: &[f64], scale: f64) -> Spectral {
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let error = |index: usize| errors.get(index).copied().unwrap_or_default();
     let size = |index: usize| (0.5 * at(index)).exp() * scale;
     match term.shape {
-        Shape::QuantizationNoise => (Kind::QuantizationNoise, Arc::new(QuantizationNoise { q: size(0) })),
-        Shape::GaussMarkov => (Kind::GaussMarkov, Arc::new(GaussMarkov { sigma: size(0), tc_s: at(1).exp() })),
-        Shape::Resonance => {
-            let of = Resonance { sigma: size(0), frequency_hz: at(1), bandwidth_hz: at(2).exp() };
-            (Kind::Resonance, Arc::new(of))
+        Shape::QuantizationNoise => {
+            let q = size(0);
+            (Kind::QuantizationNoise, Arc::new(QuantizationNoise { q }), vec![("Q", times(q, 0.5 * error(0)))])
         }
-        Shape::LowPass(order) => (Kind::LowPass, Arc::new(LowPass { cutoff_hz: at(0).exp(), order })),
-        Shape::MovingAverage(window) => (Kind::MovingAverage, Arc::new(MovingAverage { window })),
+        Shape::GaussMarkov => {
+            let (sigma, tc_s) = (size(0), at(1).exp());
+            let ci95 = vec![("sigma", times(sigma, 0.5 * error(0))), ("tc_s", times(tc_s, error(1)))];
+            (Kind::GaussMarkov, Arc::new(GaussMarkov { sigma, tc_s }), ci95)
+        }
+        Shape::Resonance => {
+            let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
+            let ci95 = vec![
+                ("sigma", times(sigma, 0.5 * error(0))),
+                ("frequency_hz", about(frequency_hz, error(1))),
+                ("bandwidth_hz", times(bandwidth_hz, error(2))),
+            ];
+            (Kind::Resonance, Arc::new(Resonance { sigma, frequency_hz, bandwidth_hz }), ci95)
+        }
+        Shape::LowPass(order) => {
+            let cutoff_hz = at(0).exp();
+            let ci95 = vec![("cutoff_hz", times(cutoff_hz, error(0)))];
+            (Kind::LowPass, Arc::new(LowPass { cutoff_hz, order }), ci95)
+        }
+        Shape::MovingAverage(window) => (Kind::MovingAverage, Arc::new(MovingAverage { window }), Vec::new()),
     }
 }
 
-/// Lines at whole multiples of the lowest of them, within what a record of 1/`resolution_hz` tells apart, are one comb; the
-/// others are tones.
-fn combs(lines: &[(f64, f64)], resolution_hz: f64) -> (Vec<Comb>, Vec<(f64, f64)>) {
+/// Lines at whole multiples of the lowest of them, within what a record of 1/`resolution_hz` tells apart, are one comb, with
+/// the standard error of its fundamental; the others are tones.
+fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<LineFound>) {
     const HARMONICS: f64 = 12.0;
-    let mut left: Vec<(f64, f64)> = lines.to_vec();
-    left.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut left: Vec<LineFound> = lines.to_vec();
+    left.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
     let mut combs = Vec::new();
     let mut index = 0;
     while index < left.len() {
-        let (fundamental_hz, _) = left[index];
-        let order = |line: &(f64, f64)| {
-            let order = (line.0 / fundamental_hz).round();
-            let near = (line.0 - order * fundamental_hz).abs() < 0.25 * order * resolution_hz;
+        let fundamental_hz = left[index].frequency_hz;
+        let order = |line: &LineFound| {
+            let order = (line.frequency_hz / fundamental_hz).round();
+            let near = (line.frequency_hz - order * fundamental_hz).abs() < 0.25 * order * resolution_hz;
             (near && order <= HARMONICS).then_some(order as usize)
         };
-        let harmonics: Vec<(usize, f64)> = left.iter().filter_map(|line| Some((order(line)?, line.1))).collect();
+        let harmonics: Vec<(usize, LineFound)> = left.iter().filter_map(|line| Some((order(line)?, *line))).collect();
         if harmonics.len() < 2 {
             index += 1;
             continue;
         }
         let highest = harmonics.iter().map(|(order, _)| *order).max().unwrap_or(1);
         let mut amplitudes = vec![0.0; highest];
-        harmonics.iter().for_each(|(order, peak)| amplitudes[order - 1] = *peak);
-        // The highest harmonic tells the fundamental best.
-        let best = left.iter().filter_map(|line| Some(line.0 / order(line)? as f64)).next_back();
-        combs.push(Comb { fundamental_hz: best.unwrap_or(fundamental_hz), amplitudes });
+        // Each harmonic tells the fundamental by its order and its own error.
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (order, line) in &harmonics {
+            amplitudes[order - 1] = line.amplitude;
+            let error_hz = line.frequency_error_hz / *order as f64;
+            let weight = 1.0 / (error_hz * error_hz).max(f64::MIN_POSITIVE);
+            sum += weight * line.frequency_hz / *order as f64;
+            weights += weight;
+        }
+        combs.push((Comb { fundamental_hz: sum / weights, amplitudes }, (1.0 / weights).sqrt()));
         left.retain(|line| order(line).is_none());
     }
     (combs, left)
@@ -154,11 +268,17 @@ mod tests {
 
     #[test]
     fn harmonics_are_one_comb_and_others_stay_tones() {
-        let lines = [(3.1, 1.0), (12.4001, 0.2), (5.0, 0.7), (9.3, 0.5), (7.77, 0.1)];
+        let line = |frequency_hz, amplitude| LineFound {
+            frequency_hz,
+            amplitude,
+            frequency_error_hz: 1e-5 / amplitude,
+            amplitude_error: 0.01,
+        };
+        let lines = [line(3.1, 1.0), line(12.4001, 0.2), line(5.0, 0.7), line(9.3, 0.5), line(7.77, 0.1)];
         let (combs, tones) = combs(&lines, 0.001);
         assert_eq!(combs.len(), 1);
-        assert_eq!(combs[0].amplitudes, [1.0, 0.0, 0.5, 0.2]);
-        assert!((combs[0].fundamental_hz - 3.1).abs() < 1e-3);
-        assert_eq!(tones, [(5.0, 0.7), (7.77, 0.1)]);
+        assert_eq!(combs[0].0.amplitudes, [1.0, 0.0, 0.5, 0.2]);
+        assert!((combs[0].0.fundamental_hz - 3.1).abs() < 1e-4 && combs[0].1 < 1e-5);
+        assert_eq!(tones.iter().map(|line| line.frequency_hz).collect::<Vec<_>>(), [5.0, 7.77]);
     }
 }

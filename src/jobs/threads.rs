@@ -31,6 +31,17 @@ pub(super) fn side_by_side<A, S, T: Send>(
     done.into_iter().map(|(_, outcome)| outcome).collect()
 }
 
+/// Two threads for a diagnosis.
+#[derive(Debug, Clone, Copy, Default)]
+#[expect(clippy::exhaustive_structs, reason = "nothing to it")]
+pub struct TwoThreads;
+
+impl crate::diagnosis::Workers for TwoThreads {
+    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
+        side_by_side(0..count, || (), |_: &mut (), index| work(index));
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -229,10 +229,8 @@ impl<R: Read> Rows<R> {
             }
             _ => None,
         };
-        if let (Some(last_s), None) = (self.last_s, self.rate_hz) {
-            if time_s <= last_s {
-                return Err(MotionError::Backwards { file: self.file.clone(), line: line(record), time_s });
-            }
+        if self.rate_hz.is_none() && self.last_s.is_some_and(|last_s| time_s <= last_s) {
+            return Err(MotionError::Backwards { file: self.file.clone(), line: line(record), time_s });
         }
         if let Some((last_s, rate_hz)) = self.last_s.zip(self.rate_hz) {
             let step_s = time_s - last_s;

@@ -14,7 +14,8 @@ const SHORTEST_QUIET: usize = 128;
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
-    let squares = series.residual.chunks_exact(size);
+    let residual = series.scores();
+    let squares = residual.chunks_exact(size);
     (squares.map(|block| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64).collect(), size)
 }
 
@@ -148,7 +149,7 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     let mut explanation = series.explanation.clone();
-    let mut residual = series.residual.clone();
+    let mut residual = series.scores().into_owned();
     let mut total = 0.0;
     let mut found: Vec<Loud> = Vec::new();
     while found.len() < MOST {

@@ -2,6 +2,7 @@
 
 use super::{Candidate, Kind};
 use crate::diagnosis::series::{Series, SpikeLaw};
+use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use statrs::function::gamma::ln_gamma;
 
 /// ln of a normal density's ratio to the standard one, at the square of a value.
@@ -72,16 +73,61 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         // Stretches of noise, not spikes.
         return None;
     }
-    // Their typical size as they stand in the samples, less their neighbours' level.
-    let white = series.white();
-    let mut sizes: Vec<f64> = flagged.iter().map(|t| (series.residual[*t] * white).abs()).collect();
-    sizes.sort_unstable_by(f64::total_cmp);
-    let size = sizes.get(sizes.len() / 2).copied().unwrap_or_else(|| wide.sqrt());
-    explanation.spikes = Some(SpikeLaw { rate: flagged.len().max(1) as f64 / n, size, variance: wide });
+    explanation.spikes = Some(spike_law(series, &large, core, wide));
     explanation.outliers.extend(flagged);
     explanation.outliers.sort_unstable();
     explanation.outliers.dedup();
     Some(Candidate { kind: Kind::Spikes, gain, explanation })
+}
+
+/// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
+/// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance.
+fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeLaw {
+    const ROUNDS: usize = 60;
+    let n = series.residual.len() as f64;
+    let spread = core.sqrt();
+    let values: Vec<f64> = large.iter().map(|square| square.sqrt() / spread).collect();
+    let normal = Normal::standard();
+    // What a spike's residual is like, sign dropped: an even spread, blurred by the noise.
+    let density = |x: f64, size: f64| 0.5 * (normal.cdf(x - 0.5 * size) - normal.cdf(x - 1.5 * size)) / size;
+    let hidden = |size: f64| {
+        // The chance that a spike stays below the limit.
+        let limit = 5f64.sqrt();
+        let steps = 40;
+        let at = |step: i32| size * (0.5 + (f64::from(step) + 0.5) / f64::from(steps));
+        (0..steps).map(|step| normal.cdf(limit - at(step)) - normal.cdf(-limit - at(step))).sum::<f64>()
+            / f64::from(steps)
+    };
+    // ln of density over noise alone and the rate at its best, for a size.
+    let at = |size: f64| {
+        let ratios: Vec<f64> = values.iter().map(|x| density(*x, size) / normal.pdf(*x).max(1e-300)).collect();
+        let hidden = hidden(size);
+        let mut rate = (0.3 * values.len() as f64 / n).clamp(1.0 / n, 0.2);
+        for _ in 0..ROUNDS {
+            let seen: f64 = ratios.iter().map(|r| rate * r / (1.0 - rate + rate * r)).sum();
+            rate = ((seen + n * rate * hidden) / n).clamp(0.2 / n, 0.3);
+        }
+        let sum: f64 = ratios.iter().map(|r| (1.0 - rate + rate * r).ln()).sum();
+        // Of those below the limit only the number is known.
+        let small = n - values.len() as f64;
+        let noise = 1.0 - 2.0 * normal.cdf(-(5f64.sqrt()));
+        (sum + small * ((1.0 - rate) + rate * hidden / noise).ln(), rate)
+    };
+    let start = (wide / core).sqrt();
+    let (mut low, mut high) = ((0.4 * start).max(2.0).ln(), (2.5 * start).ln());
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    for _ in 0..28 {
+        let (left, right) = (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
+        if at(left.exp()).0 < at(right.exp()).0 { low = left } else { high = right }
+    }
+    let size = (0.5 * (low + high)).exp();
+    let (best, rate) = at(size);
+    let step = 0.03;
+    let curvature = (2.0 * best - at(size * (1.0 + step)).0 - at(size * (1.0 - step)).0) / (step * step);
+    // A spike in the samples is as large in the residual as the whitening filter's own value.
+    let kernel = series.spectrum.iter().skip(1).map(|s| 1.0 / s.sqrt()).sum::<f64>() / n;
+    let relative = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { 0.5 };
+    SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5) }
 }
 
 /// Whether places have neighbours far more often than independent ones would.
@@ -112,7 +158,7 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     let n = squares.len() as f64;
     let plain = squares.iter().sum::<f64>() / n;
     let reference: f64 = -0.5 * n * (1.0 + plain.ln());
-    let of = |degrees: f64| {
+    let of = |degrees: f64| -> f64 {
         let mut scale = plain * (1.0 - 2.0 / degrees).max(0.3);
         for _ in 0..4 {
             let weighted = |a: &f64| a * (degrees + 1.0) / (degrees + a / scale);
@@ -122,8 +168,22 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
         let sum: f64 = squares.iter().map(|a| (a / (degrees * scale)).ln_1p()).sum();
         n * constant - 0.5 * (degrees + 1.0) * sum - reference
     };
-    let (gain, degrees) =
-        DEGREES.into_iter().map(|degrees| (of(degrees), degrees)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let start = DEGREES.into_iter().map(|degrees| (of(degrees), degrees)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (mut gain, mut degrees) = start;
+    if gain > 5.0 {
+        for step in [0.15, 0.05, 0.015] {
+            for _ in 0..4 {
+                let (left, right) = (of(degrees * f64::exp(-step)), of(degrees * f64::exp(step)));
+                if left > gain && degrees * f64::exp(-step) > 2.05 {
+                    (gain, degrees) = (left, degrees * f64::exp(-step));
+                } else if right > gain {
+                    (gain, degrees) = (right, degrees * f64::exp(step));
+                } else {
+                    break;
+                }
+            }
+        }
+    }
     explanation.tails = Some(degrees);
     Some(Candidate { kind: Kind::HeavyTails, gain, explanation })
 }

@@ -14,7 +14,7 @@
 //! [`Cosines`]: crate::diagnosis::transform::Cosines
 
 use super::ResponseError;
-use crate::effects::{Effect, RandomWalk, Record};
+use crate::effects::Record;
 use crate::sample::{Channel, Triad};
 use crate::simulator::{SensorModel, Spectrum};
 use std::f64::consts::{PI, SQRT_2};
@@ -194,7 +194,7 @@ impl AxisLaw {
 mod tests {
     use super::*;
     use crate::diagnosis::transform::Cosines;
-    use crate::effects::{Flicker, Sampler, Stream, StreamId, White};
+    use crate::effects::{Effect, Flicker, RandomWalk, Sampler, Stream, StreamId, White};
     use crate::simulator::ChannelModel;
 
     fn model(n: f64, b: f64, k: f64) -> SensorModel {

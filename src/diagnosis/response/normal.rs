@@ -16,8 +16,6 @@ const NOTHING: f64 = 1e-9;
 /// Normal equations with their eigenvalues.
 #[derive(Debug, Clone)]
 pub(super) struct Normal {
-    /// XᵀX.
-    pub(super) matrix: DMatrix<f64>,
     /// Of all slots; 0 where the column is not used.
     scales: Vec<f64>,
     values: DVector<f64>,
@@ -29,7 +27,7 @@ pub(super) struct Normal {
 
 impl Normal {
     /// From XᵀX. `unseen`: the standard error from which on a column says nothing; `effects`: which effect a column is of.
-    pub(super) fn new(matrix: DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
+    pub(super) fn new(matrix: &DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
         let lengths: Vec<f64> = (0..matrix.nrows()).map(|place| matrix[(place, place)].sqrt()).collect();
         let longest = |effect: usize| {
             let of = lengths.iter().zip(effects).filter(|(_, other)| **other == effect);
@@ -62,7 +60,7 @@ impl Normal {
                 value < OPEN * largest || used.iter().enumerate().any(beyond)
             })
             .collect();
-        Self { matrix, scales, values, vectors, used, open }
+        Self { scales, values, vectors, used, open }
     }
 
     fn largest(&self) -> f64 {
@@ -87,6 +85,13 @@ impl Normal {
             }
         }
         inverse
+    }
+
+    /// Singular values of the columns that say something, each of length 1; the largest first.
+    pub(super) fn singular_values(&self) -> Vec<f64> {
+        let mut values: Vec<f64> = self.values.iter().map(|value| value.max(0.0).sqrt()).collect();
+        values.sort_by(|one, other| other.total_cmp(one));
+        values
     }
 
     /// Columns that say nothing.
@@ -148,15 +153,17 @@ mod tests {
         ];
         let dot = |row: usize, column: usize| (0..4).map(|at| columns[row][at] * columns[column][at]).sum::<f64>();
         let matrix = DMatrix::from_fn(6, 6, dot);
-        let normal = Normal::new(matrix.clone(), &[f64::INFINITY; 6], &[0, 1, 2, 3, 4, 5]);
+        let normal = Normal::new(&matrix, &[f64::INFINITY; 6], &[0, 1, 2, 3, 4, 5]);
         assert_eq!(normal.unseen(), [4]);
         assert_eq!(normal.open_groups(), [[0, 1]]);
         assert_eq!(normal.faint_groups(), [[2, 3]]);
+        let largest = normal.singular_values()[0];
+        assert!((largest - 2.0_f64.sqrt()).abs() < 1e-9, "{largest}");
         let inverse = normal.inverse();
         assert!((inverse[(5, 5)] * 1e-18 - 1.0).abs() < 1e-9);
         // What both columns of a pair make together is known all the same.
         let sum = inverse[(0, 0)] + 4.0 * inverse[(1, 1)] + 4.0 * inverse[(0, 1)];
         assert!((sum - 1.0).abs() < 1e-9);
-        assert_eq!(Normal::new(matrix, &[1e-3; 6], &[0; 6]).unseen(), [0, 1, 4, 5]);
+        assert_eq!(Normal::new(&matrix, &[1e-3; 6], &[0; 6]).unseen(), [0, 1, 4, 5]);
     }
 }

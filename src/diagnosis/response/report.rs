@@ -32,11 +32,14 @@ pub(super) fn report(
         .enumerate()
         .map(|(place, slot)| {
             let (effect, parameter) = label(design, request, *slot);
-            let value = solution.state.value(*slot);
+            // A clock's offset is beyond the latency that is known.
+            let own = *slot == Slot::Delay && request.clock.offset_unknown;
+            let before = if own { 0.0 } else { known.value(*slot) };
+            let value = solution.state.value(*slot) - if own { known.delay_s } else { 0.0 };
             let error = covariance[(place, place)].max(0.0).sqrt();
             let standard_error = (!open.contains(&place)).then_some(error);
             let ci95 = standard_error.map(|error| [value - NORMAL_95 * error, value + NORMAL_95 * error]);
-            Estimate { effect, parameter, value, known: known.value(*slot), standard_error, ci95 }
+            Estimate { effect, parameter, value, known: before, standard_error, ci95 }
         })
         .collect();
     let (_, before) = search.residual(known);
@@ -66,6 +69,7 @@ pub(super) fn report(
             values
         }),
         confounded: statements(record, request, design, &solution, &estimates),
+        singular_values: solution.normal.singular_values(),
         covariance: rows,
         estimates,
         response: solution.response,

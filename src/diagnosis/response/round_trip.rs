@@ -14,11 +14,11 @@ pub(super) fn motion(kind: Kind, samples: usize, rate_hz: f64) -> Vec<Motion> {
 }
 
 pub(super) fn rate_table() -> Vec<Motion> {
-    motion(Kind::RateTable, 2203, RATE_HZ)
+    motion(Kind::RateTable, 2187, RATE_HZ)
 }
 
 pub(super) fn tumble() -> Vec<Motion> {
-    motion(Kind::Tumble, 1601, RATE_HZ)
+    motion(Kind::Tumble, 1575, RATE_HZ)
 }
 
 /// A sensor whose N, B and K all show in 100 s, each axis of its own size.
@@ -47,7 +47,8 @@ pub(super) fn simulated(
 ) -> [Vec<f64>; 3] {
     let length_s = reference.len() as f64 / rate_hz;
     let mut simulator = Simulator::new(model, seed, rate_hz, length_s).unwrap();
-    simulator = simulator.with_motion(reference.to_vec().into_iter());
+    let motions = reference.to_vec();
+    simulator = simulator.with_motion(motions.into_iter());
     let mut columns: [Vec<f64>; 3] = Default::default();
     while let Some(sample) = simulator.next_sample() {
         for (column, channel) in columns.iter_mut().zip(triad.channels()) {

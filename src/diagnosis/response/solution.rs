@@ -108,7 +108,7 @@ impl Search<'_, '_> {
         };
         let slots = &self.design.slots;
         let normal = Normal::new(
-            matrix,
+            &matrix,
             &slots.iter().map(unseen).collect::<Vec<_>>(),
             &slots.iter().map(effect).collect::<Vec<_>>(),
         );

@@ -74,10 +74,9 @@ impl ChannelModel {
         if index >= self.effects.len() {
             return None;
         }
-        if let Some(Value::Array(list)) = self.uncertainty.as_mut().and_then(|known| known.get_mut(EFFECTS)) {
-            if index < list.len() {
-                list.remove(index);
-            }
+        let known = self.uncertainty.as_mut().and_then(|known| known.get_mut(EFFECTS)?.as_array_mut());
+        if let Some(list) = known.filter(|list| index < list.len()) {
+            list.remove(index);
         }
         Some(self.effects.remove(index))
     }

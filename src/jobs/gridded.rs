@@ -1,0 +1,134 @@
+//! Gridded: a plan's samples as a diagnosis takes them, on a regular grid with the missing ones marked.
+
+use super::{JobError, Plan, SampleSource};
+use crate::diagnosis::Recording;
+use crate::sample::Channel;
+
+/// Gaps longer than this end what is taken as one record, s: no noise is told through them.
+const LONGEST_GAP_S: f64 = 60.0;
+/// Samples read at a time.
+const CHUNK: usize = 65_536;
+
+/// The longest part of a plan's samples without a long gap.
+#[derive(Debug, Clone)]
+pub struct Gridded {
+    /// It.
+    pub recording: Recording,
+    /// How many s after the plan's first sample it begins.
+    pub from_s: f64,
+    /// Samples of the plan that are not in it.
+    pub left_out: u64,
+}
+
+/// Reads a plan's samples; of several captures the first one's.
+///
+/// # Errors
+/// [`JobError::InsufficientData`] where there are none; what `source` says.
+pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobError> {
+    let Some(slice) = plan.slices.first() else {
+        return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
+    };
+    let missing = source.missing(slice.capture_id)?;
+    let place = |seq: u64| seq - slice.samples.start + missing.up_to(seq - slice.samples.start);
+    let mut channels: Vec<Channel> = plan.channels.clone();
+    channels.push(Channel::Temperature);
+    // Stretches of consecutive samples: first place, columns.
+    let longest_gap = (LONGEST_GAP_S * plan.rate_hz) as u64;
+    let (mut best, mut total): (Option<Part>, u64) = (None, 0);
+    let mut open: Option<Part> = None;
+    let mut seq = slice.samples.start;
+    while seq < slice.samples.end {
+        let limit = CHUNK.min(usize::try_from(slice.samples.end - seq).unwrap_or(CHUNK));
+        let chunk = plan.read_chunk(source, seq, limit, &channels)?;
+        for (number, rows) in plan.runs(&chunk) {
+            if number.is_none() {
+                continue;
+            }
+            total += rows.len() as u64;
+            let first = place(chunk.first_seq + rows.start as u64);
+            let goes_on = open.as_ref().is_some_and(|part| first >= part.end() && first - part.end() <= longest_gap);
+            if !goes_on {
+                best = longer(best, open.take());
+                open = Some(Part::new(first, channels.len()));
+            }
+            let Some(part) = &mut open else { continue };
+            for row in rows {
+                part.push(place(chunk.first_seq + row as u64), chunk.columns.iter().map(|column| column[row]));
+            }
+        }
+        seq = chunk.next_seq();
+    }
+    let Some(part) = longer(best, open) else {
+        return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
+    };
+    let left_out = total - part.there;
+    let from_s = part.first as f64 / plan.rate_hz;
+    Ok(Gridded { recording: part.recording(plan.rate_hz, &channels), from_s, left_out })
+}
+
+fn longer(one: Option<Part>, other: Option<Part>) -> Option<Part> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(if other.there > one.there { other } else { one }),
+        (one, other) => one.or(other),
+    }
+}
+
+/// Samples on a grid from a first place on.
+struct Part {
+    first: u64,
+    /// Samples that are there.
+    there: u64,
+    missing: Vec<bool>,
+    columns: Vec<Vec<f64>>,
+}
+
+impl Part {
+    fn new(first: u64, columns: usize) -> Self {
+        Self { first, there: 0, missing: Vec::new(), columns: vec![Vec::new(); columns] }
+    }
+    fn end(&self) -> u64 {
+        self.first + self.missing.len() as u64
+    }
+    fn push(&mut self, place: u64, values: impl Iterator<Item = f64>) {
+        let until = (place - self.first) as usize;
+        self.missing.resize(until, true);
+        self.columns.iter_mut().for_each(|column| column.resize(until, f64::NAN));
+        self.missing.push(false);
+        self.there += 1;
+        self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+    }
+    fn recording(self, rate_hz: f64, channels: &[Channel]) -> Recording {
+        let mut recording = Recording { rate_hz, missing: self.missing, ..Recording::default() };
+        for (channel, values) in channels.iter().zip(self.columns) {
+            let there = values.iter().filter(|value| value.is_finite()).count();
+            if *channel == Channel::Temperature {
+                recording.temperature_c = (there > 0).then_some(values);
+                continue;
+            }
+            // A sample without this channel's value is missing as far as it goes: all channels share one grid.
+            if (there as u64) * 10 >= self.there * 9 {
+                for (missing, value) in recording.missing.iter_mut().zip(&values) {
+                    *missing |= !value.is_finite();
+                }
+                recording.channels.push((*channel, values));
+            }
+        }
+        recording
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_that_no_sample_has_are_missing() {
+        let mut part = Part::new(10, 2);
+        part.push(10, [1.0, 20.0].into_iter());
+        part.push(13, [2.0, f64::NAN].into_iter());
+        let recording = part.recording(40.0, &[Channel::GyroX, Channel::Temperature]);
+        assert_eq!(recording.missing, [false, true, true, false]);
+        assert_eq!(recording.values(Channel::GyroX).unwrap()[3], 2.0);
+        assert_eq!(recording.temperature_c.unwrap()[0], 20.0);
+    }
+}
