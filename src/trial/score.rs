@@ -115,7 +115,7 @@ pub struct Miss {
     pub case: usize,
     /// What it has.
     pub kinds: Vec<Kind>,
-    /// The least of its sizes over their limits.
+    /// The least of its sizes over their limits; none outside the library, where there is no limit.
     pub over_limit: Option<f64>,
     /// What was said.
     pub verdict: String,
@@ -226,7 +226,9 @@ fn miss(one: &Judgement) -> Miss {
     Miss {
         case: one.case,
         kinds: one.effects.iter().map(|effect| effect.kind).collect(),
-        over_limit: one.effects.iter().map(|effect| effect.over_limit).min_by(f64::total_cmp),
+        over_limit: in_library(one)
+            .then(|| one.effects.iter().map(|effect| effect.over_limit).min_by(f64::total_cmp))
+            .flatten(),
         verdict: one.verdict.clone(),
         named: one.causes.clone(),
         refusal: one.refusal.clone(),
