@@ -31,6 +31,7 @@ pub mod motion;
 pub mod noise;
 pub mod protocol;
 pub mod simulator;
+pub mod trial;
 
 pub mod api;
 pub mod capture;

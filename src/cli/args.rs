@@ -72,6 +72,11 @@ pub enum Command {
     Model(ModelArgs),
     /// Where a recording and a simulator differ, which effect the simulator lacks, how far the gap shrinks with it
     Diagnose(DiagnoseArgs),
+    /// Check the diagnosis blindly: sealed cases, diagnosed without their key, scored against it
+    Trial(TrialArgs),
+    /// One part of a trial, in a process of its own
+    #[command(hide = true)]
+    TrialPart(TrialPartArgs),
     /// Copy the database, also while a daemon writes it
     Backup(BackupArgs),
     /// Check structure, checksums and accounting of a database; reads only
@@ -359,6 +364,87 @@ pub struct DiagnoseArgs {
     /// Replace the file where it exists
     #[arg(long)]
     pub force: bool,
+}
+
+/// Arguments of `trial`.
+#[derive(Debug, Args)]
+pub struct TrialArgs {
+    /// How many cases: of 2500, 500 have no effect, 850 one, 650 two, 500 one outside the library
+    #[arg(long, value_name = "N", default_value_t = 250)]
+    pub cases: usize,
+    /// Seed of the cases (default: the time in ms; it is told)
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Only these, with commas between: none, single, pair, outside, or names of effects (docs/trial.md)
+    #[arg(long, value_name = "NAMES", default_value = "")]
+    pub kinds: String,
+    /// Cases diagnosed at a time
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub threads: usize,
+    /// Also measure what the true effects would close; takes twice as long
+    #[arg(long)]
+    pub truth: bool,
+    /// Write the score as a page
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Keep manifest, diagnoses, keys and score in this folder
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// End with exit code 3 where this rate is lower, such as right_first=0.97; may be repeated
+    #[arg(long, value_name = "NAME=SHARE")]
+    pub at_least: Vec<String>,
+    /// End with exit code 3 where this rate is higher, such as none_named=0.02; may be repeated
+    #[arg(long, value_name = "NAME=SHARE")]
+    pub at_most: Vec<String>,
+}
+
+/// Arguments of `trial-part`.
+#[derive(Debug, Args)]
+pub struct TrialPartArgs {
+    /// Which
+    #[arg(value_enum)]
+    pub part: TrialPart,
+    /// Seed of the cases
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// How many cases the trial has
+    #[arg(long, default_value_t = 0)]
+    pub cases: usize,
+    /// Only these
+    #[arg(long, default_value = "")]
+    pub kinds: String,
+    /// Which case, from 0
+    #[arg(long, default_value_t = 0)]
+    pub case: usize,
+}
+
+/// Parts of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TrialPart {
+    /// Digests of all keys
+    Manifest,
+    /// A case's recording and model
+    Case,
+    /// The diagnosis of a recording and a model from standard input
+    Diagnose,
+    /// All keys
+    Key,
+    /// The discrepancy of a case under the model that has its effects
+    Truth,
+}
+
+impl TrialPart {
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Manifest => "manifest",
+            Self::Case => "case",
+            Self::Diagnose => "diagnose",
+            Self::Key => "key",
+            Self::Truth => "truth",
+        }
+    }
 }
 
 /// Arguments of `model`.

@@ -24,6 +24,7 @@ mod run;
 mod show;
 mod simulate;
 mod status;
+mod trial;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;
@@ -226,6 +227,8 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
         Command::Simulate(args) => simulate::run(&context, &args),
+        Command::Trial(args) => trial::run(&context, &args),
+        Command::TrialPart(args) => trial::run_part(&args),
         Command::Model(args) => model::run(&context, &args),
         Command::Diagnose(args) => diagnose::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),

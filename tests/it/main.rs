@@ -14,6 +14,7 @@ mod replay;
 mod restart;
 mod simulation;
 mod tidy;
+mod trial;
 mod unattended;
 #[path = "../world/mod.rs"]
 mod world;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 24] = [
+const MAY_USE: [(&str, &[&str]); 25] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -14,6 +14,7 @@ const MAY_USE: [(&str, &[&str]); 24] = [
     ("motion", &["simulator", "sample", "units"]),
     ("model_fit", &["diagnosis", "effects", "noise", "simulator", "sample"]),
     ("diagnosis", &["effects", "motion", "noise", "simulator", "sample", "units"]),
+    ("trial", &["diagnosis", "simulator", "sample", "units"]),
     ("effects", &["sample", "units"]),
     ("simulator", &["effects", "sample", "units"]),
     ("observe", &["sample", "units", "clock"]),
@@ -30,7 +31,7 @@ const MAY_USE: [(&str, &[&str]); 24] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 11] = [
+const PURE: [&str; 12] = [
     "protocol",
     "sample",
     "noise",
@@ -42,6 +43,7 @@ const PURE: [&str; 11] = [
     "effects",
     "simulator",
     "retention",
+    "trial",
 ];
 /// Files of shells that are pure all the same.
 const PURE_FILES: &[&str] = &[

@@ -1,0 +1,326 @@
+//! `vn100d trial`: the blind check of the diagnosis.
+//!
+//! The program runs itself: one process makes a case from the sealed seed and writes recording and model to its standard output,
+//! another reads them there and writes its diagnosis. Neither says or hears what the case has. The manifest with the digests of
+//! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
+
+use super::args::{TrialArgs, TrialPart, TrialPartArgs};
+use super::{CliError, Context, Failure, Outcome, print_json, table};
+use crate::clock::{Clock as _, SystemClock};
+use crate::diagnosis::{self, Options};
+use crate::store::SOFTWARE;
+use crate::trial::page::{page, percent};
+use crate::trial::{Answer, Case, Class, Key, Kind, Manifest, Report, Score, Wanted, case, judge, parcel, plan};
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+use std::io::{IsTerminal as _, Read as _, Write as _};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Misses that are listed on a terminal; JSON and page have all.
+const MISSES_SHOWN: usize = 12;
+
+/// A trial that another process makes.
+struct Sealed {
+    seed: u64,
+    cases: usize,
+    kinds: String,
+}
+
+/// Runs a trial and says what it came to.
+pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
+    Wanted::from_words(words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
+    let thresholds = thresholds(args)?;
+    let seed = args.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
+    let sealed = Sealed { seed, cases: args.cases, kinds: args.kinds.clone() };
+    if let Some(folder) = &args.out {
+        let reports = folder.join("reports");
+        std::fs::create_dir_all(&reports).with_context(|| format!("{} cannot be made", reports.display()))?;
+    }
+
+    let manifest_text = sealed.ask(TrialPart::Manifest, None)?;
+    let manifest: Manifest = read(&manifest_text, "manifest")?;
+    let manifest_sha256: String = Sha256::digest(&manifest_text).iter().map(|byte| format!("{byte:02x}")).collect();
+    keep(args, "manifest.json", &manifest_text)?;
+    let cases = manifest.digests.len();
+    if cases == 0 {
+        return Err(usage("--kinds and --cases: there is no such case".to_owned()));
+    }
+    eprintln!("{cases} cases of seed {seed}; their keys are sealed: the manifest's SHA-256 is {manifest_sha256}");
+
+    let reports = each(cases, args.threads, "diagnosed", |index| {
+        let text = sealed.diagnosed(index)?;
+        if let Ok(text) = &text {
+            keep(args, &format!("reports/{index:05}.json"), text)?;
+        }
+        Ok(text.and_then(|text| serde_json::from_slice::<Value>(&text).map_err(|error| error.to_string())))
+    })?;
+
+    let keys_text = sealed.ask(TrialPart::Key, None)?;
+    let keys: Vec<Key> = read(&keys_text, "keys")?;
+    manifest.verify(&keys)?;
+    keep(args, "key.json", &keys_text)?;
+
+    let truths = if args.truth { sealed.truths(&keys, &reports, args.threads)? } else { vec![None; cases] };
+    let answer = |(report, closed_by_truth): (Result<Value, String>, Option<f64>)| Answer {
+        report: report.and_then(|value| Report::of(&value).map_err(|error| error.to_string())),
+        closed_by_truth,
+    };
+    let answers: Vec<Answer> = reports.into_iter().zip(truths).map(answer).collect();
+    let judgements: Vec<_> = keys.iter().zip(&answers).map(|(key, answer)| judge(key, answer)).collect();
+    let score = Score::of(SOFTWARE, seed, &manifest_sha256, &judgements);
+    keep(args, "judgements.json", &serde_json::to_vec_pretty(&judgements)?)?;
+    keep(args, "score.json", &serde_json::to_vec_pretty(&score)?)?;
+    if let Some(path) = &args.html {
+        write(path, page(&score).as_bytes())?;
+    }
+    if context.json {
+        print_json(&score)?
+    } else {
+        show(&score)?
+    }
+    let mut outcome = Outcome::Done;
+    for threshold in thresholds {
+        if let Some(found) = threshold.missed_by(&score) {
+            eprintln!("{found}");
+            outcome = Outcome::WithLoss;
+        }
+    }
+    Ok(outcome)
+}
+
+/// Runs one part of a trial, for the process that asked.
+pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
+    let mut stdout = std::io::stdout().lock();
+    if args.part == TrialPart::Diagnose {
+        let mut bytes = Vec::new();
+        std::io::stdin().lock().read_to_end(&mut bytes)?;
+        let (recording, model) = parcel::unpack(&bytes)?;
+        drop(bytes);
+        let options = Options { software: SOFTWARE, real: "sealed case", sim: "its model", ..Options::default() };
+        let outcome = diagnosis::diagnose(&recording, &model, &options)?;
+        serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
+        return Ok(Outcome::Done);
+    }
+    let kinds = plan(args.seed, args.cases, &Wanted::from_words(words(&args.kinds))?);
+    let draw = |index: usize| -> anyhow::Result<Case> {
+        let kinds: &[Kind] = kinds.get(index).with_context(|| format!("there is no case {index}"))?;
+        Ok(Case::draw(args.seed, index, kinds, 1)?)
+    };
+    let keys = || (0..kinds.len()).map(|index| Ok(draw(index)?.key())).collect::<anyhow::Result<Vec<Key>>>();
+    match args.part {
+        TrialPart::Manifest => serde_json::to_writer_pretty(&mut stdout, &Manifest::of(&keys()?))?,
+        TrialPart::Key => serde_json::to_writer_pretty(&mut stdout, &keys()?)?,
+        TrialPart::Case => {
+            let case = draw(args.case)?;
+            stdout.write_all(&parcel::pack(&case.record(), &case.model())?)?;
+        }
+        TrialPart::Truth => {
+            let case = draw(args.case)?;
+            let truth = case::true_model(&case.key(), &case.model()).context("no model can say what the case has")?;
+            let outcome = diagnosis::diagnose(&case.record(), &truth, &Options::default())?;
+            serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
+        }
+        TrialPart::Diagnose => {}
+    }
+    Ok(Outcome::Done)
+}
+
+impl Sealed {
+    fn command(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Command> {
+        let program = std::env::current_exe().context("the program does not find itself")?;
+        let mut command = Command::new(program);
+        command.args(["trial-part", part.name()]);
+        if part != TrialPart::Diagnose {
+            command.args(["--seed", &self.seed.to_string(), "--cases", &self.cases.to_string()]);
+            command.args(["--kinds", &self.kinds]);
+        }
+        if let Some(case) = case {
+            command.args(["--case", &case.to_string()]);
+        }
+        Ok(command)
+    }
+
+    /// What a part writes.
+    fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
+        let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
+        let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        anyhow::ensure!(output.status.success(), "the trial's {} failed: {}", part.name(), said());
+        Ok(output.stdout)
+    }
+
+    /// The diagnosis of a case, or why there is none: a program that dies on one case has failed that one.
+    fn diagnosed(&self, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
+        let mut maker =
+            self.command(TrialPart::Case, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
+        let parcel = maker.stdout.take().context("the maker has no output")?;
+        let output = self.command(TrialPart::Diagnose, None)?.stdin(parcel).output()?;
+        let made = maker.wait()?;
+        anyhow::ensure!(made.success(), "case {case} could not be made");
+        if output.status.success() {
+            return Ok(Ok(output.stdout));
+        }
+        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
+    }
+
+    /// What the true effects close of each case's gap: the same discrepancy under the model that has them.
+    fn truths(
+        &self,
+        keys: &[Key],
+        reports: &[Result<Value, String>],
+        threads: usize,
+    ) -> anyhow::Result<Vec<Option<f64>>> {
+        each(keys.len(), threads, "scored with the truth", |index| {
+            let of_library = matches!(keys[index].class, Class::Single | Class::Pair);
+            let Some(report) = reports[index].as_ref().ok().filter(|_| of_library) else { return Ok(None) };
+            let Ok(truth) = self.ask(TrialPart::Truth, Some(index)) else { return Ok(None) };
+            let truth: Value = read(&truth, "diagnosis")?;
+            let number = |value: &Value, name: &str| value["discrepancy"][name].as_f64();
+            let closed = || {
+                let (before, floor) = (number(report, "after_parameters")?, number(report, "floor")?);
+                // The true model's parameters are true: refitting them cannot do better but by chance, and may do worse.
+                let after = number(&truth, "after_parameters")?.min(number(&truth, "before")?);
+                // Where nothing was there to close, no part of it is.
+                number(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
+            };
+            Ok(closed())
+        })
+    }
+}
+
+/// Does something with every case on several threads, in any order.
+fn each<T: Send>(
+    cases: usize,
+    threads: usize,
+    what: &'static str,
+    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    let bar = bar(cases, what);
+    let next = AtomicUsize::new(0);
+    let done: Vec<Mutex<Option<anyhow::Result<T>>>> = (0..cases).map(|_| Mutex::new(None)).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, cases.max(1)) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(place) = done.get(index) else { break };
+                    let result = work(index);
+                    if result.is_err() {
+                        // What one case cannot have, such as a process, the next ones cannot either.
+                        next.store(cases, Ordering::Relaxed);
+                    }
+                    *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+                    bar.inc(1);
+                }
+            });
+        }
+    });
+    bar.finish_and_clear();
+    let results: Vec<_> =
+        done.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
+    results.into_iter().collect()
+}
+
+fn bar(cases: usize, what: &'static str) -> ProgressBar {
+    let target =
+        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let bar = ProgressBar::with_draw_target(Some(cases as u64), target).with_message(what);
+    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} cases {msg} · {eta} left");
+    if let Ok(style) = style { bar.with_style(style) } else { bar }
+}
+
+fn words(kinds: &str) -> impl Iterator<Item = &str> {
+    kinds.split(',').map(str::trim).filter(|word| !word.is_empty())
+}
+
+fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Result<T> {
+    serde_json::from_slice(text).with_context(|| format!("the trial's {what} cannot be read"))
+}
+
+/// Writes a file of the trial's folder, if it has one.
+fn keep(args: &TrialArgs, name: &str, text: &[u8]) -> anyhow::Result<()> {
+    args.out.as_ref().map_or(Ok(()), |folder| write(&folder.join(name), text))
+}
+
+fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+fn usage(message: String) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message }.into()
+}
+
+/// A rate that is asked for.
+struct Threshold {
+    name: String,
+    share: f64,
+    at_least: bool,
+}
+
+impl Threshold {
+    /// What to say where the score does not reach it. A rate of no case reaches nothing.
+    fn missed_by(&self, score: &Score) -> Option<String> {
+        let share = score.rate(&self.name).and_then(|rate| rate.share);
+        let word = if self.at_least { "at least" } else { "at most" };
+        let reached = share.is_some_and(|share| if self.at_least { share >= self.share } else { share <= self.share });
+        let found = share.map_or_else(|| "of no case".to_owned(), |share| share.to_string());
+        (!reached).then(|| format!("{} is {found}; {word} {} was asked for", self.name, self.share))
+    }
+}
+
+fn thresholds(args: &TrialArgs) -> anyhow::Result<Vec<Threshold>> {
+    let names = Score::of("", 0, "", &[]).named_rates().map(|(name, ..)| name);
+    let of = |(text, at_least): (&String, bool)| {
+        let (name, share) = text.split_once('=').unwrap_or((text, ""));
+        let share = share.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+        match share.filter(|_| names.contains(&name)) {
+            Some(share) => Ok(Threshold { name: name.to_owned(), share, at_least }),
+            None => Err(usage(format!("`{text}`: expected NAME=SHARE, NAME one of {}", names.join(", ")))),
+        }
+    };
+    let least = args.at_least.iter().map(|text| (text, true));
+    least.chain(args.at_most.iter().map(|text| (text, false))).map(of).collect()
+}
+
+fn show(score: &Score) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    let classes: Vec<String> = score.classes.iter().map(|(name, count)| format!("{count} {name}")).collect();
+    writeln!(stdout, "{} cases of seed {}: {}", score.cases, score.seed, classes.join(", "))?;
+    let mut rows = table(&["", "cases", "share (95 %)"]);
+    for (_, meaning, rate) in score.named_rates() {
+        rows.add_row([meaning.to_owned(), format!("{} of {}", rate.count, rate.of), percent(rate)]);
+    }
+    writeln!(stdout, "{rows}")?;
+    let mut rows = table(&["effect alone", "cases", "first", "unknown", "spurious", "closed", "90 % at"]);
+    for of in &score.kinds {
+        let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.2}"));
+        rows.add_row([
+            of.kind.name().to_owned(),
+            of.unknown.of.to_string(),
+            if of.library { of.right_first.count.to_string() } else { "–".to_owned() },
+            of.unknown.count.to_string(),
+            if of.library { of.spurious.count.to_string() } else { "–".to_owned() },
+            number(of.closed),
+            number(of.size_90),
+        ]);
+    }
+    writeln!(stdout, "{rows}")?;
+    for miss in score.misses.iter().take(MISSES_SHOWN) {
+        let kinds: Vec<&str> = miss.kinds.iter().map(|kind| kind.name()).collect();
+        let kinds = if kinds.is_empty() { "none".to_owned() } else { kinds.join(" and ") };
+        let size = miss.over_limit.map_or_else(String::new, |size| format!(" at {size:.1} times the limit"));
+        let named: Vec<&str> = miss.named.iter().map(|cause| cause.effect.as_str()).collect();
+        let named = miss.refusal.clone().unwrap_or_else(|| {
+            if named.is_empty() { "nothing named".to_owned() } else { format!("named {}", named.join(", ")) }
+        });
+        writeln!(stdout, "case {}: {kinds}{size}; {}, {named}", miss.case, miss.verdict)?;
+    }
+    let more = score.misses.len().saturating_sub(MISSES_SHOWN);
+    if more > 0 { writeln!(stdout, "and {more} more: --json, --html or --out has them") } else { Ok(()) }
+}

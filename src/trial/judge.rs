@@ -1,0 +1,315 @@
+//! Judgements: one case's diagnosis held against its key.
+
+use super::fit::{Fit, fit, intervals_of, told_intervals};
+use super::key::{Key, TrueEffect};
+use super::kind::{Class, Kind};
+use super::limit::ABOVE;
+use super::report::{Cause, Report, entries};
+use serde::Serialize;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What came of a case: its diagnosis, or why there was none, and what the true effects close where that was measured.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Answer {
+    /// The diagnosis, or the refusal's sentence.
+    pub report: Result<Report, String>,
+    /// What the model with the true effects closes, scored as `closed` is.
+    pub closed_by_truth: Option<f64>,
+}
+
+/// An effect of a case as it was found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
+pub struct Found {
+    /// Which.
+    pub kind: Kind,
+    /// Its size over the limit.
+    pub over_limit: f64,
+    /// Whether it was named.
+    pub named: bool,
+    /// Under another name or form of the same law.
+    pub equivalent: bool,
+    /// Whether all its channels were named and no other; none where it was not named, and for what has no channel.
+    pub channels_exact: Option<bool>,
+    /// What was located, by what it is (`frequency_bins`, `at_s`, `edge_s`): absolute errors.
+    pub location: BTreeMap<&'static str, Vec<f64>>,
+    /// Parameters: relative errors.
+    pub parameters: BTreeMap<String, Vec<f64>>,
+}
+
+/// A cause as it was judged.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
+pub struct Named {
+    /// The contract's name.
+    pub effect: String,
+    /// Its channels.
+    pub channels: Vec<String>,
+    /// Its stated confidence.
+    pub confidence: Option<f64>,
+    /// Whether it is one of the case's effects.
+    pub right: bool,
+}
+
+/// A case as it was judged.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
+pub struct Judgement {
+    /// Its number.
+    pub case: usize,
+    /// What it is a test of.
+    pub class: Class,
+    /// Whether all its effects are large enough to count: 1.5 times the limit or above.
+    pub counts: bool,
+    /// The verdict; `refused` where there was none.
+    pub verdict: String,
+    /// Why it was refused.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refusal: Option<String>,
+    /// What was named, strongest first.
+    pub causes: Vec<Named>,
+    /// The case's effects.
+    pub effects: Vec<Found>,
+    /// Part of the gap that was closed.
+    pub closed: Option<f64>,
+    /// Its interval.
+    pub closed_ci95: Option<[f64; 2]>,
+    /// What the true effects close.
+    pub closed_by_truth: Option<f64>,
+}
+
+impl Judgement {
+    /// Whether the first cause is one of the case's effects.
+    #[must_use]
+    pub fn right_first(&self) -> bool {
+        self.causes.first().is_some_and(|cause| cause.right)
+    }
+
+    /// Whether a cause was named that the case does not have.
+    #[must_use]
+    pub fn spurious(&self) -> bool {
+        self.causes.iter().any(|cause| !cause.right)
+    }
+
+    /// Whether it was called unknown.
+    #[must_use]
+    pub fn unknown(&self) -> bool {
+        self.verdict == "unknown_effect"
+    }
+
+    /// Whether every effect was named.
+    #[must_use]
+    pub fn all_found(&self) -> bool {
+        self.verdict != "refused" && self.effects.iter().all(|effect| effect.named)
+    }
+
+    /// Every effect, nothing else, and nothing left.
+    #[must_use]
+    pub fn exactly(&self) -> bool {
+        self.all_found() && !self.spurious() && self.verdict == "effects"
+    }
+}
+
+/// Judges an answer.
+#[must_use]
+pub fn judge(key: &Key, answer: &Answer) -> Judgement {
+    let none = Vec::new();
+    let (causes, verdict, refusal) = match &answer.report {
+        Ok(report) => (&report.causes, report.verdict.clone(), None),
+        Err(refusal) => (&none, "refused".to_owned(), Some(refusal.clone())),
+    };
+    let report = answer.report.as_ref().ok();
+    let named = |cause: &Cause| Named {
+        effect: cause.effect.clone(),
+        channels: cause.channels.clone(),
+        confidence: cause.confidence,
+        right: key.effects.iter().any(|truth| fit(truth, cause, key) > Fit::No),
+    };
+    Judgement {
+        case: key.case,
+        class: key.class,
+        counts: key.effects.iter().all(|effect| effect.over_limit >= ABOVE),
+        verdict,
+        refusal,
+        causes: causes.iter().map(named).collect(),
+        effects: key.effects.iter().map(|truth| found(truth, causes, key)).collect(),
+        closed: report.and_then(|report| report.closed),
+        closed_ci95: report.and_then(|report| report.closed_ci95),
+        closed_by_truth: answer.closed_by_truth,
+    }
+}
+
+fn found(truth: &TrueEffect, causes: &[Cause], key: &Key) -> Found {
+    let fits: Vec<(Fit, &Cause)> =
+        causes.iter().map(|cause| (fit(truth, cause, key), cause)).filter(|(fit, _)| *fit > Fit::No).collect();
+    let best = fits.iter().map(|(fit, _)| *fit).max().unwrap_or(Fit::No);
+    let told: BTreeSet<&String> = fits.iter().flat_map(|(_, cause)| &cause.channels).collect();
+    let channels_exact = told == truth.channels.iter().collect();
+    let mut found = Found {
+        kind: truth.kind,
+        over_limit: truth.over_limit,
+        named: best > Fit::No,
+        equivalent: best == Fit::Equivalent,
+        channels_exact: (best > Fit::No && truth.kind != Kind::Timing).then_some(channels_exact),
+        location: BTreeMap::new(),
+        parameters: BTreeMap::new(),
+    };
+    for (_, cause) in fits {
+        locate(truth, cause, key, &mut found.location);
+        if best == Fit::Exact && Some(cause.effect.as_str()) == truth.kind.effect() {
+            compare(truth, cause, key, &mut found.parameters);
+        }
+    }
+    found
+}
+
+/// The told number nearest to a true one, and how far off it is.
+fn nearest(truth: f64, told: impl IntoIterator<Item = f64>) -> Option<f64> {
+    told.into_iter().map(|told| (told - truth).abs()).min_by(f64::total_cmp)
+}
+
+/// The numbers of this name in a list of entries.
+fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64> + 'a {
+    entries.iter().filter_map(move |entry| entry[name].as_f64())
+}
+
+fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
+    let bins = key.samples as f64 / key.rate_hz;
+    for (channel, parameters) in &truth.parameters {
+        let (truths, told) = (entries(parameters), cause.entries(channel));
+        if told.is_empty() {
+            continue;
+        }
+        for (name, place, unit) in [
+            ("frequency_hz", "frequency_bins", bins),
+            ("fundamental_hz", "frequency_bins", bins),
+            ("at_s", "at_s", 1.0),
+        ] {
+            for one in numbers(truths, name) {
+                into.entry(place).or_default().extend(nearest(one, numbers(told, name)).map(|off| off * unit));
+            }
+        }
+    }
+    let (truths, told) = (intervals_of(truth), told_intervals(cause));
+    for [from, to] in truths {
+        // Each end against that of the interval that it lies nearest to.
+        let edges = [(from, 0), (to, 1)];
+        let off = edges.into_iter().filter_map(|(time, end)| nearest(time, told.iter().map(|interval| interval[end])));
+        into.entry("edge_s").or_default().extend(off);
+    }
+}
+
+/// Parameters that say where something is, or that are free: not compared as sizes.
+const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s", "to_s", "reference_c", "order"];
+
+fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
+    let relative = |told: f64, truth: f64| (truth != 0.0).then(|| (told.abs() / truth.abs() - 1.0).abs());
+    for (channel, parameters) in &truth.parameters {
+        for one in entries(parameters) {
+            let Some(told) = alike(one, cause.entries(channel), key) else { continue };
+            let Some(one) = one.as_object() else { continue };
+            for (name, value) in one.iter().filter(|(name, _)| !NO_SIZES.contains(&name.as_str())) {
+                let pairs: Vec<(f64, f64)> = match (value.as_f64(), value.as_array()) {
+                    (Some(truth), _) => told[name].as_f64().map(|told| (told, truth)).into_iter().collect(),
+                    (None, Some(list)) if name == "amplitudes" => {
+                        let told = told[name].as_array().map_or(&[][..], Vec::as_slice);
+                        list.iter().zip(told).filter_map(|(truth, told)| told.as_f64().zip(truth.as_f64())).collect()
+                    }
+                    _ => Vec::new(),
+                };
+                let errors = pairs.into_iter().filter_map(|(told, truth)| relative(told, truth));
+                into.entry(name.clone()).or_default().extend(errors);
+            }
+        }
+    }
+    into.retain(|_, errors| !errors.is_empty());
+}
+
+/// The told entry that means this true one: the only one, or the one that is nearest in frequency or time.
+fn alike<'a>(truth: &Value, told: &'a [Value], key: &Key) -> Option<&'a Value> {
+    let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
+    let Some(place) = place else { return told.first() };
+    let at = truth[place].as_f64()?;
+    let off = |entry: &Value| entry[place].as_f64().map(|other| (other - at).abs());
+    let best =
+        told.iter().filter_map(|entry| Some((off(entry)?, entry))).min_by(|one, other| one.0.total_cmp(&other.0))?;
+    // A step that was not found is not compared with another one.
+    let near = if place == "at_s" { 0.02 * key.samples as f64 / key.rate_hz } else { f64::INFINITY };
+    (best.0 <= near).then_some(best.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trial::case::Case;
+    use serde_json::json;
+
+    fn key(kinds: &[Kind]) -> Key {
+        (0..)
+            .map(|case| Case::draw(17, case, kinds, 1).unwrap().key())
+            .find(|key| key.effects.iter().all(|one| one.over_limit > 2.0))
+            .unwrap()
+    }
+    fn report(verdict: &str, causes: Value) -> Answer {
+        let report = Report::of(
+            &json!({"verdict": verdict, "causes": causes, "discrepancy": {"closed": 0.9, "closed_ci95": [0.8, 0.95]}}),
+        );
+        Answer { report: Ok(report.unwrap()), closed_by_truth: Some(0.92) }
+    }
+    fn truth(key: &Key, at: usize) -> Value {
+        let effect = &key.effects[at];
+        json!({"effect": effect.effect, "channels": effect.channels, "confidence": 0.9, "parameters": effect.parameters})
+    }
+
+    #[test]
+    fn the_truth_itself_is_right_in_everything() {
+        for kind in Kind::LIBRARY {
+            let key = key(&[kind]);
+            let judged = judge(&key, &report("effects", json!([truth(&key, 0)])));
+            assert!(judged.right_first() && judged.exactly() && judged.counts, "{kind}");
+            assert!(judged.effects[0].channels_exact != Some(false) && !judged.effects[0].equivalent, "{kind}");
+            assert!(judged.effects[0].location.values().flatten().all(|error| *error < 1e-9), "{kind}");
+            assert!(judged.effects[0].parameters.values().flatten().all(|error| *error < 1e-9), "{kind}");
+        }
+    }
+
+    #[test]
+    fn errors_of_a_tone_are_in_bins_and_in_parts_of_its_amplitude() {
+        let key = key(&[Kind::Tone]);
+        let mut cause = truth(&key, 0);
+        let channel = key.effects[0].channels[0].clone();
+        let entry = &mut cause["parameters"][&channel];
+        entry["frequency_hz"] = json!(entry["frequency_hz"].as_f64().unwrap() + 0.3 * key.rate_hz / key.samples as f64);
+        entry["amplitude"] = json!(entry["amplitude"].as_f64().unwrap() * 1.1);
+        let judged = judge(&key, &report("effects", json!([cause])));
+        let worst = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
+        assert!((worst(&judged.effects[0].location["frequency_bins"]) - 0.3).abs() < 1e-6);
+        assert!((worst(&judged.effects[0].parameters["amplitude"]) - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_missing_wrong_or_too_much_is_seen() {
+        let key = key(&[Kind::Tone, Kind::Spikes]);
+        let both = json!([truth(&key, 0), truth(&key, 1)]);
+        assert!(judge(&key, &report("effects", both.clone())).exactly());
+        assert!(!judge(&key, &report("unknown_effect", both)).exactly());
+        let one = judge(&key, &report("effects", json!([truth(&key, 1)])));
+        assert!(one.right_first() && !one.all_found() && !one.spurious());
+        let extra = json!({"effect": "rate_ramp", "channels": key.channels, "confidence": 0.5, "parameters": {}});
+        let more = judge(&key, &report("effects", json!([extra, truth(&key, 0), truth(&key, 1)])));
+        assert!(more.all_found() && more.spurious() && !more.right_first() && !more.exactly());
+        let refused = judge(&key, &Answer { report: Err("no".to_owned()), closed_by_truth: None });
+        assert!(!refused.right_first() && !refused.all_found() && refused.verdict == "refused");
+    }
+
+    #[test]
+    fn channels_are_exact_or_not() {
+        let key = key(&[Kind::Spikes]);
+        let mut cause = truth(&key, 0);
+        cause["channels"] = json!([key.effects[0].channels[0].clone(), "yaw"]);
+        let judged = judge(&key, &report("effects", json!([cause])));
+        assert_eq!(judged.effects[0].channels_exact, Some(false));
+    }
+}

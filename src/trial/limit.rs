@@ -1,0 +1,93 @@
+//! Limits: sizes at which a feasibility study in Python named an effect in 90 % of its cases, and how they change with length.
+//!
+//! The study's cases had 65,536 samples (27 min at 40 Hz) and two channels. Sizes are in units of the white part's standard
+//! deviation per sample, unless said. With n the samples, what shows in variances falls as n^-½, a tone's amplitude likewise,
+//! counts of single samples as 1/n; slow courses of the level grow as n^½ beyond the study's length, because the random walk
+//! that hides them does.
+
+use super::kind::Kind;
+
+/// Samples of the study's cases.
+const STUDY: f64 = 65_536.0;
+/// Log-likelihood that a single burst has to give, nats: the price of an interval at this length, and as much again.
+const BURST_NATS: f64 = 20.0;
+/// The highest corner over the rate at which a low-pass is named always; the study met no limit.
+pub(super) const CORNER: f64 = 0.42;
+/// Where no limit is known, cases count as this far above it.
+pub(super) const ABOVE: f64 = 1.5;
+
+/// The size of `kind` that is named in 90 % of the cases of `samples`.
+///
+/// | kind | size |
+/// |---|---|
+/// | resolution | step |
+/// | quantization_noise, resonance, gauss_markov, bursts | standard deviation |
+/// | rate_ramp | over the capture |
+/// | tone, comb | amplitude; of the weakest harmonic |
+/// | temperature_bias | per °C |
+/// | warm_up, bias_step | amplitude |
+/// | spikes, held_samples, timing | share of the samples |
+/// | heavy_tails | 1/degrees of freedom |
+/// | variance_… | log variance: rms over the record times √2; per standard deviation of the temperature |
+/// | saturation | share of the samples at the limit |
+/// | common_mode | share of each channel |
+///
+/// 1 for what has no limit: filters, and what is outside the library.
+#[must_use]
+pub fn limit(kind: Kind, samples: usize) -> f64 {
+    let longer = samples as f64 / STUDY;
+    let (variance, slow) = (longer.powf(-0.5), longer.max(1.0).sqrt());
+    match kind {
+        Kind::Resolution => 0.15,
+        Kind::QuantizationNoise => 0.18 * variance.sqrt(),
+        Kind::RateRamp => 2.4 * slow,
+        Kind::GaussMarkov => 0.45,
+        Kind::Tone | Kind::Comb => 0.06 * variance,
+        Kind::Resonance => 0.11 * variance.sqrt(),
+        Kind::TemperatureBias => 0.11 * slow,
+        Kind::WarmUp => 1.1 * slow,
+        Kind::Spikes => 5e-5 / longer,
+        Kind::HeavyTails => variance / 55.0,
+        Kind::BiasStep => 0.8,
+        Kind::VarianceInterval | Kind::VarianceProfile => 0.06 * variance,
+        Kind::VariancePerC => 0.028 * variance,
+        Kind::HeldSamples | Kind::Timing => 1e-4 / longer,
+        // Twenty ties at this length: a few would do, but the level wanders and they stand together.
+        Kind::Saturation => 3e-4 * variance,
+        Kind::CommonMode => 0.16 * variance.sqrt(),
+        _ => 1.0,
+    }
+}
+
+/// The standard deviation, in units of the white part's, at which a burst of so many samples is found.
+#[must_use]
+pub fn burst_limit(samples: f64) -> f64 {
+    let nats = |sigma: f64| 0.5 * samples * (sigma * sigma - (sigma * sigma).ln_1p());
+    let (mut low, mut high) = (0.0, 100.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if nats(middle) < BURST_NATS { low = middle } else { high = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_the_studys_at_its_length_and_fall_as_it_says() {
+        assert_eq!(limit(Kind::Tone, 65_536), 0.06);
+        assert!((limit(Kind::Tone, 4 * 65_536) - 0.03).abs() < 1e-12);
+        // A resonance's power at 5 h: 0.3 of that at 27 min.
+        let power = (limit(Kind::Resonance, 720_000) / limit(Kind::Resonance, 65_536)).powi(2);
+        assert!((power - 0.3).abs() < 0.01, "{power}");
+        assert_eq!(limit(Kind::RateRamp, 4 * 65_536), 4.8);
+    }
+
+    #[test]
+    fn a_longer_burst_is_found_when_weaker() {
+        let (short, long) = (burst_limit(20.0), burst_limit(2_000.0));
+        assert!(long < short && (0.1..0.5).contains(&long) && (1.0..4.0).contains(&short), "{short} {long}");
+    }
+}

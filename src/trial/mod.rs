@@ -1,0 +1,39 @@
+//! Trial: a blind check of the diagnosis on cases that somebody else might have made. Pure.
+//!
+//! In: a sealed seed; diagnoses in the contract's form (section 6), whoever made them. Out: recordings with models that lack
+//! something ([`case`]), keys and a manifest that binds them ([`key`]), scores ([`score`]) and a page of them ([`page`]).
+//!
+//! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not
+//! those that the diagnosis fits ([`impose`]); how large they are follows from the limits of a feasibility study ([`limit`]).
+//! Which cases there are is in [`plan`]. Whether a cause that was named is right is decided by the rules of [`mod@fit`].
+//! Effects act on columns of samples ([`columns`]), made here or recorded: one can be imposed on a real recording.
+//!
+//! Order, which the shell keeps: cases are made by another process than the one that diagnoses them and cross over as
+//! parcels ([`parcel`]), which say nothing of the key; the manifest comes first, the keys last.
+
+pub mod case;
+pub mod columns;
+pub mod draw;
+pub mod fit;
+pub mod ground;
+pub mod impose;
+pub mod interval;
+pub mod judge;
+pub mod key;
+pub mod kind;
+pub mod limit;
+pub mod page;
+pub mod parcel;
+pub mod plan;
+pub mod report;
+pub mod score;
+pub mod setting;
+
+pub use case::Case;
+pub use impose::Effect;
+pub use judge::{Answer, judge};
+pub use key::{Key, Manifest};
+pub use kind::{Class, Kind};
+pub use plan::{Wanted, plan};
+pub use report::Report;
+pub use score::Score;

@@ -1,0 +1,217 @@
+//! Pages: a trial's score as one HTML file without scripts or anything from elsewhere.
+
+use super::interval::Rate;
+use super::score::{Bin, Miss, Score};
+use std::fmt::Write as _;
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}\
+table{border-collapse:collapse;margin:.5rem 0 1.5rem;font-variant-numeric:tabular-nums}\
+th,td{border-bottom:1px solid #ddd;padding:.2rem .7rem;text-align:right;white-space:nowrap}\
+th:first-child,td:first-child{text-align:left}th{border-bottom:2px solid #888}\
+td.right{background:#e6f4e6}td.wrong{background:#fbe9e7}code{font-size:90%}.wide{overflow-x:auto}";
+
+/// The page.
+#[must_use]
+pub fn page(score: &Score) -> String {
+    let mut out = String::new();
+    // Writing to a string never fails.
+    let _ = write!(
+        out,
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Trial of the diagnosis</title><style>{STYLE}</style>\
+         <h1>Trial of the diagnosis</h1><p>{} cases, seed {}, {}. Manifest, written before any diagnosis: SHA-256 \
+         <code>{}</code>.</p>",
+        score.cases,
+        score.seed,
+        escaped(&score.software),
+        escaped(&score.manifest_sha256)
+    );
+    out += "<h2>In short</h2><p>Effects of 1.5 times the study's 90&nbsp;% limit or above; intervals are Clopper and Pearson's, \
+            95&nbsp;%.</p>";
+    let rows =
+        score.named_rates().into_iter().map(|(_, meaning, rate)| vec![escaped(meaning), count(rate), percent(rate)]);
+    table(&mut out, &["", "cases", "share"], rows);
+    kinds(&mut out, score);
+    curves(&mut out, score);
+    confusion(&mut out, score);
+    out += "<h2>Stated confidence</h2>";
+    table(&mut out, &["confidence", "mean", "causes", "right"], score.reliability.iter().map(bin));
+    out += "<h2>Cases that went wrong</h2>";
+    table(&mut out, &["case", "has", "size/limit", "verdict", "named"], score.misses.iter().map(miss));
+    out + "</html>\n"
+}
+
+fn kinds(out: &mut String, score: &Score) {
+    *out += "<h2>By effect, alone in its case</h2>";
+    let rows = score.kinds.iter().map(|of| {
+        let spread = |map: &[(String, super::score::Spread)]| {
+            let told = |(name, spread): &(String, super::score::Spread)| {
+                format!("{} {:.3} ({:.3})", escaped(name), spread.median, spread.p90)
+            };
+            map.iter().map(told).collect::<Vec<_>>().join("<br>")
+        };
+        let location: Vec<_> = of.location.iter().map(|(name, spread)| ((*name).to_owned(), *spread)).collect();
+        let parameters: Vec<_> = of.parameters.iter().map(|(name, spread)| (name.clone(), *spread)).collect();
+        let first = if of.library { percent(of.right_first) } else { "–".to_owned() };
+        vec![
+            of.kind.name().to_owned(),
+            of.unknown.of.to_string(),
+            first,
+            of.equivalent.to_string(),
+            percent(of.unknown),
+            percent(of.spurious),
+            percent(of.channels_exact),
+            number(of.closed),
+            number(of.closed_of_truth),
+            spread(&location),
+            spread(&parameters),
+        ]
+    });
+    let head = [
+        "effect",
+        "cases",
+        "named first",
+        "equivalent",
+        "unknown",
+        "spurious",
+        "channels exact",
+        "closed",
+        "of the truth's",
+        "place: median (90 %)",
+        "parameters: relative, median (90 %)",
+    ];
+    table(out, &head, rows);
+}
+
+fn curves(out: &mut String, score: &Score) {
+    *out += "<h2>Detection by size over the limit</h2>";
+    let library = || score.kinds.iter().filter(|of| of.library);
+    let edges: Vec<String> = library()
+        .next()
+        .map(|of| of.curve.iter().map(|bin| format!("{}–{}", bin.from, bin.to)).collect())
+        .unwrap_or_default();
+    let mut head = vec!["effect"];
+    head.extend(edges.iter().map(String::as_str));
+    head.extend(["50 %", "90 %"]);
+    let rows = library().map(|of| {
+        let mut row = vec![of.kind.name().to_owned()];
+        row.extend(of.curve.iter().map(|bin| count(bin.right)));
+        row.extend([number(of.size_50), number(of.size_90)]);
+        row
+    });
+    table(out, &head, rows);
+}
+
+fn confusion(out: &mut String, score: &Score) {
+    *out += "<h2>First cause named</h2><p>Rows: what the case has. Columns: what was named first, or the verdict where nothing \
+             was.</p>";
+    let mut named: Vec<&String> = score.confusion.values().flat_map(|row| row.keys()).collect();
+    named.sort();
+    named.dedup();
+    *out += "<div class=\"wide\"><table><tr><th></th>";
+    for name in &named {
+        let _ = write!(out, "<th>{}</th>", escaped(name));
+    }
+    *out += "</tr>";
+    for (truth, row) in &score.confusion {
+        let effect = super::kind::Kind::from_name(truth).and_then(super::kind::Kind::effect);
+        let _ = write!(out, "<tr><td>{}</td>", escaped(truth));
+        for name in &named {
+            let right = match effect {
+                Some(effect) => effect == name.as_str(),
+                None if truth == "none" => ["no_gap", "parameters"].contains(&name.as_str()),
+                None => name.as_str() == "unknown_effect",
+            };
+            match row.get(*name) {
+                Some(count) => {
+                    let _ = write!(out, "<td class=\"{}\">{count}</td>", if right { "right" } else { "wrong" });
+                }
+                None => *out += "<td></td>",
+            }
+        }
+        *out += "</tr>";
+    }
+    *out += "</table></div>";
+}
+
+fn bin(bin: &Bin) -> Vec<String> {
+    vec![format!("{}–{}", bin.from, bin.to), number(bin.mean), bin.right.of.to_string(), percent(bin.right)]
+}
+
+fn miss(miss: &Miss) -> Vec<String> {
+    let kinds: Vec<&str> = miss.kinds.iter().map(|kind| kind.name()).collect();
+    let named = |cause: &super::judge::Named| {
+        let mark = if cause.right { "" } else { " (wrong)" };
+        format!("{}{mark} on {}", escaped(&cause.effect), escaped(&cause.channels.join(", ")))
+    };
+    let named: Vec<String> = miss.named.iter().map(named).collect();
+    let said = miss.refusal.as_ref().map_or_else(|| named.join("; "), |refusal| escaped(refusal));
+    vec![
+        miss.case.to_string(),
+        if kinds.is_empty() { "none".to_owned() } else { kinds.join(", ") },
+        number(miss.over_limit),
+        escaped(&miss.verdict),
+        said,
+    ]
+}
+
+fn table(out: &mut String, head: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+    *out += "<div class=\"wide\"><table><tr>";
+    for cell in head {
+        let _ = write!(out, "<th>{cell}</th>");
+    }
+    *out += "</tr>";
+    for row in rows {
+        let _ = write!(out, "<tr><td>{}</td></tr>", row.join("</td><td>"));
+    }
+    *out += "</table></div>";
+}
+
+/// So many of so many.
+fn count(rate: Rate) -> String {
+    if rate.of == 0 { "–".to_owned() } else { format!("{}/{}", rate.count, rate.of) }
+}
+
+/// A share with its interval, in percent.
+#[must_use]
+pub fn percent(rate: Rate) -> String {
+    match (rate.share, rate.ci95) {
+        (Some(share), Some([low, high])) => {
+            format!("{:.1} % ({:.1}–{:.1})", 100.0 * share, 100.0 * low, 100.0 * high)
+        }
+        _ => "–".to_owned(),
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"))
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trial::case::Case;
+    use crate::trial::judge::{Answer, judge};
+    use crate::trial::kind::Kind;
+
+    #[test]
+    fn a_page_has_every_part_and_nothing_from_elsewhere() {
+        let refused = Answer { report: Err("<b>no</b>".to_owned()), closed_by_truth: None };
+        let judged: Vec<_> = [&[Kind::Tone][..], &[], &[Kind::Echo]]
+            .into_iter()
+            .enumerate()
+            .map(|(case, kinds)| judge(&Case::draw(1, case, kinds, 1).unwrap().key(), &refused))
+            .collect();
+        let page = page(&Score::of("vn100d <test>", 7, "ab12", &judged));
+        for part in
+            ["In short", "By effect", "Detection", "First cause named", "Stated confidence", "went wrong", "ab12"]
+        {
+            assert!(page.contains(part), "{part}");
+        }
+        assert!(!page.contains("<b>no</b>") && !page.contains("<script") && !page.contains("http"));
+        assert_eq!(page.matches("<table>").count(), page.matches("</table>").count());
+    }
+}

@@ -1,0 +1,175 @@
+//! Settings: the device of a sealed case, its record's shape, and the model that somebody wrote of it.
+
+use super::draw::Draw;
+use super::ground::TemperatureCourse;
+use super::kind::Kind;
+use crate::sample::{Channel, Triad};
+use crate::simulator::{ChannelModel, SensorModel};
+use std::collections::BTreeMap;
+
+/// A channel of the device: what is true and what its model says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
+pub struct Part {
+    /// The channel.
+    pub channel: Channel,
+    /// Its level, U.
+    pub level: f64,
+    /// N, B, K as they are (contract, section 5).
+    pub true_nbk: [f64; 3],
+    /// And as the model has them.
+    pub told_nbk: [f64; 3],
+    /// The bias that the model states, U, if it does.
+    pub told_bias: Option<f64>,
+}
+
+/// A device at rest and the shape of its record.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
+pub struct Setting {
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Samples per channel.
+    pub samples: usize,
+    /// The channels, in column order.
+    pub parts: Vec<Part>,
+    /// The temperature, where it is measured.
+    pub temperature: Option<TemperatureCourse>,
+    /// Whether samples have stamps, and the first one, s.
+    pub first_stamp_s: Option<f64>,
+}
+
+/// Lengths in s and rates in Hz between which cases lie.
+const LENGTH_S: [f64; 2] = [27.0 * 60.0, 5.0 * 3600.0];
+const RATE_HZ: [f64; 2] = [40.0, 200.0];
+/// Share of the cases with six channels instead of two.
+const SIX: f64 = 0.3;
+/// Share of the cases with a measured temperature, where none is needed.
+const WARM: f64 = 0.8;
+/// How far a model's N, B and K are off at most.
+const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+
+/// A number between two whose density falls as its cube: most are near the lower one, so that thousands of cases can be run.
+fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
+    draw.uniform(high.powi(-2), low.powi(-2)).powf(-0.5)
+}
+
+impl Part {
+    /// Standard deviation of the white part per sample, U.
+    #[must_use]
+    pub fn white(&self, rate_hz: f64) -> f64 {
+        self.true_nbk[0] * rate_hz.sqrt()
+    }
+
+    /// Step of the random walk per sample, U.
+    #[must_use]
+    pub fn walk(&self, rate_hz: f64) -> f64 {
+        self.true_nbk[2] / rate_hz.sqrt()
+    }
+
+    fn draw(channel: Channel, rate_hz: f64, draw: &mut Draw) -> Self {
+        // N of a VN-100 in its units (data sheet), its level at rest, and how far both go from device to device.
+        let (density, level) = match channel.triad() {
+            Some(Triad::Gyro) => (6e-5, 0.003 * draw.normal()),
+            Some(Triad::Accel) => (1.4e-3, draw.uniform(-9.9, 9.9)),
+            _ => (1.4e-4, draw.uniform(-0.5, 0.5)),
+        };
+        let n = density * draw.log_uniform(0.25, 6.0);
+        let white = n * rate_hz.sqrt();
+        // As in the study, in units of the white part per sample.
+        let b = 0.063 * white * draw.log_uniform(0.5, 2.0);
+        let k = 8e-4 * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
+        let true_nbk = [n, b, k];
+        let mut told_nbk = true_nbk;
+        for (told, off) in told_nbk.iter_mut().zip(OFF) {
+            *told *= 1.0 + draw.uniform(-off, off);
+        }
+        let told_bias = draw.chance(0.2).then(|| level + 20.0 * white * draw.normal());
+        Self { channel, level, true_nbk, told_nbk, told_bias }
+    }
+}
+
+impl Setting {
+    /// One that these kinds can be imposed on.
+    #[must_use]
+    pub fn draw(kinds: &[Kind], device: &mut Draw) -> Self {
+        let rate_hz = mostly_low(device, RATE_HZ);
+        let samples = (mostly_low(device, LENGTH_S) * rate_hz) as usize;
+        let mut channels: Vec<Channel> = Channel::ANALYSED.to_vec();
+        device.shuffle(&mut channels);
+        channels.truncate(if device.chance(SIX) { 6 } else { 2 });
+        channels.sort_unstable();
+        let parts = channels.into_iter().map(|channel| Part::draw(channel, rate_hz, device)).collect();
+        let needed = kinds.iter().any(|kind| kind.needs_temperature());
+        let measured = device.chance(WARM) || needed;
+        let temperature = TemperatureCourse::draw(device);
+        let stamped = device.chance(0.5) || kinds.contains(&Kind::Timing);
+        let first_stamp_s = device.uniform(0.0, 5000.0);
+        Self {
+            rate_hz,
+            samples,
+            parts,
+            temperature: measured.then_some(temperature),
+            first_stamp_s: stamped.then_some(first_stamp_s),
+        }
+    }
+
+    /// The record's length, s.
+    #[must_use]
+    pub fn length_s(&self) -> f64 {
+        self.samples as f64 / self.rate_hz
+    }
+
+    /// The model as somebody wrote it: N, B and K a little wrong, no effects.
+    #[must_use]
+    pub fn model(&self) -> SensorModel {
+        self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)
+    }
+
+    /// The model with the true N, B, K and levels, without effects.
+    #[must_use]
+    pub fn true_model(&self) -> SensorModel {
+        self.model_with("as it is", |part| part.true_nbk, |part| Some(part.level))
+    }
+
+    fn model_with(
+        &self,
+        name: &str,
+        nbk: impl Fn(&Part) -> [f64; 3],
+        bias: impl Fn(&Part) -> Option<f64>,
+    ) -> SensorModel {
+        let channel = |part: &Part| {
+            let [n, b, k] = nbk(part);
+            (part.channel, ChannelModel { n, b, k, bias: bias(part), ..ChannelModel::default() })
+        };
+        let channels: BTreeMap<_, _> = self.parts.iter().map(channel).collect();
+        SensorModel { name: name.to_owned(), rate_hz: self.rate_hz, channels, ..SensorModel::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_stay_in_their_ranges_and_are_nothing_special() {
+        let all: Vec<Setting> =
+            (0..400).map(|case| Setting::draw(&[], &mut Draw::device(3, case, "setting"))).collect();
+        for setting in &all {
+            assert!((LENGTH_S[0] - 1.0..=LENGTH_S[1]).contains(&setting.length_s()));
+            assert!((RATE_HZ[0]..=RATE_HZ[1]).contains(&setting.rate_hz));
+            for part in &setting.parts {
+                for ((told, truth), off) in part.told_nbk.iter().zip(part.true_nbk).zip(OFF) {
+                    assert!((told / truth - 1.0).abs() <= off);
+                }
+            }
+            assert!(setting.model().check(setting.rate_hz).is_ok());
+        }
+        let share = |of: &dyn Fn(&Setting) -> bool| all.iter().filter(|setting| of(setting)).count() as f64 / 400.0;
+        assert!((share(&|setting| setting.samples % 2 == 1) - 0.5).abs() < 0.1);
+        assert!((share(&|setting| setting.parts.len() == 6) - SIX).abs() < 0.1);
+        assert!(share(&|setting| setting.temperature.is_some()) < 0.9);
+        let mean = all.iter().map(|setting| setting.samples).sum::<usize>() / all.len();
+        assert!((120_000..300_000).contains(&mean), "{mean}");
+    }
+}
