@@ -69,7 +69,7 @@ impl Term {
             Shape::GaussMarkov => vec![level, ((6.0 / rate_hz).ln(), longest.max((12.0 / rate_hz).ln()))],
             Shape::Resonance => vec![
                 level,
-                (0.002 * rate_hz, 0.499 * rate_hz),
+                (0.002 * rate_hz, 0.4999 * rate_hz),
                 ((2.0 * rate_hz / samples as f64).max(1e-4 * rate_hz).ln(), (0.15 * rate_hz).ln()),
             ],
             Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), (-18.0, 4.0)],

@@ -8,7 +8,7 @@ use super::grid::Grid;
 use super::law::{Base, Beliefs, Law};
 use super::recording::Recording;
 use super::transform::Cosines;
-use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
+use crate::effects::{At, Effect, Flicker, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::BTreeMap;
@@ -378,6 +378,20 @@ fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
     }
 }
 
+/// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. Where it is decimated
+/// [`Spectrum`] folds it.
+fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
+    let rate_hz = grid.rate_hz();
+    let levels: [&dyn Effect; 3] = [&White { n: model.n }, &Flicker { b: model.b }, &RandomWalk { k: model.k }];
+    let of = |f: &f64| {
+        let psd = |effect: &dyn Effect| effect.psd(*f, rate_hz).unwrap_or(0.0);
+        let noise = model.effects.iter().filter(|effect| effect.stage() == Stage::Noise).map(|effect| psd(&**effect));
+        let gain: f64 = model.effects.iter().map(|effect| effect.power_gain(*f, rate_hz)).product();
+        rate_hz * gain * (levels.into_iter().map(psd).sum::<f64>() + noise.sum::<f64>())
+    };
+    grid.frequencies_hz().iter().map(of).collect()
+}
+
 /// The shapes of a channel's spectrum on a grid, in the series' scale.
 #[must_use]
 pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
@@ -387,6 +401,9 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
     let filters: Vec<Arc<dyn Effect>> =
         effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth).cloned().collect();
     let shape = |model: ChannelModel| -> Vec<f64> {
+        if sim.sampling.is_none() {
+            return plain_shape(&model, grid);
+        }
         let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..sim.clone() };
         let spectrum = Spectrum::new(&alone, channel, record);
         grid.frequencies_hz().iter().map(|f| sim.rate_hz * spectrum.psd(*f).unwrap_or(0.0)).collect()

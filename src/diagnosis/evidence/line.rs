@@ -6,21 +6,15 @@ use crate::diagnosis::grid::{Grid, Narrow};
 use crate::diagnosis::law::{Data, Shape, Term};
 use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
-use realfft::RealFftPlanner;
 
 /// Sines are looked for from this many periods in the record up.
 const LEAST_PERIODS: f64 = 12.0;
 
-/// The strongest line of a series' residual: its gain in nats at the present law, and its frequency in cycles per sample.
-fn strongest(residual: &[f64]) -> Option<(f64, f64)> {
-    let n = residual.len();
-    let mut planner = RealFftPlanner::new();
-    let plan = planner.plan_fft_forward(2 * n);
-    let (mut input, mut output) = (plan.make_input_vec(), plan.make_output_vec());
-    input[..n].copy_from_slice(residual);
-    plan.process(&mut input, &mut output).ok()?;
+/// The strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in cycles per sample.
+fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
+    let n = periodogram.len().checked_sub(1)?;
     let from = (2.0 * LEAST_PERIODS) as usize;
-    let power = |k: usize| output[k].norm_sqr() / n as f64;
+    let power = |k: usize| periodogram[k];
     let k = (from..n.saturating_sub(2)).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
     // A parabola through ln of the power, then its top.
     let (left, middle, right) = (power(k - 1).ln(), power(k).ln(), power(k + 1).ln());
@@ -61,7 +55,10 @@ fn peak(values: &[f64], cycles: f64) -> f64 {
 #[must_use]
 pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let n = series.len();
-    let (power, cycles) = strongest(&series.residual)?;
+    let residual = std::mem::take(&mut series.residual);
+    let periodogram = series.transform().periodogram(&residual);
+    series.residual = residual;
+    let (power, cycles) = strongest(&periodogram)?;
     let mut explanation = series.explanation.clone();
     if power < 10.0 {
         return Some(Candidate { kind: Kind::Tone, gain: power, explanation });

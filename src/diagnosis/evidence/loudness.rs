@@ -8,6 +8,8 @@ use nalgebra::{DMatrix, DVector};
 /// Squares above this say nothing about a variance that changes slowly: they are outliers.
 const LARGEST: f64 = 16.0;
 
+/// Shortest stretch, samples.
+const SHORTEST: usize = 6;
 /// A quiet stretch is as long at least: a few rounded values are easily equal.
 const SHORTEST_QUIET: usize = 128;
 
@@ -121,14 +123,24 @@ impl Sums {
         let quiet = sum < (to - from) as f64 && to - from < SHORTEST_QUIET;
         if quiet { 0.0 } else { gain(sum, to - from) }
     }
-    /// The ratio of variances inside and outside, and the gain of having both, by the squares as they are.
-    fn split(&self, from: usize, to: usize) -> (f64, f64) {
+    /// The variance inside, its ratio to that outside, and the gain of having both, by the squares as they are.
+    fn split(&self, from: usize, to: usize) -> (f64, f64, f64) {
         let all = self.whole.len() - 1;
         let (inside, whole) = (self.whole[to] - self.whole[from], self.whole[all]);
         let (count, rest) = ((to - from) as f64, (all - (to - from)) as f64);
         let (own, other) = (inside / count, (whole - inside) / rest);
         let mean = whole / all as f64;
-        (own / other, 0.5 * (all as f64 * mean.ln() - count * own.max(1e-9).ln() - rest * other.max(1e-9).ln()))
+        (own, own / other, 0.5 * (all as f64 * mean.ln() - count * own.max(1e-9).ln() - rest * other.max(1e-9).ln()))
+    }
+    /// Whether a stretch is loud throughout and not by a few outliers: a normal distribution's small values are as rare as its
+    /// variance says. A quiet one has to be long: a few rounded values are easily equal.
+    fn genuine(&self, from: usize, to: usize, own: f64, ratio: f64) -> bool {
+        if ratio < 1.0 {
+            return to - from >= SHORTEST_QUIET;
+        }
+        let expected = statrs::function::erf::erf((0.5 / own).sqrt());
+        let spread = (expected * (1.0 - expected) / (to - from) as f64).sqrt();
+        self.small(from, to) < expected + 4.0 * spread + 0.1 * (0.683 - expected)
     }
     /// Share of samples within 1 of 0: 0.683 of a standard normal's.
     fn small(&self, from: usize, to: usize) -> f64 {
@@ -158,7 +170,8 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
     /// Nats of a stretch's two ends and ratio, before the record's length.
     const PRICE: f64 = 3.0;
     const MOST: usize = 40;
-    const SHORTEST: usize = 6;
+    const MOST_OF_RECORD: f64 = 0.2;
+    const REFUSED: usize = 6;
     let n = series.len();
     if n < 8 * SHORTEST || series.explanation.scedasticity.is_some() {
         return None;
@@ -167,6 +180,8 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
     let residual = series.scores().into_owned();
     let mut total = 0.0;
     let mut found: Vec<Loud> = Vec::new();
+    // Places that look loud by a few values: they do not keep others from being found.
+    let mut refused: Vec<(usize, usize)> = Vec::new();
     while found.len() < MOST {
         // What is found already is brought to the level of the rest, and that to 1.
         let level = level(&residual, &found);
@@ -176,28 +191,39 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
             loud.ratio = inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64;
             inside.iter_mut().for_each(|e| *e /= loud.ratio.sqrt());
         }
+        for (from, to) in &refused {
+            even[*from..*to].fill(1.0);
+        }
         let sums = Sums::of(&even);
         let limited = sums.limited[n] / n as f64;
-        let Some((from, to)) = loudest(&sums, n, limited, SHORTEST) else { break };
-        let (ratio, gain) = sums.split(from, to);
-        // Loud throughout, not a few outliers: a normal distribution's small values are as rare as its variance says.
-        let small = sums.small(from, to);
-        let expected = statrs::function::erf::erf((0.5 / ratio).sqrt());
-        let spread = (expected * (1.0 - expected) / (to - from) as f64).sqrt();
-        let genuine = if ratio < 1.0 {
-            to - from >= SHORTEST_QUIET
-        } else {
-            small < expected + 4.0 * spread + 0.1 * (0.683 - expected)
-        };
+        let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };
+        let (mut own, mut ratio, mut gain) = sums.split(from, to);
+        let mut genuine = sums.genuine(from, to, own, ratio);
+        // Several bursts with quiet between them are not one: the loudest part of it.
+        while !genuine && to - from >= 4 * SHORTEST {
+            let Some(part) = loudest(&sums, from..to, (to - from) / 2, limited) else { break };
+            (from, to) = part;
+            (own, ratio, gain) = sums.split(from, to);
+            genuine = sums.genuine(from, to, own, ratio);
+        }
         let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
-        if !genuine || gain < price.max(8.0) {
-            if found.is_empty() {
-                total = if genuine { gain } else { 0.0 };
+        if gain < price.max(8.0) || (!genuine && refused.len() >= REFUSED) {
+            if found.is_empty() && genuine {
+                total = gain;
             }
             break;
         }
+        if !genuine {
+            refused.push((from, to));
+            continue;
+        }
         total += gain - price;
         found.push(Loud { from, to, ratio });
+    }
+    // Where a good part of the record is loud, nothing is quiet enough to be called its noise.
+    let share = found.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
+    if found.len() > 1 && share > MOST_OF_RECORD {
+        return None;
     }
     let long = found.len() == 1 && (found[0].to - found[0].from >= n / 50 || found[0].ratio < 1.0);
     explanation.loud.extend(found);
@@ -205,13 +231,14 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.
-fn loudest(sums: &Sums, n: usize, level: f64, shortest: usize) -> Option<(usize, usize)> {
+fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f64) -> Option<(usize, usize)> {
     let mut best: (f64, usize, usize) = (0.0, 0, 0);
-    let mut length = shortest;
-    while length <= n * 9 / 10 {
+    let (first, end) = (within.start, within.end);
+    let mut length = SHORTEST;
+    while length <= longest {
         let step = (length / 4).max(1);
-        let mut from = 0;
-        while from + length <= n {
+        let mut from = first;
+        while from + length <= end {
             let gain = sums.gain(from, from + length, level);
             if gain > best.0 {
                 best = (gain, from, from + length);
@@ -227,12 +254,12 @@ fn loudest(sums: &Sums, n: usize, level: f64, shortest: usize) -> Option<(usize,
     loop {
         let mut moved = false;
         for (from, to) in [
-            (best.1.saturating_sub(step), best.2),
+            (best.1.saturating_sub(step).max(first), best.2),
             (best.1 + step, best.2),
-            (best.1, (best.2 + step).min(n)),
+            (best.1, (best.2 + step).min(end)),
             (best.1, best.2.saturating_sub(step)),
         ] {
-            if to >= from + shortest {
+            if to >= from + SHORTEST && to - from <= longest {
                 let gain = sums.gain(from, to, level);
                 if gain > best.0 {
                     best = (gain, from, to);

@@ -155,18 +155,32 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     if explanation.tails.is_some() {
         return None;
     }
-    let squares: Vec<f64> = series.residual.iter().map(|e| e * e).collect();
-    let n = squares.len() as f64;
-    let plain = squares.iter().sum::<f64>() / n;
+    // A histogram of fine bins stands for the squares: ln(1 + a/νs) is smooth.
+    const PER_UNIT: f64 = 24.0;
+    let mut histogram: Vec<(f64, f64)> = Vec::new();
+    for e in &series.residual {
+        let square = e * e;
+        let bin = ((1.0 + square).ln() * PER_UNIT) as usize;
+        if bin >= histogram.len() {
+            histogram.resize(bin + 1, (0.0, 0.0));
+        }
+        histogram[bin].0 += 1.0;
+        histogram[bin].1 += square;
+    }
+    // Count and mean of each bin.
+    let squares: Vec<(f64, f64)> =
+        histogram.into_iter().filter(|(count, _)| *count > 0.0).map(|(count, sum)| (count, sum / count)).collect();
+    let n = series.residual.len() as f64;
+    let plain = squares.iter().map(|(count, a)| count * a).sum::<f64>() / n;
     let reference: f64 = -0.5 * n * (1.0 + plain.ln());
     let of = |degrees: f64| -> f64 {
         let mut scale = plain * (1.0 - 2.0 / degrees).max(0.3);
-        for _ in 0..4 {
-            let weighted = |a: &f64| a * (degrees + 1.0) / (degrees + a / scale);
+        for _ in 0..6 {
+            let weighted = |(count, a): &(f64, f64)| count * a * (degrees + 1.0) / (degrees + a / scale);
             scale = squares.iter().map(weighted).sum::<f64>() / n;
         }
         let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
-        let sum: f64 = squares.iter().map(|a| (a / (degrees * scale)).ln_1p()).sum();
+        let sum: f64 = squares.iter().map(|(count, a)| count * (a / (degrees * scale)).ln_1p()).sum();
         n * constant - 0.5 * (degrees + 1.0) * sum - reference
     };
     let start = DEGREES.into_iter().map(|degrees| (of(degrees), degrees)).max_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -68,6 +68,7 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
         return None;
     }
+    const HOPELESS: f64 = 3.0;
     let rate_hz = series.setting().rate_hz;
     let of = |order: u64| {
         let starts = [0.15, 0.4].map(|share| vec![(share * rate_hz).ln(), white(series) - 6.0]);
@@ -75,6 +76,10 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     };
     let mut best = of(1)?;
     for order in [2, 3, 4] {
+        if best.0 < HOPELESS {
+            // No filter looks like no filter of any order.
+            break;
+        }
         let other = of(order)?;
         if other.0 <= best.0 {
             break;
