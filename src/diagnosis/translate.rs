@@ -135,7 +135,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
             let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
             // An end is where the likelihood of either side is lost in chance.
             let information = 0.5 * (one.ratio.max(1.0 / one.ratio).sqrt().ln() * 2.0).powi(2).max(1e-3);
-            let end = (5.5 / information + 1.0) / NORMAL_95 / rate_hz;
+            let end = (8.0 / information + 1.0) / NORMAL_95 / rate_hz;
             let factor = (0.5 / (one.to - one.from) as f64).sqrt();
             let ci95 = vec![
                 ("from_s", about(from_s, end)),

@@ -6,6 +6,7 @@ mod bad_input;
 #[path = "../world/bag.rs"]
 mod bag;
 mod demo;
+mod diagnosis;
 mod docs;
 mod imports;
 mod night;

@@ -1,0 +1,121 @@
+//! The diagnosis from the command line: what a model lacks is named, added, and gone; taken out it is back.
+
+use crate::world::vn100d;
+use serde_json::{Value, json};
+use std::path::Path;
+
+fn model(folder: &Path, name: &str, channels: &Value) -> String {
+    let model = json!({"format": "vn100d-sensor-model-1", "name": name, "rate_hz": 40, "channels": channels});
+    write(folder, &format!("{name}.json"), &model.to_string())
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+fn done(arguments: &[&str]) -> String {
+    let ended = vn100d(arguments);
+    assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    String::from_utf8(ended.stdout).unwrap()
+}
+
+fn diagnosed(real: &str, sim: &str, more: &[&str]) -> Value {
+    let arguments = [&["--json", "diagnose", "--real", real, "--sim", sim][..], more].concat();
+    serde_json::from_str(&done(&arguments)).unwrap()
+}
+
+fn effects(of: &Value) -> Vec<&str> {
+    of["causes"].as_array().unwrap().iter().map(|cause| cause["effect"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let plain = json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}, "accel_z": {"N": 0.002, "B": 4e-4, "K": 2e-5, "bias": -9.8}});
+    let mut rich = plain.clone();
+    rich["accel_z"]["effects"] =
+        json!([{"effect": "resonance", "frequency_hz": 9.1, "bandwidth_hz": 0.5, "sigma": 0.004}]);
+    rich["gyro_x"]["effects"] = json!([{"effect": "spikes", "rate_hz": 0.05, "amplitude": 0.006}]);
+    let (plain, rich) = (model(folder.path(), "plain", &plain), model(folder.path(), "rich", &rich));
+    let (real, better) = (path("real.csv"), path("better.json"));
+    done(&["simulate", "--model", &rich, "--duration", "20min", "--seed", "5", "--out", &real]);
+    let found = diagnosed(&real, &plain, &["--augmented-model", &better]);
+    assert_eq!(found["format"], "vn100d-diagnosis-1");
+    assert_eq!(found["verdict"], "effects", "{found:#}");
+    let mut names = effects(&found);
+    names.sort_unstable();
+    assert_eq!(names, ["resonance", "spikes"], "{found:#}");
+    for cause in found["causes"].as_array().unwrap() {
+        let channel = if cause["effect"] == "spikes" { "gyro_x" } else { "accel_z" };
+        assert_eq!(cause["channels"], json!([channel]));
+        assert!(cause["confidence"].as_f64().unwrap() > 0.9 && !cause["evidence"].as_array().unwrap().is_empty());
+    }
+    assert!(found["discrepancy"]["closed"].as_f64().unwrap() > 0.9, "{found:#}");
+    let place = &found["where"][0];
+    assert!(place["band_hz"][0].as_f64().unwrap() < 9.5 && place["band_hz"][1].as_f64().unwrap() > 8.7, "{found:#}");
+    // What the corrected model makes is what it says.
+    let again = path("again.csv");
+    done(&["simulate", "--model", &better, "--duration", "20min", "--seed", "6", "--out", &again]);
+    let closed = diagnosed(&again, &better, &[]);
+    assert_eq!((closed["verdict"].as_str(), effects(&closed)), (Some("no_gap"), vec![]), "{closed:#}");
+    // And the recording itself is.
+    let closed = diagnosed(&real, &better, &[]);
+    assert_eq!(effects(&closed), Vec::<&str>::new(), "{closed:#}");
+    assert_ne!(closed["verdict"], "unknown_effect", "{closed:#}");
+    // Without a cause it is named again.
+    let mut less: Value = serde_json::from_str(&std::fs::read_to_string(&better).unwrap()).unwrap();
+    less["channels"]["accel_z"]["effects"] = json!([]);
+    less["channels"]["accel_z"].as_object_mut().unwrap().remove("uncertainty");
+    let less = write(folder.path(), "less.json", &less.to_string());
+    let open = diagnosed(&again, &less, &[]);
+    assert_eq!(effects(&open), ["resonance"], "{open:#}");
+    // A person gets one sentence first.
+    let said = done(&["diagnose", "--real", &real, "--sim", &plain]);
+    assert!(said.lines().next().unwrap().contains("that the model lacks"), "{said}");
+}
+
+#[test]
+fn what_is_merely_off_is_no_cause_and_another_simulators_recording_is_as_good_as_its_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let channel = |n: f64| json!({"gyro_y": {"N": n, "B": 2e-5, "K": 1e-6}});
+    let told = model(folder.path(), "told", &channel(1e-4));
+    let true_one = model(folder.path(), "true", &channel(1.2e-4));
+    let (real, other) = (path("real.csv"), path("other.csv"));
+    done(&["simulate", "--model", &true_one, "--duration", "20min", "--seed", "8", "--out", &real]);
+    done(&["simulate", "--model", &true_one, "--duration", "20min", "--seed", "9", "--out", &other]);
+    let off = diagnosed(&real, &told, &[]);
+    assert_eq!((off["verdict"].as_str(), effects(&off)), (Some("parameters"), vec![]), "{off:#}");
+    let n = off["parameters"].as_array().unwrap().iter().find(|one| one["parameter"] == "N").unwrap();
+    assert!((n["ratio"].as_f64().unwrap() / 1.2 - 1.0).abs() < 0.02, "{n}");
+    let same = diagnosed(&real, &other, &[]);
+    assert_eq!((same["verdict"].as_str(), effects(&same)), (Some("no_gap"), vec![]), "{same:#}");
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused_in_one_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulator = model(folder.path(), "m", &json!({"gyro_x": {"N": 1e-4}, "gyro_y": {"N": 1e-4}}));
+    let noise = |index: u32| 1e-3 * (f64::from(index) * 12.9898).sin() * 43758.5453 % 1e-3;
+    let csv = |name: &str, rows: u32, values: &dyn Fn(u32) -> String, header: &str| {
+        let lines: String = (0..rows).map(|i| format!("{:.3},{}\n", f64::from(i) / 40.0, values(i))).collect();
+        write(folder.path(), name, &format!("time_s,{header}\n{lines}"))
+    };
+    let both = |i: u32| format!("{:.9},{:.9}", noise(i), noise(i + 7));
+    for (file, part) in [
+        (csv("short.csv", 400, &both, "gyro_x_rad_s,gyro_y_rad_s"), "400 samples; at least 1000"),
+        (csv("one.csv", 2000, &|i| format!("{:.9}", noise(i)), "gyro_x_rad_s"), "no gyro_y, which the model has"),
+        (
+            csv("constant.csv", 2000, &|i| format!("{:.9},0.25", noise(i)), "gyro_x_rad_s,gyro_y_rad_s"),
+            "gyro_y shows the same value throughout, 0.25",
+        ),
+    ] {
+        let ended = vn100d(&["diagnose", "--real", &file, "--sim", &simulator]);
+        let said = String::from_utf8(ended.stderr).unwrap();
+        assert!(!ended.status.success() && said.contains(part) && said.trim().lines().count() == 1, "{file}: {said}");
+        assert!(ended.stdout.is_empty());
+    }
+}
