@@ -8,13 +8,14 @@ use super::omnibus::Statistic;
 use super::prices;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Parameter, Place, Verdict};
+use super::shared::Shared;
 use super::tiles::Rectangle;
 use super::translate::{self, Translated, Units};
 use crate::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Stream, StreamId, Timing};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// A rounding is worth naming from this part of the white noise's standard deviation on.
@@ -54,7 +55,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
     }
-    let remains = remains(found, &named, options);
+    let remains = remains(found, &named);
     let parameters = parameters(found, real, sim);
     let verdict = match (&remains.worst, named.is_empty(), parameters.iter().any(|of| of.parameter != "bias")) {
         (Some(_), ..) => Verdict::UnknownEffect,
@@ -63,7 +64,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         (None, true, false) => Verdict::NoGap,
     };
     let discrepancy = discrepancy(found, &named, remains.p_value);
-    let total: f64 = named.iter().map(|of| of.gain).sum();
+    let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
     let places = places(found, &named, verdict);
@@ -202,26 +203,27 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 
 /// Noise that channels share.
 fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
-    let Some(shared) = &found.shared else { return Vec::new() };
     let mut named = Vec::new();
-    for ((index, part), error) in shared.parts.iter().zip(&shared.errors) {
-        let of = &found.channels[*index];
-        let has = sim.channels.get(&of.prepared.channel);
-        if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
-            return Vec::new();
+    for shared in &found.shared {
+        for ((index, part), error) in shared.parts.iter().zip(&shared.errors) {
+            let of = &found.channels[*index];
+            let has = sim.channels.get(&of.prepared.channel);
+            if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
+                return Vec::new();
+            }
+            named.push(Named {
+                channel: of.prepared.channel,
+                effect: Arc::new(CommonMode { sigma: part * of.white }),
+                gain: shared.gain / shared.parts.len() as f64,
+                confidence: 0.99,
+                evidence: vec![format!(
+                    "{}: {:.1} % of the white noise's variance is shared with other channels",
+                    of.prepared.channel,
+                    100.0 * part * part
+                )],
+                ci95: vec![("sigma", [-1.96, 1.96].map(|far| (part + far * error) * of.white))],
+            });
         }
-        named.push(Named {
-            channel: of.prepared.channel,
-            effect: Arc::new(CommonMode { sigma: part * of.white }),
-            gain: shared.gain / shared.parts.len() as f64,
-            confidence: 0.99,
-            evidence: vec![format!(
-                "{}: {:.1} % of the white noise's variance is shared with other channels",
-                of.prepared.channel,
-                100.0 * part * part
-            )],
-            ci95: vec![("sigma", [-1.96, 1.96].map(|far| (part + far * error) * of.white))],
-        });
     }
     named
 }
@@ -297,8 +299,7 @@ struct Remains {
     p_value: f64,
 }
 
-fn remains(found: &Found, named: &[Named], options: &Options<'_>) -> Remains {
-    let _ = options;
+fn remains(found: &Found, named: &[Named]) -> Remains {
     let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
     let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
     for of in &found.channels {
@@ -337,7 +338,11 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
                 continue;
             };
             let (found, spread) = (fitted.law.levels[level], variance.max(0.0).sqrt());
-            let capture = (0.5 * found).exp() * of.prepared.scale;
+            // N is the white noise where nothing changes its variance.
+            let changed = if level == 0 { of.average_variance.ln() } else { 0.0 };
+            let found = found - changed;
+            let shift = if level == 0 { of.prepared.white_shift } else { 0.0 };
+            let capture = (0.5 * (found - shift)).exp() * of.prepared.scale;
             let declared = of.prepared.declared.levels[level];
             let certain = spread < 1.0;
             if certain && (found - declared).abs() > OFF * spread {
@@ -349,17 +354,15 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             }
         }
     }
-    if let Some(stamps) = (real.time_s.len() == real.len())
-        .then(|| facts::stamps(&real.time_s, 0..real.len()))
-        .flatten()
-        .filter(|stamps| (stamps.rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF)
-    {
+    let stamps = (real.time_s.len() == real.len()).then(|| facts::stamps(&real.time_s, 0..real.len())).flatten();
+    let rate_hz = stamps.map_or(real.rate_hz, |stamps| stamps.rate_hz);
+    if (rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF {
         off.push(Parameter {
             channel: "sensor".to_owned(),
             parameter: "rate_hz",
             model: sim.rate_hz,
-            capture: stamps.rate_hz,
-            ratio: Some(stamps.rate_hz / sim.rate_hz),
+            capture: rate_hz,
+            ratio: Some(rate_hz / sim.rate_hz),
             ci95: None,
         });
     }
@@ -374,9 +377,10 @@ fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepanc
     let blocks = |which: fn(&Findings) -> &Vec<f64>| -> Vec<f64> {
         (0..BLOCKS).map(|block| found.channels.iter().map(|of| which(of)[block]).sum::<f64>()).collect()
     };
-    let shared = found.shared.as_ref().filter(|_| named.iter().any(|of| of.effect.name() == "common_mode"));
+    let common = named.iter().any(|of| of.effect.name() == "common_mode");
     // What correlation gives is the same in every block.
-    let more = shared.map_or(0.0, |shared| 0.5 * shared.gain / BLOCKS as f64);
+    let shared: f64 = found.shared.iter().filter(|_| common).map(|shared| shared.gain).sum();
+    let more = 0.5 * shared / BLOCKS as f64;
     let declared = blocks(|of| &of.scores.declared);
     let parameters = blocks(|of| &of.scores.parameters);
     let effects: Vec<f64> = blocks(|of| &of.scores.effects).into_iter().map(|sum| sum + more).collect();
@@ -424,6 +428,11 @@ fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepanc
     }
 }
 
+/// Whether an effect is read off the values and stamps: what it does is left out of all densities alike.
+fn is_fact(of: &Named) -> bool {
+    matches!(of.effect.name(), "resolution" | "saturation" | "held_samples" | "timing")
+}
+
 /// The same effect on several channels is one cause.
 fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
     let mut groups: BTreeMap<&'static str, Vec<&Named>> = BTreeMap::new();
@@ -456,13 +465,14 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
             });
             let confidence = group.iter().map(|of| of.confidence).fold(0.0, f64::max);
             let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
-            evidence.dedup();
+            let mut said = BTreeSet::new();
+            evidence.retain(|sentence| said.insert(sentence.clone()));
             let cause = Cause {
                 effect,
                 triad: None,
                 channels,
                 confidence,
-                closes: closed.map(|closed| closed * gain / total),
+                closes: closed.filter(|_| group.iter().all(|of| !is_fact(of))).map(|closed| closed * gain / total),
                 parameters: parameters.collect(),
                 uncertainty,
                 evidence,
@@ -498,8 +508,10 @@ fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
     let mut list: Vec<(f64, Alternative)> = best
         .into_iter()
         .map(|(effect, (score, lead, winner, channels))| {
-            let why_not =
-                format!("{} explains {lead:.0} nats more, and with it nothing of this is left", winner.effect());
+            let why_not = match lead >= 0.0 {
+                true => format!("{} explains {lead:.0} nats more", winner.effect()),
+                false => format!("{} is simpler and explains only {:.0} nats less", winner.effect(), -lead),
+            };
             (score, Alternative { effect, channels, closes: None, why_not })
         })
         .collect();
@@ -556,7 +568,7 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
         let Some(channel) = model.channels.get_mut(&of.prepared.channel) else { continue };
         let level = |index: usize| (0.5 * of.explanation.law.levels[index]).exp() * of.prepared.scale;
         // The law's level is an average; the model's N is that where nothing changes the variance.
-        channel.n = level(0) / of.average_variance.sqrt();
+        channel.n = level(0) / of.average_variance.sqrt() / (0.5 * of.prepared.white_shift).exp();
         // Levels that are nowhere seen are none.
         let seen = |index: usize| of.explanation.law.levels[index] > [-30.0, -20.0, -34.0][index];
         channel.b = if seen(1) { level(1) } else { 0.0 };
@@ -570,6 +582,14 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
             }
         }
         for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
+            if one.effect.name() == "common_mode" {
+                // The first of all channels have one source, the second another: earlier sources are not this channel's.
+                let with = |shared: &Shared| {
+                    shared.parts.iter().any(|(index, _)| found.channels[*index].prepared.channel == one.channel)
+                };
+                let before = found.shared.iter().position(with).unwrap_or(0);
+                (0..before).for_each(|_| channel.push_effect(Arc::new(CommonMode { sigma: 0.0 }), &[]));
+            }
             channel.push_effect(one.effect.clone(), &one.ci95);
             if let Some(common) = one.effect.parameters().iter().find(|(name, _)| *name == "sigma")
                 && one.effect.name() == "common_mode"

@@ -60,7 +60,10 @@ impl Options<'_> {
     /// Whether an effect is looked for.
     #[must_use]
     pub fn wants(&self, effect: &str) -> bool {
-        self.effects.is_none_or(|names| names.contains(&effect) || (effect == "tone" && names.contains(&"comb")))
+        // Lines at multiples of one another are found as tones.
+        let lines = ["tone", "comb"];
+        let as_line = |names: &[&str]| lines.contains(&effect) && lines.iter().any(|line| names.contains(line));
+        self.effects.is_none_or(|names| names.contains(&effect) || as_line(names))
     }
 }
 
@@ -112,7 +115,7 @@ pub(super) struct Findings {
 #[derive(Debug)]
 pub(super) struct Found {
     pub(super) channels: Vec<Findings>,
-    pub(super) shared: Option<Shared>,
+    pub(super) shared: Vec<Shared>,
     pub(super) repeats: Vec<(Vec<Channel>, super::facts::Repeats)>,
     pub(super) further: Vec<Channel>,
     pub(super) samples: usize,
@@ -137,7 +140,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
-    let shared = shared::shared(&whitened, price).filter(|_| options.wants("common_mode"));
+    let shared = if options.wants("common_mode") { shared::shared(&whitened, price) } else { Vec::new() };
     let found = Found {
         channels,
         shared,
@@ -163,7 +166,13 @@ fn explain(
         prepared.beliefs = FREE;
     }
     let base = |grid: &super::grid::Grid| prepare::base_of(sim, &prepared, grid);
-    let setting = Setting { courses: &ready.courses, base: &base, beliefs: prepared.beliefs, rate_hz: ready.rate_hz };
+    let setting = Setting {
+        courses: &ready.courses,
+        base: &base,
+        beliefs: prepared.beliefs,
+        rate_hz: ready.rate_hz,
+        owner: prepared.channel as u32,
+    };
     let known = Explanation {
         sines: prepared.sines.clone(),
         outliers: prepared.outliers.clone(),
@@ -201,6 +210,7 @@ fn explain(
         base: &base,
         beliefs: prepared.beliefs,
         rate_hz: ready.rate_hz,
+        owner: prepared.channel as u32,
         known: &known,
         found: &series.explanation,
     };

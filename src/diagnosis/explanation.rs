@@ -54,6 +54,14 @@ pub struct Loud {
     pub ratio: f64,
 }
 
+impl Loud {
+    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet.
+    #[must_use]
+    pub fn is_interval(&self, samples: usize) -> bool {
+        self.to - self.from >= samples / 50 || self.ratio < 1.0
+    }
+}
+
 /// Spikes of a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpikeLaw {

@@ -9,8 +9,9 @@ const SIMPLE: u16 = 0;
 const BEYOND: u16 = 1;
 const DRAWN: u16 = 3;
 
-fn stream(samples: usize, effect: u16) -> Stream {
-    Stream::new(samples as u64, StreamId { owner: 0, effect, instance: 0 })
+/// `owner`: the channel's, so that what is filled in at the same places of several channels is not the same.
+fn stream(samples: usize, owner: u32, effect: u16) -> Stream {
+    Stream::new(samples as u64, StreamId { owner, effect, instance: 0 })
 }
 
 impl Series<'_> {
@@ -38,7 +39,7 @@ impl Series<'_> {
             return;
         }
         let n = self.len();
-        let mut stream = stream(n, DRAWN);
+        let mut stream = stream(n, self.setting().owner, DRAWN);
         let mut drawn: Vec<f64> =
             self.spectrum.iter().map(|s| if s.is_finite() { s.sqrt() * stream.normal() } else { 0.0 }).collect();
         self.transform.backward(&mut drawn);
@@ -92,13 +93,14 @@ impl Series<'_> {
     /// A course between the neighbours.
     fn simple_guess(&self, values: &[f64], places: &[usize]) -> Vec<f64> {
         let mut filled = values.to_vec();
-        fill_in(&mut filled, places, 0.0);
+        fill_in(&mut filled, places, 0.0, self.setting().owner);
         places.iter().map(|place| filled[*place]).collect()
     }
 }
 
 /// Lets samples that are cut off lie beyond the limit, as noise about their neighbours' level would.
-pub(super) fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], white: f64) {
+pub(super) fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], noise: (f64, u32)) {
+    let (white, owner) = noise;
     use statrs::distribution::{ContinuousCDF, Normal};
     const NEAR: usize = 12;
     if limits == [None, None] {
@@ -106,7 +108,7 @@ pub(super) fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits
     }
     let normal = Normal::standard();
     let n = rest.len();
-    let mut stream = stream(n, BEYOND);
+    let mut stream = stream(n, owner, BEYOND);
     for place in places {
         let at =
             |limit: Option<f64>| limit.filter(|limit| (samples[*place] - limit).abs() < 1e-9 * limit.abs().max(1.0));
@@ -142,11 +144,11 @@ fn rest_of(rest: &[f64], place: usize, places: &[usize], samples: &[f64]) -> f64
 
 /// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise
 /// looks like a filter.
-pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64) {
+pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64, owner: u32) {
     const NEAR: usize = 8;
     let n = values.len();
     let mut at = 0;
-    let mut stream = stream(n, SIMPLE);
+    let mut stream = stream(n, owner, SIMPLE);
     while at < places.len() {
         let mut end = at + 1;
         // A run, with what good samples lie within it too few to tell a level.

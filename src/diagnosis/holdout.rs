@@ -1,7 +1,7 @@
 //! Holdout: how far the discrepancy shrinks, measured on the half of a record that chose no number.
 
 use super::course::{Course, Courses};
-use super::explanation::{Explanation, Loud};
+use super::explanation::{Explanation, LOUD, Loud};
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law};
 use super::series::{Series, Setting};
@@ -43,6 +43,8 @@ pub struct Whole<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Number of the channel.
+    pub owner: u32,
     /// What the model explains already.
     pub known: &'a Explanation,
     /// Everything.
@@ -95,6 +97,11 @@ fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
     let steps = explanation.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
     sum -= (n.ln() + 3.0) * steps as f64;
     sum -= (2.0 * n.ln() + 3.0) * explanation.loud.len().saturating_sub(known.loud.len()) as f64;
+    // Loud stretches were replaced by noise of the law: each of their samples is as much rarer as the stretch is louder.
+    let known_loud = known.loud.len().min(explanation.loud.len());
+    for loud in explanation.loud[known_loud..].iter().filter(|loud| loud.ratio > LOUD) {
+        sum -= 0.5 * (loud.to - loud.from) as f64 * loud.ratio.ln();
+    }
     if let Some(spikes) = explanation.spikes {
         let flagged = explanation.outliers.len().saturating_sub(carried) as f64;
         // Each costs its place and has the wide density; the value that stands for it was counted as noise.
@@ -127,6 +134,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         base: whole.base,
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
+        owner: whole.owner,
     };
     let (first, second) = (setting(0), setting(1));
     let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
@@ -139,11 +147,13 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     };
     let declared = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), known(1)), &known(1));
     // The levels and numbers of the first half.
-    let plain: Law = Series::new(&first, transforms[0].clone(), samples(0), known(0)).explanation.law;
+    let plain = Series::new(&first, transforms[0].clone(), samples(0), known(0));
+    let mut levels: Law = plain.explanation.law.clone();
+    levels.levels[0] -= plain.average_variance().ln();
     let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
     let quiet = full.average_variance().ln();
     let full = full.explanation;
-    let with_levels = Explanation { law: plain, ..known(1) };
+    let with_levels = Explanation { law: levels, ..known(1) };
     let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
     let mut carried_over = found(1);
     carried_over.law = full.law.clone();
@@ -167,7 +177,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     }
     let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
     // The white noise where nothing changes it is the same in both.
-    carried_over.law.levels[0] += best.average_variance().ln() - quiet;
+    carried_over.law.levels[0] -= quiet;
     let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
     let numbers = 3
         + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()

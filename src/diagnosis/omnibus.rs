@@ -140,11 +140,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     while to > 512 {
         let from = to / 2;
         // Half the band at its own rate: a transform of its own length brings it to the base band.
-        let mut values = vec![0.0; to - from];
-        for (k, value) in whitened[from..to].iter().enumerate() {
-            // An odd octave is mirrored: its lowest frequency last.
-            values[k] = *value;
-        }
+        let mut values = whitened[from..to].to_vec();
         let mut own = super::transform::Cosines::new(values.len());
         own.backward(&mut values);
         let count = values.len() as f64;

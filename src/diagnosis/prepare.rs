@@ -51,6 +51,8 @@ pub struct Prepared {
     pub scedasticity: Option<Scedasticity>,
     /// Names of the effects that it has.
     pub has: Vec<&'static str>,
+    /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
+    pub white_shift: f64,
 }
 
 /// All of them, and what belongs to the record.
@@ -92,8 +94,10 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
         if values.len() != n {
             return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
         }
-        let bad = values.iter().enumerate().find(|(t, value)| !value.is_finite() && !is_missing(real, *t));
-        if let Some((index, value)) = bad {
+        // A value that is absent now and then is left out; one that is no number ever so often is refused.
+        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
+        if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
+            let value = &values[index];
             return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
         }
     }
@@ -228,11 +232,18 @@ fn channel_of(
     temperature: Option<&[f64]>,
 ) -> Result<Prepared, DiagnosisError> {
     let values = real.values(channel).unwrap_or_default();
+    outliers.extend((0..values.len()).filter(|t| !values[*t].is_finite()));
+    outliers.sort_unstable();
+    outliers.dedup();
     let there: Vec<f64> =
         values.iter().enumerate().filter(|(t, _)| outliers.binary_search(t).is_err()).map(|(_, v)| *v).collect();
     let facts = facts::of(&there);
     let (low, high) = there.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-    if there.len() < LEAST || high <= low {
+    if there.len() < LEAST {
+        let least_s = LEAST as f64 / sim.rate_hz;
+        return Err(DiagnosisError::TooShort { found: there.len(), least: LEAST, least_s });
+    }
+    if high <= low {
         let value = if low.is_finite() { low } else { 0.0 };
         return Err(DiagnosisError::Constant { channel: channel.to_string(), value });
     }
@@ -268,7 +279,10 @@ fn channel_of(
     outliers.sort_unstable();
     outliers.dedup();
     let square = |value: f64| if value > 0.0 { 2.0 * (value / scale).ln() } else { -60.0 };
-    let levels = [square(model.n), square(model.b), square(model.k)];
+    let mean_c =
+        temperature.map_or(USUAL_TEMPERATURE_C, |values| values.iter().sum::<f64>() / values.len().max(1) as f64);
+    let white_shift = white_shift(model, mean_c);
+    let levels = [square(model.n) + white_shift, square(model.b), square(model.k)];
     let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
     let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
     let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
@@ -296,6 +310,7 @@ fn channel_of(
         loud,
         scedasticity,
         has: model.effects.iter().map(|effect| effect.name()).collect(),
+        white_shift,
     })
 }
 
@@ -308,6 +323,17 @@ fn scale_of(values: &[f64]) -> f64 {
     let robust = *median / (0.674_49 * 2f64.sqrt());
     // Where half the neighbours are equal, a step is wider than the noise.
     if robust > 0.2 * (0.5 * square).sqrt() { robust } else { (0.5 * square).sqrt() }
+}
+
+/// By how much a model's white part is louder, in ln of its variance, at a temperature than where its N is told for.
+fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
+    let changes = model.effects.iter().filter(|effect| effect.name() == "variance_change");
+    let of = |effect: &Arc<dyn Effect>| {
+        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
+        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
+        number("per_c").zip(number("reference_c")).map_or(0.0, |(per_c, reference)| 2.0 * per_c * (mean_c - reference))
+    };
+    changes.map(of).sum()
 }
 
 /// What a model says of its white part's variance.
@@ -344,7 +370,7 @@ fn variance_of(
                     let (from, to) =
                         (index(number("from_s").unwrap_or_default()), index(number("to_s").unwrap_or_default()));
                     if from < to {
-                        loud.push(Loud { from, to, ratio: factor * factor });
+                        loud.push(Loud { from, to, ratio: (factor * factor).max(1e-6) });
                     }
                 }
                 _ => {
@@ -419,7 +445,8 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
     for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
         let with = filters.iter().cloned().chain([effect.clone()]).collect();
         let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
-        if effect.name() != "bursts" {
+        // What is cut out of the samples is not in their spectrum.
+        if !matches!(effect.name(), "bursts" | "spikes") {
             known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
         }
     }

@@ -93,8 +93,11 @@ fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
 
 /// The kind to be added next; None where nothing is worth its price.
 fn choose(candidates: &[Candidate], prices: &Prices) -> Option<Step> {
-    let mut scores: Vec<(Kind, f64, f64)> =
-        candidates.iter().map(|of| (of.kind, of.gain - prices.of(of.kind), of.gain)).collect();
+    let mut scores: Vec<(Kind, f64, f64)> = candidates
+        .iter()
+        .filter(|of| of.gain.is_finite())
+        .map(|of| (of.kind, of.gain - prices.of(of.kind), of.gain))
+        .collect();
     scores.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut best = *scores.first().filter(|best| best.1 > 0.0)?;
     for (complex, simple, margin) in SIMPLER {

@@ -19,6 +19,8 @@ pub struct Setting<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Number of the channel: whose random draws stand for excluded samples.
+    pub owner: u32,
 }
 
 impl std::fmt::Debug for Setting<'_> {
@@ -196,10 +198,12 @@ impl<'a> Series<'a> {
         self.coefficients = coefficients;
     }
 
-    /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know.
+    /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know. Its
+    /// level of white noise is that where nothing changes the variance.
     #[must_use]
     pub fn frozen(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, explanation: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, explanation);
+        series.explanation.law.levels[0] += series.average_variance().ln();
         series.resolve_lines();
         let amplitudes: Vec<f64> = series.explanation.sines.iter().map(Sine::amplitude).collect();
         for pass in 0..3 {
@@ -308,11 +312,11 @@ impl<'a> Series<'a> {
             self.setting.courses.add(*course, -factor, &mut rest);
         }
         let white = self.white().clamp(1e-3, 1e3);
-        fill_in(&mut rest, &explanation.outliers, white);
-        beyond(&mut rest, &self.samples, &explanation.outliers, explanation.limits, white);
+        fill_in(&mut rest, &explanation.outliers, white, self.setting.owner);
+        beyond(&mut rest, &self.samples, &explanation.outliers, explanation.limits, (white, self.setting.owner));
         for loud in explanation.loud.iter().filter(|loud| quiet && loud.ratio > LOUD) {
             let inside: Vec<usize> = (loud.from..loud.to).collect();
-            fill_in(&mut rest, &inside, white);
+            fill_in(&mut rest, &inside, white, self.setting.owner);
         }
         let mean = rest.iter().sum::<f64>() / rest.len().max(1) as f64;
         rest.iter_mut().for_each(|value| *value -= mean);
@@ -347,24 +351,17 @@ impl<'a> Series<'a> {
     /// The same over that where nothing changes it.
     fn raw_variances(&self) -> Vec<f64> {
         let n = self.len();
-        let Some(how) = &self.explanation.scedasticity else {
-            let quiet: Vec<&Loud> = self.explanation.loud.iter().filter(|loud| loud.ratio <= LOUD).collect();
-            if quiet.is_empty() {
-                return Vec::new();
-            }
-            let mut variance = vec![1.0; n];
-            for loud in quiet {
-                variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
-            }
-            return variance;
+        let temperature = self.setting.courses.temperature().unwrap_or_default();
+        let mut variance: Vec<f64> = match &self.explanation.scedasticity {
+            None => Vec::new(),
+            Some(Scedasticity::PerDegree(slope)) => temperature.iter().map(|t| (slope * t).exp()).collect(),
+            Some(Scedasticity::Profile(values)) => (0..n).map(|t| profile(values, t, n).exp()).collect(),
         };
-        let logarithms: Vec<f64> = match how {
-            Scedasticity::PerDegree(slope) => {
-                self.setting.courses.temperature().unwrap_or_default().iter().map(|t| slope * t).collect()
-            }
-            Scedasticity::Profile(values) => (0..n).map(|t| profile(values, t, n)).collect(),
-        };
-        logarithms.iter().map(|l| l.exp()).collect()
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio <= LOUD) {
+            variance.resize(n, 1.0);
+            variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
+        }
+        variance
     }
 
     /// The transform for records of this length.

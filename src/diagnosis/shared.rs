@@ -1,6 +1,7 @@
 //! Shared noise: what several channels have in common.
 
 use super::series::Series;
+use nalgebra::DMatrix;
 
 /// The white part of a channel's whitened coefficients, and how much of its spectrum is white.
 #[derive(Debug, Clone)]
@@ -32,16 +33,15 @@ pub struct Shared {
     pub gain: f64,
 }
 
-/// What channels share, where it is worth `price` nats a pair.
+/// What channels share, where it is worth `price` nats a pair: one source for each group of channels that are linked.
 ///
 /// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One shared
-/// source makes r_ij = a_i·a_j; the a are fitted to the pairs.
+/// source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in all.
 #[must_use]
-pub fn shared(channels: &[Whitened], price: f64) -> Option<Shared> {
+pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     let count = channels.len();
-    let mut correlation = vec![0.0; count * count];
-    let mut linked = vec![false; count];
-    let mut gain = 0.0;
+    let mut correlation = DMatrix::zeros(count, count);
+    let mut white = 0.0f64;
     for i in 0..count {
         for j in 0..i {
             let (mut product, mut square) = (0.0, 0.0);
@@ -53,63 +53,75 @@ pub fn shared(channels: &[Whitened], price: f64) -> Option<Shared> {
                 square += weight * weight;
             }
             let r = (product / square.max(1.0)).clamp(-0.999, 0.999);
-            let nats = -0.5 * square * (-r * r).ln_1p();
-            if nats > price {
-                correlation[i * count + j] = r;
-                correlation[j * count + i] = r;
-                (linked[i], linked[j]) = (true, true);
-                gain += nats;
+            if -0.5 * square * (-r * r).ln_1p() > price {
+                correlation[(i, j)] = r;
+                correlation[(j, i)] = r;
+                white = white.max(square);
             }
         }
     }
-    let members: Vec<usize> = (0..count).filter(|index| linked[*index]).collect();
-    if members.len() < 2 {
-        return None;
+    let mut group: Vec<usize> = (0..count).collect();
+    for i in 0..count {
+        for j in 0..i {
+            if correlation[(i, j)] != 0.0 && group[i] != group[j] {
+                let (from, to) = (group[i], group[j]);
+                group.iter_mut().filter(|own| **own == from).for_each(|own| *own = to);
+            }
+        }
     }
+    let mut groups: Vec<usize> = group.clone();
+    groups.sort_unstable();
+    groups.dedup();
+    let members = |of: usize| -> Vec<usize> { (0..count).filter(|index| group[*index] == of).collect() };
+    groups.into_iter().map(members).filter(|of| of.len() > 1).map(|of| source(&of, &correlation, white)).collect()
+}
+
+/// One source of channels that are linked, each to one of the others at least; n the coefficients that tell.
+fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
+    const ROUNDS: usize = 300;
+    let count = members.len();
+    let r = |i: usize, j: usize| correlation[(members[i], members[j])];
+    // Signs along the strongest links, from the first member on.
     let mut parts = vec![0.0f64; count];
-    // From the strongest pair's signs, then each in turn given the others.
-    for i in &members {
-        let strongest = members.iter().map(|j| correlation[i * count + j].abs()).fold(0.0, f64::max);
-        parts[*i] = strongest.sqrt();
+    let strongest = |i: usize| (0..count).filter(|j| *j != i).map(|j| r(i, j).abs()).fold(0.0, f64::max).sqrt();
+    parts[0] = strongest(0);
+    for _ in 1..count {
+        let links = (0..count)
+            .filter(|i| parts[*i] == 0.0)
+            .flat_map(|i| (0..count).filter(|j| parts[*j] != 0.0).map(|j| (i, j)).collect::<Vec<_>>());
+        let Some((i, j)) = links.max_by(|a, b| r(a.0, a.1).abs().total_cmp(&r(b.0, b.1).abs())) else { break };
+        parts[i] = strongest(i) * (r(i, j) * parts[j]).signum();
     }
-    let first = members[0];
-    for i in members.iter().skip(1) {
-        if correlation[first * count + i] < 0.0 {
-            parts[*i] = -parts[*i];
-        }
-    }
-    for _ in 0..200 {
-        for i in &members {
-            let (mut product, mut square) = (0.0, 0.0);
-            for j in members.iter().filter(|j| *j != i) {
-                product += correlation[i * count + j] * parts[*j];
-                square += parts[*j] * parts[*j];
-            }
-            // Two channels alone tell their product only: equal shares.
+    // Two channels alone tell their product only: equal shares.
+    for _ in 0..if count > 2 { ROUNDS } else { 0 } {
+        for i in 0..count {
+            let others = (0..count).filter(|j| *j != i);
+            let (product, square) =
+                others.fold((0.0, 0.0), |(p, s), j| (p + r(i, j) * parts[j], s + parts[j] * parts[j]));
             let next = if square > 0.0 { (product / square).clamp(-0.999, 0.999) } else { 0.0 };
-            parts[*i] = if members.len() > 2 { 0.5 * (parts[*i] + next) } else { parts[*i] };
+            parts[i] = 0.5 * (parts[i] + next);
         }
     }
+    let model = DMatrix::from_fn(count, count, |i, j| if i == j { 1.0 } else { parts[i] * parts[j] });
+    let gain = -0.5 * n * model.determinant().max(1e-12).ln();
     // Each pair's correlation has an error of (1 − r²)/√n; two channels alone are taken to share alike.
-    let n = channels[first].coefficients.len() as f64;
-    let normal = nalgebra::DMatrix::from_fn(members.len(), members.len(), |i, j| {
-        let (a, b) = (members[i], members[j]);
-        let weight = |i: usize, j: usize| n / (1.0 - (parts[i] * parts[j]).powi(2)).powi(2);
-        if a == b {
-            members.iter().filter(|other| **other != a).map(|other| weight(a, *other) * parts[*other].powi(2)).sum()
+    let weight = |i: usize, j: usize| n / (1.0 - (parts[i] * parts[j]).powi(2)).powi(2);
+    let normal = DMatrix::from_fn(count, count, |i, j| {
+        if i == j {
+            (0..count).filter(|other| *other != i).map(|other| weight(i, other) * parts[other].powi(2)).sum()
         } else {
-            weight(a, b) * parts[a] * parts[b]
+            weight(i, j) * parts[i] * parts[j]
         }
     });
-    let errors = match (members.len(), normal.try_inverse()) {
+    let errors = match (count, normal.try_inverse()) {
         (2, _) => {
-            let r = parts[members[0]] * parts[members[1]];
-            members.iter().map(|index| (1.0 - r * r) / n.sqrt() / (2.0 * parts[*index].abs())).collect()
+            let r = parts[0] * parts[1];
+            parts.iter().map(|part| (1.0 - r * r) / n.sqrt() / (2.0 * part.abs())).collect()
         }
-        (_, Some(inverse)) => (0..members.len()).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
-        (_, None) => vec![1.0; members.len()],
+        (_, Some(inverse)) => (0..count).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
+        (_, None) => vec![1.0; count],
     };
-    Some(Shared { parts: members.into_iter().map(|index| (index, parts[index])).collect(), errors, gain })
+    Shared { parts: members.iter().copied().zip(parts).collect(), errors, gain }
 }
 
 #[cfg(test)]
@@ -134,12 +146,40 @@ mod tests {
             white: vec![1.0; n],
         };
         let channels = [of(0, 0.5), of(1, 0.0), of(2, -0.3), of(3, 0.4)];
-        let found = shared(&channels, 10.0).unwrap();
+        let all = shared(&channels, 10.0);
+        let found = &all[0];
+        assert_eq!(all.len(), 1);
         assert_eq!(found.parts.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [0, 2, 3]);
         for ((_, part), truth) in found.parts.iter().zip([0.5, -0.3, 0.4]) {
             assert!((part - truth).abs() < 0.03, "{found:?}");
         }
-        assert_eq!(shared(&channels[1..2], 10.0), None);
-        assert_eq!(shared(&[of(5, 0.0), of(6, 0.0)], 10.0), None);
+        assert_eq!(shared(&channels[1..2], 10.0), []);
+        assert_eq!(shared(&[of(5, 0.0), of(6, 0.0)], 10.0), []);
+    }
+    #[test]
+    fn two_sources_are_two() {
+        let n = 20_000;
+        let noise = |effect: u16| {
+            let mut stream = Stream::new(4, StreamId { owner: 1, effect, instance: 0 });
+            (0..n).map(|_| stream.normal()).collect::<Vec<f64>>()
+        };
+        let of = |effect: u16, source: &[f64], share: f64| Whitened {
+            coefficients: noise(effect)
+                .iter()
+                .zip(source)
+                .map(|(own, all)| (1.0 - share * share).sqrt() * own + share * all)
+                .collect(),
+            white: vec![1.0; n],
+        };
+        let (one, other) = (noise(8), noise(9));
+        let found = shared(&[of(0, &one, 0.8), of(1, &one, 0.8), of(2, &other, 0.8), of(3, &other, -0.8)], 10.0);
+        assert_eq!(found.len(), 2);
+        for (of, signs) in found.iter().zip([[1.0, 1.0], [1.0, -1.0]]) {
+            for ((_, part), sign) in of.parts.iter().zip(signs) {
+                assert!((part * sign - 0.8).abs() < 0.02, "{found:?}");
+            }
+            // −n/2·ln(1 − r²), r = 0.64.
+            assert!((of.gain / (n as f64 * 0.2636) - 1.0).abs() < 0.05, "{found:?}");
+        }
     }
 }

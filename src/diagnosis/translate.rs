@@ -2,7 +2,7 @@
 
 use super::course::Course;
 use super::evidence::Kind;
-use super::explanation::{Explanation, Scedasticity};
+use super::explanation::{Explanation, Loud, Scedasticity};
 use super::law::{Shape, Term};
 use super::prepare::Prepared;
 use super::spread::Spread;
@@ -59,7 +59,9 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
     let Units { prepared, rate_hz, samples, temperature_c, average_variance } = units;
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
-    let mut add = |kind: Kind, effect: Arc<dyn Effect>, ci95: Vec<(&'static str, [f64; 2])>| {
+    let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
+        // Where no error is known there is no interval.
+        ci95.retain(|(_, [low, high])| low < high && low.is_finite() && high.is_finite());
         found.push(Translated { kind, effect, ci95 });
     };
     for ((course, factor), (error, second)) in explanation.courses.iter().zip(&spread.courses) {
@@ -128,33 +130,31 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
     let seconds = |sample: usize| sample as f64 / rate_hz;
     let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
     let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
-    match loud {
-        [] => {}
-        [one] if one.to - one.from >= samples / 50 || one.ratio < 1.0 => {
-            let (from_s, to_s) = (seconds(one.from), seconds(one.to));
-            let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
-            // An end is where the likelihood of either side is lost in chance.
-            let information = 0.5 * (one.ratio.max(1.0 / one.ratio).sqrt().ln() * 2.0).powi(2).max(1e-3);
-            let end = (8.0 / information + 1.0) / NORMAL_95 / rate_hz;
-            let factor = (0.5 / (one.to - one.from) as f64).sqrt();
-            let ci95 = vec![
-                ("from_s", about(from_s, end)),
-                ("to_s", about(to_s, end)),
-                ("factor", times(one.ratio.sqrt(), factor)),
-            ];
-            add(Kind::VarianceInterval, Arc::new(change), ci95);
-        }
-        several => {
-            let (sum, count) = several.iter().fold((0.0, 0.0), |(sum, count), of| {
-                let width = (of.to - of.from) as f64;
-                (sum + width * (of.ratio - 1.0).max(0.0), count + width)
-            });
-            let excess = sum / count;
-            let sigma = white * excess.sqrt();
-            let intervals = several.iter().map(|of| (seconds(of.from), seconds(of.to))).collect();
-            let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
-            add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
-        }
+    let (intervals, bursts): (Vec<&Loud>, Vec<&Loud>) = loud.iter().partition(|of| of.is_interval(samples));
+    for one in intervals {
+        let (from_s, to_s) = (seconds(one.from), seconds(one.to));
+        let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
+        // An end is where the likelihood of either side is lost in chance.
+        let information = 0.5 * one.ratio.ln().powi(2).max(1e-3);
+        let end = (8.0 / information + 1.0) / NORMAL_95 / rate_hz;
+        let factor = (0.5 / (one.to - one.from) as f64).sqrt();
+        let ci95 = vec![
+            ("from_s", about(from_s, end)),
+            ("to_s", about(to_s, end)),
+            ("factor", times(one.ratio.sqrt(), factor)),
+        ];
+        add(Kind::VarianceInterval, Arc::new(change), ci95);
+    }
+    if !bursts.is_empty() {
+        let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), of| {
+            let width = (of.to - of.from) as f64;
+            (sum + width * (of.ratio - 1.0).max(0.0), count + width)
+        });
+        let excess = sum / count;
+        let sigma = white * excess.sqrt();
+        let intervals = bursts.iter().map(|of| (seconds(of.from), seconds(of.to))).collect();
+        let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
+        add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
     }
     if prepared.scedasticity.is_none() {
         match &explanation.scedasticity {
@@ -243,7 +243,8 @@ fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<Line
             (near && order <= HARMONICS).then_some(order as usize)
         };
         let harmonics: Vec<(usize, LineFound)> = left.iter().filter_map(|line| Some((order(line)?, *line))).collect();
-        if harmonics.len() < 2 {
+        let orders: std::collections::BTreeSet<usize> = harmonics.iter().map(|(order, _)| *order).collect();
+        if orders.len() < 2 || orders.len() < harmonics.len() {
             index += 1;
             continue;
         }

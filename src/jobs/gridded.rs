@@ -105,11 +105,8 @@ impl Part {
                 recording.temperature_c = (there > 0).then_some(values);
                 continue;
             }
-            // A sample without this channel's value is missing as far as it goes: all channels share one grid.
+            // A channel that lacks a value now and then is left without it there.
             if (there as u64) * 10 >= self.there * 9 {
-                for (missing, value) in recording.missing.iter_mut().zip(&values) {
-                    *missing |= !value.is_finite();
-                }
                 recording.channels.push((*channel, values));
             }
         }

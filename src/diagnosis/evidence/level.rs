@@ -81,14 +81,12 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
     const FURTHER: f64 = 14.0;
     const PRICE: f64 = 12.0;
     const MOST: usize = 6;
-    let n = series.len();
     let mut found: Vec<Course> = Vec::new();
     let mut best: Option<Drift> = None;
     let mut spectrum = series.spectrum.clone();
     let mut rest = series.coefficients.clone();
     while found.len() < MOST {
         let at = place(series, &spectrum, &rest);
-        let at = refined(series, &found, at, n);
         found.push(Course::Step(at));
         let mut drift = series.with_courses(&found);
         if let Some(last) = &best
@@ -163,10 +161,4 @@ fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
         sum += value;
     }
     best.1
-}
-
-/// The place near `at` with the greatest gain at the present law's spectrum, the others given.
-fn refined(series: &Series<'_>, others: &[Course], at: usize, n: usize) -> usize {
-    let _ = (series, others, n);
-    at
 }

@@ -225,7 +225,7 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
     if found.len() > 1 && share > MOST_OF_RECORD {
         return None;
     }
-    let long = found.len() == 1 && (found[0].to - found[0].from >= n / 50 || found[0].ratio < 1.0);
+    let long = found.iter().all(|loud| loud.is_interval(n));
     explanation.loud.extend(found);
     Some(Candidate { kind: if long { Kind::VarianceInterval } else { Kind::Bursts }, gain: total, explanation })
 }
