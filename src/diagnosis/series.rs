@@ -1,7 +1,7 @@
 //! A series: one channel's samples, what explains them so far, and the residual that ought to be white.
 
 use super::course::{Course, Courses};
-use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, profile, turning};
+use super::explanation::{Explanation, LOUD, Scedasticity, Sine, profile, turning};
 use super::filling::{beyond, fill_in};
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Beliefs, Data, Fitted, Law, Shape};
