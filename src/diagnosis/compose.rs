@@ -424,7 +424,7 @@ fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepanc
         p_value_after,
         closed,
         closed_ci95,
-        measured_on: "second half, with the numbers of the first".to_owned(),
+        measured_on: "second half, with the levels of the first; places and shapes are of the whole record".to_owned(),
     }
 }
 
