@@ -345,8 +345,11 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             let capture = (0.5 * (found - shift)).exp() * of.prepared.scale;
             let declared = of.prepared.declared.levels[level];
             let certain = spread < 1.0;
-            if certain && (found - declared).abs() > OFF * spread {
-                let end = |sign: f64| capture * (0.5 * sign * 1.96 * spread).exp();
+            // Told with an interval or a limit that reaches the capture's, it is not off.
+            let end = |sign: f64| capture * (0.5 * sign * 1.96 * spread).exp();
+            let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
+            let within = known.is_some_and(|[low, high]| end(-1.0) <= high && end(1.0) >= low);
+            if certain && !within && of.held[level] > 0.5 * OFF * OFF && (found - declared).abs() > OFF * spread {
                 let ratio = (told > 0.0).then(|| capture / told);
                 let ci95 = Some([end(-1.0), end(1.0)]);
                 let channel = of.prepared.channel.name().to_owned();

@@ -97,6 +97,8 @@ pub(super) struct Findings {
     pub(super) steps: Vec<Step>,
     /// The law with effects, its levels free of beliefs.
     pub(super) fitted: Fitted,
+    /// Nats lost where N, B or K is held at the model's value and all else is fitted again.
+    pub(super) held: [f64; 3],
     /// Where the plain law fails.
     pub(super) before: Tiles,
     /// Where everything found still fails.
@@ -202,6 +204,19 @@ fn explain(
     let before = Tiles::of(&series);
     let steps = search::explain(&mut series, prices);
     let fitted = free(&series);
+    let changed = series.average_variance().ln();
+    let held = [0, 1, 2].map(|level| {
+        // As good as held: a belief a thousandth wide.
+        let told = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
+        let told = told.max(super::law::LEVELS[level].0);
+        let mut beliefs = FREE;
+        beliefs[level] = Some((told, 1e-3));
+        let mut law = fitted.law.clone();
+        law.levels[level] = told;
+        let mut data = series.data();
+        data.beliefs = &beliefs;
+        fitted.log_likelihood - law.fit(data).log_likelihood
+    });
     let after = Tiles::of(&series);
     let statistics = omnibus::statistics(&mut series);
     let whole = Whole {
@@ -229,6 +244,7 @@ fn explain(
             explanation,
             steps,
             fitted,
+            held,
             before,
             after,
             statistics,

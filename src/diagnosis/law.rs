@@ -132,7 +132,7 @@ pub struct Data<'a> {
 }
 
 /// Bounds of a level, ln of power per sample.
-const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
+pub(super) const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
 
 /// The pieces of a spectrum S = (N + B + K + known + added)·gain + after.
 struct Pieces {
