@@ -23,8 +23,15 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let gridded = gridded(&together.source, &together.plan)?;
     let sim = simulator(context, args)?;
     let real_name = together.name();
-    let options =
-        Options { software: SOFTWARE, real: &real_name, sim: &args.sim, workers: &TwoThreads, ..Options::default() };
+    let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;
+    let options = Options {
+        software: SOFTWARE,
+        real: &real_name,
+        sim: &args.sim,
+        workers: &TwoThreads,
+        tails: tails.as_ref(),
+        ..Options::default()
+    };
     let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options).map_err(|error| refused(&error))?;
     if gridded.left_out > 0 {
         outcome.diagnosis.notes.push(format!(

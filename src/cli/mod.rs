@@ -4,6 +4,7 @@ mod allan;
 mod analysis;
 pub mod args;
 mod backup;
+mod calibration;
 mod captures;
 mod check;
 mod client;

@@ -5,7 +5,6 @@ use super::evidence::Kind;
 use super::facts;
 use super::holdout::BLOCKS;
 use super::omnibus::Statistic;
-use super::prices;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Parameter, Place, Verdict};
 use super::shared::Shared;
@@ -57,17 +56,20 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     }
     let remains = remains(found, &named);
     let parameters = parameters(found, real, sim);
-    let verdict = match (&remains.worst, named.is_empty(), parameters.iter().any(|of| of.parameter != "bias")) {
-        (Some(_), ..) => Verdict::UnknownEffect,
-        (None, false, _) => Verdict::Effects,
-        (None, true, true) => Verdict::Parameters,
-        (None, true, false) => Verdict::NoGap,
+    let foreign = foreign(found);
+    let remains_something = remains.worst.is_some() || !foreign.is_empty();
+    let verdict = match (remains_something, named.is_empty(), parameters.iter().any(|of| of.parameter != "bias")) {
+        (true, ..) => Verdict::UnknownEffect,
+        (false, false, _) => Verdict::Effects,
+        (false, true, true) => Verdict::Parameters,
+        (false, true, false) => Verdict::NoGap,
     };
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
     let places = places(found, &named, verdict);
+    notes.extend(foreign);
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
     }
@@ -314,10 +316,14 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             || of.prepared.step.is_some_and(|step| step > 0.6 * of.white);
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
-            if marginal && statistic.is_marginal() {
+            // On a lattice the value in the middle is met most.
+            let lattice = of.prepared.step.is_some() && *statistic == Statistic::Atom;
+            if lattice || (marginal && statistic.is_marginal()) {
                 continue;
             }
-            let p = (count * prices::chance(*statistic, *value, found.samples)).min(1.0);
+            // The most conspicuous of all other channels.
+            let tries = if *statistic == Statistic::Crosstalk { (found.channels.len() - 1).max(1) as f64 } else { 1.0 };
+            let p = (count * tries * found.tails.chance(*statistic, *value)).min(1.0);
             p_value = p_value.min(p);
             if p < level && p / level < worst_excess {
                 (worst, worst_excess) = (Some((of.prepared.channel, *statistic)), p / level);
@@ -325,6 +331,19 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         }
     }
     Remains { worst, p_value }
+}
+
+/// What explains something and is no effect of the library.
+fn foreign(found: &Found) -> Vec<String> {
+    let steps = found.channels.iter().flat_map(|of| of.steps.iter().map(move |step| (of.prepared.channel, step)));
+    let said = |(channel, step): (Channel, &super::search::Step)| {
+        let meaning = step.kind.foreign()?;
+        Some(format!(
+            "outside the library, on {channel}: {meaning} ({:.0} nats; chance gives {:.0})",
+            step.gain, step.price
+        ))
+    };
+    steps.filter_map(said).collect()
 }
 
 /// N, B, K and bias that are off.
@@ -494,6 +513,9 @@ fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
         for step in &of.steps {
             for (kind, score) in &step.others {
                 let effect = kind.effect();
+                if kind.foreign().is_some() {
+                    continue;
+                }
                 let same = named.iter().any(|one| one.effect.name() == effect && one.channel == of.prepared.channel);
                 if same || effect == step.kind.effect() {
                     continue;

@@ -2,6 +2,7 @@
 
 use super::transform::Cosines;
 use std::f64::consts::PI;
+use std::sync::OnceLock;
 
 /// A level's deterministic course over a record of n samples, for a coefficient of 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +15,38 @@ pub enum Course {
     WarmUp(f64),
     /// 0 before this sample, 1 from it on.
     Step(usize),
+    /// The temperature otherwise than along a straight line at once.
+    Follows(Follow),
+}
+
+/// How a level may follow the temperature as no effect of the library does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Follow {
+    /// Its square, °C².
+    Square,
+    /// With play of so many °C: it stays until the temperature has moved by as much (a backlash; Visintin 1994, Differential
+    /// Models of Hysteresis, section III.2).
+    Play(f64),
+}
+
+impl Follow {
+    /// The values at each sample, about their mean.
+    fn values(self, temperature: &[f64]) -> Vec<f64> {
+        let mut values: Vec<f64> = match self {
+            Self::Square => temperature.iter().map(|t| t * t).collect(),
+            Self::Play(width) => {
+                let mut now = temperature.first().copied().unwrap_or_default();
+                let mut follow = |t: &f64| {
+                    now = now.clamp(t - 0.5 * width, t + 0.5 * width);
+                    now
+                };
+                temperature.iter().map(&mut follow).collect()
+            }
+        };
+        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+        values.iter_mut().for_each(|value| *value -= mean);
+        values
+    }
 }
 
 /// What courses need to know of a record.
@@ -24,6 +57,8 @@ pub struct Courses {
     ramp: Vec<f64>,
     /// The temperature about the reference, °C, and its transform.
     temperature: Option<(Vec<f64>, Vec<f64>)>,
+    /// Transforms of what else may follow it.
+    follows: OnceLock<Vec<(Follow, Vec<f64>)>>,
 }
 
 impl Courses {
@@ -45,7 +80,28 @@ impl Courses {
             coefficients.truncate(kept);
             (values.to_vec(), coefficients)
         });
-        Self { samples, kept, ramp, temperature }
+        Self { samples, kept, ramp, temperature, follows: OnceLock::new() }
+    }
+
+    /// How a level may follow this record's temperature, where it moves enough to tell.
+    #[must_use]
+    pub fn ways(&self) -> Vec<Follow> {
+        const LEAST_C: f64 = 0.5;
+        const SHARES: [f64; 5] = [0.05, 0.1, 0.2, 0.35, 0.6];
+        let values = self.temperature().unwrap_or_default();
+        let (low, high) = values.iter().fold((0.0, 0.0), |(l, h): (f64, f64), t| (l.min(*t), h.max(*t)));
+        if high - low < LEAST_C {
+            return Vec::new();
+        }
+        let plays = SHARES.into_iter().map(|share| Follow::Play(share * (high - low)));
+        [Follow::Square].into_iter().chain(plays).collect()
+    }
+
+    fn transformed(&self, way: Follow) -> Vec<f64> {
+        let mut values = way.values(self.temperature().unwrap_or_default());
+        Cosines::new(self.samples).forward(&mut values);
+        values.truncate(self.kept);
+        values
     }
 
     /// Samples of the record.
@@ -71,6 +127,15 @@ impl Courses {
                 Some((_, coefficients)) => coefficients.clone(),
                 None => vec![0.0; self.kept],
             },
+            Course::Follows(way) => {
+                let all = || self.ways().into_iter().map(|way| (way, self.transformed(way))).collect();
+                match self.follows.get_or_init(all).iter().find(|(own, _)| *own == way) {
+                    Some((_, coefficients)) => coefficients.clone(),
+                    None if self.temperature.is_none() => vec![0.0; self.kept],
+                    // A way of another record, of which this one is a part.
+                    None => self.transformed(way),
+                }
+            }
             // The geometric series of exp(−t/τ + iθ(t + ½)).
             Course::WarmUp(tau) => {
                 let pole = (-1.0 / tau).exp();
@@ -108,6 +173,10 @@ impl Courses {
                 let about = self.temperature().unwrap_or_default();
                 values.iter_mut().zip(about).for_each(|(value, t)| *value += factor * t);
             }
+            Course::Follows(way) => {
+                let own = way.values(self.temperature().unwrap_or_default());
+                values.iter_mut().zip(own).for_each(|(value, t)| *value += factor * t);
+            }
             Course::WarmUp(tau) => {
                 let rate = -1.0 / tau;
                 values.iter_mut().enumerate().for_each(|(t, value)| *value += factor * (rate * t as f64).exp());
@@ -131,9 +200,15 @@ mod tests {
             let mut transform = Cosines::new(n);
             let warm: Vec<f64> = (0..n).map(|t| 25.0 + (t as f64 * 0.01).sin()).collect();
             let courses = Courses::new(&mut transform, Some(&warm));
-            for course in
-                [Course::Ramp, Course::Temperature, Course::WarmUp(11.3), Course::WarmUp(900.0), Course::Step(17)]
-            {
+            for course in [
+                Course::Ramp,
+                Course::Temperature,
+                Course::WarmUp(11.3),
+                Course::WarmUp(900.0),
+                Course::Step(17),
+                Course::Follows(Follow::Square),
+                Course::Follows(Follow::Play(0.37)),
+            ] {
                 let mut values = vec![0.0; n];
                 courses.add(course, 2.0, &mut values);
                 transform.forward(&mut values);

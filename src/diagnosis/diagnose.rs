@@ -3,11 +3,11 @@
 use super::error::DiagnosisError;
 use super::evidence::Kind;
 use super::explanation::Explanation;
-use super::holdout::{self, BLOCKS, Scores, Whole};
+use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::{Beliefs, Fitted};
 use super::omnibus::{self, Statistic};
 use super::prepare::{self, Prepared, Ready};
-use super::prices;
+use super::prices::{Prices, Tails};
 use super::recording::Recording;
 use super::report::Diagnosis;
 use super::search::{self, Step};
@@ -54,6 +54,8 @@ pub struct Options<'a> {
     pub effects: Option<&'a [&'static str]>,
     /// Whether the model's B and K are believed to be about right; else they are fitted as if nothing were known of them.
     pub believed: bool,
+    /// What chance makes in records of this length ([`super::calibration`]); without them those of the shipped table.
+    pub tails: Option<&'a Tails>,
 }
 
 impl Options<'_> {
@@ -75,7 +77,16 @@ impl std::fmt::Debug for Options<'_> {
 
 impl Default for Options<'_> {
     fn default() -> Self {
-        Self { software: "vn100d", real: "", sim: "", level: 0.005, workers: &Alone, effects: None, believed: true }
+        Self {
+            software: "vn100d",
+            real: "",
+            sim: "",
+            level: 0.005,
+            workers: &Alone,
+            effects: None,
+            believed: true,
+            tails: None,
+        }
     }
 }
 
@@ -121,6 +132,7 @@ pub(super) struct Found {
     pub(super) repeats: Vec<(Vec<Channel>, super::facts::Repeats)>,
     pub(super) further: Vec<Channel>,
     pub(super) samples: usize,
+    pub(super) tails: Tails,
     pub(super) temperature_c: f64,
 }
 
@@ -131,15 +143,21 @@ pub(super) struct Found {
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
-    let mut prices = prices::of_effects(samples, ready.channels.len(), options.level);
-    prices.tails.retain(|(kind, ..)| options.wants(kind.effect()));
+    let tails = options.tails.cloned().unwrap_or_else(|| Tails::shipped(samples));
+    let wanted = |kind: Kind| kind.foreign().is_some() || options.wants(kind.effect());
+    let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
+    let halves = Halves::new(samples, ready.courses.temperature());
     let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
     options.workers.each(ready.channels.len(), &|index| {
-        let found = explain(&ready, sim, index, &prices, options.believed);
+        let found = explain(&ready, sim, index, &prices, &halves, options.believed);
         *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
     });
     let both = places.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
-    let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
+    let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
+    let residuals: Vec<&[f64]> = whitened.iter().map(|of| of.residual.as_slice()).collect();
+    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(&residuals)) {
+        of.statistics.push((Statistic::Crosstalk, value));
+    }
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
     let shared = if options.wants("common_mode") { shared::shared(&whitened, price) } else { Vec::new() };
@@ -149,6 +167,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         repeats: if options.wants("held_samples") { ready.repeats } else { Vec::new() },
         further: ready.further,
         samples,
+        tails,
         temperature_c: ready.reference_c,
     };
     Ok(super::compose::outcome(&found, real, sim, options))
@@ -159,7 +178,8 @@ fn explain(
     ready: &Ready,
     sim: &SensorModel,
     index: usize,
-    prices: &search::Prices,
+    prices: &Prices,
+    halves: &Halves,
     believed: bool,
 ) -> (Findings, Whitened) {
     const FREE: Beliefs = [None, None, None];
@@ -221,7 +241,7 @@ fn explain(
     let statistics = omnibus::statistics(&mut series);
     let whole = Whole {
         samples: &prepared.samples,
-        temperature: ready.courses.temperature(),
+        halves,
         base: &base,
         beliefs: prepared.beliefs,
         rate_hz: ready.rate_hz,

@@ -1,7 +1,7 @@
 //! Explanation: what makes a series, as far as it is known.
 
 use super::course::Course;
-use super::law::Law;
+use super::law::{Law, Shape};
 
 /// A sine in a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,6 +109,24 @@ pub struct Explanation {
 }
 
 impl Explanation {
+    /// Whether it has nothing that another has not, its numbers apart.
+    #[must_use]
+    pub fn adds_nothing_to(&self, other: &Self) -> bool {
+        let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
+        counts(self) == counts(other)
+            && self.outliers == other.outliers
+            && self.scedasticity == other.scedasticity
+            && (self.tails.is_some(), self.spikes.is_some()) == (other.tails.is_some(), other.spikes.is_some())
+    }
+
+    /// Without what no effect of the library is.
+    #[must_use]
+    pub fn within_library(mut self) -> Self {
+        self.courses.retain(|(course, _)| !matches!(course, Course::Follows(_)));
+        self.law.terms.retain(|term| !matches!(term.shape, Shape::Slope(_)));
+        self
+    }
+
     /// Noise alone.
     #[must_use]
     pub fn noise(law: Law) -> Self {

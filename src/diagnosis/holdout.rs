@@ -30,13 +30,38 @@ pub struct Scores {
     pub samples: usize,
 }
 
+/// The halves of a record: what belongs to all channels.
+#[derive(Debug)]
+pub struct Halves {
+    /// First sample and one past the last.
+    ranges: [(usize, usize); 2],
+    transforms: [Cosines; 2],
+    courses: [Courses; 2],
+}
+
+impl Halves {
+    /// Of a record of `samples`, its temperature about its mean.
+    #[must_use]
+    pub fn new(samples: usize, temperature: Option<&[f64]>) -> Self {
+        let middle = samples / 2;
+        let ranges = [(0, middle), (middle, samples)];
+        let mut transforms = ranges.map(|(from, to)| Cosines::new(to - from));
+        let mut at = 0;
+        let courses = ranges.map(|(from, to)| {
+            at += 1;
+            Courses::new(&mut transforms[at - 1], temperature.map(|t| &t[from..to]))
+        });
+        Self { ranges, transforms, courses }
+    }
+}
+
 /// What a half is made of.
 #[derive(Clone, Copy)]
 pub struct Whole<'a> {
     /// The samples.
     pub samples: &'a [f64],
-    /// The temperature about its mean, °C.
-    pub temperature: Option<&'a [f64]>,
+    /// The halves.
+    pub halves: &'a Halves,
     /// Spectra.
     pub base: &'a (dyn Fn(&Grid) -> Base + Sync),
     /// Beliefs.
@@ -61,7 +86,7 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
         .iter()
         .filter_map(|(course, factor)| match *course {
             Course::Ramp => Some((Course::Ramp, factor * n as f64 / whole as f64)),
-            Course::Temperature => Some((Course::Temperature, *factor)),
+            Course::Temperature | Course::Follows(_) => Some((*course, *factor)),
             Course::WarmUp(tau) => Some((Course::WarmUp(tau), factor * (-(from as f64) / tau).exp())),
             Course::Step(at) => (at > from && at < to).then(|| (Course::Step(at - from), *factor)),
         })
@@ -122,13 +147,7 @@ fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
 pub fn scores(whole: Whole<'_>) -> Scores {
     let total = whole.samples.len();
     let middle = total / 2;
-    let halves = [(0, middle), (middle, total)];
-    let transforms = halves.map(|(from, to)| Cosines::new(to - from));
-    let courses: Vec<Courses> = halves
-        .iter()
-        .zip(&transforms)
-        .map(|((from, to), transform)| Courses::new(&mut transform.clone(), whole.temperature.map(|t| &t[*from..*to])))
-        .collect();
+    let Halves { ranges: halves, transforms, courses } = whole.halves;
     let setting = |half: usize| Setting {
         courses: &courses[half],
         base: whole.base,
@@ -140,6 +159,8 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
     let known = |half: usize| part(whole.known, halves[half].0, halves[half].1, total);
     let found = |half: usize| part(whole.found, halves[half].0, halves[half].1, total);
+    // What no effect of the library explains is in the ceiling only.
+    let known_effects = |half: usize| found(half).within_library();
     let carried = known(1).outliers.len();
     let scored = |series: &Series<'_>, known: &Explanation| {
         let more = besides(series, known, carried) / BLOCKS as f64;
@@ -150,12 +171,22 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let plain = Series::new(&first, transforms[0].clone(), samples(0), known(0));
     let mut levels: Law = plain.explanation.law.clone();
     levels.levels[0] -= plain.average_variance().ln();
-    let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
-    let quiet = full.average_variance().ln();
-    let full = full.explanation;
     let with_levels = Explanation { law: levels, ..known(1) };
     let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
-    let mut carried_over = found(1);
+    let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
+    let numbers = 3
+        + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
+        + best.explanation.courses.len()
+        + 3 * best.explanation.sines.len();
+    let ceiling = scored(&best, &known(1));
+    let samples_scored = total - middle;
+    if whole.found.adds_nothing_to(whole.known) {
+        return Scores { declared, effects: parameters.clone(), parameters, ceiling, numbers, samples: samples_scored };
+    }
+    let full = Series::new(&first, transforms[0].clone(), samples(0), known_effects(0));
+    let quiet = full.average_variance().ln();
+    let full = full.explanation;
+    let mut carried_over = known_effects(1);
     carried_over.law = full.law.clone();
     for (course, factor) in &mut carried_over.courses {
         let same =
@@ -175,14 +206,8 @@ pub fn scores(whole: Whole<'_>) -> Scores {
             sine.quadratures = sine.quadratures.map(|value| value * known / own);
         }
     }
-    let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
     // The white noise where nothing changes it is the same in both.
     carried_over.law.levels[0] -= quiet;
     let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
-    let numbers = 3
-        + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
-        + best.explanation.courses.len()
-        + 3 * best.explanation.sines.len();
-    let ceiling = scored(&best, &known(1));
-    Scores { declared, parameters, effects, ceiling, numbers, samples: total - middle }
+    Scores { declared, parameters, effects, ceiling, numbers, samples: samples_scored }
 }

@@ -20,6 +20,14 @@ pub enum Shape {
     LowPass(u64),
     /// ln of the white noise after it.
     MovingAverage(u64),
+    /// A density that falls as a power of the frequency, as no effect of the library does: ln of it (per sample) at a
+    /// hundredth of the rate, exponent; which of [`Shape::SLOPES`].
+    Slope(usize),
+}
+
+impl Shape {
+    /// Exponents between those of white noise, flicker and random walk, and beyond.
+    pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.3, 3.5)];
 }
 
 /// One spectral effect in a law.
@@ -32,11 +40,14 @@ pub struct Term {
 }
 
 impl Term {
-    /// The effect in the channel's scale; what a filter lets pass afterwards apart.
-    #[must_use]
-    pub fn effect(&self) -> Box<dyn Effect> {
-        let at = |index: usize| self.numbers.get(index).copied().unwrap_or_default();
-        match self.shape {
+    fn at(&self, index: usize) -> f64 {
+        self.numbers.get(index).copied().unwrap_or_default()
+    }
+
+    /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of what is outside the library.
+    fn effect(&self) -> Option<Box<dyn Effect>> {
+        let at = |index: usize| self.at(index);
+        Some(match self.shape {
             Shape::QuantizationNoise => Box::new(QuantizationNoise { q: (0.5 * at(0)).exp() }),
             Shape::GaussMarkov => Box::new(GaussMarkov { sigma: (0.5 * at(0)).exp(), tc_s: at(1).exp() }),
             Shape::Resonance => {
@@ -44,18 +55,43 @@ impl Term {
             }
             Shape::LowPass(order) => Box::new(LowPass { cutoff_hz: at(0).exp(), order }),
             Shape::MovingAverage(window) => Box::new(MovingAverage { window }),
+            Shape::Slope(_) => return None,
+        })
+    }
+
+    /// Whether it adds noise of its own that has a time it is correlated for.
+    pub(super) fn adds(&self) -> bool {
+        matches!(self.shape, Shape::GaussMarkov | Shape::Resonance)
+    }
+
+    /// Power per sample that it adds at each frequency.
+    pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        const MIDDLE: f64 = 0.01;
+        match self.effect() {
+            Some(effect) => frequencies_hz.iter().map(|f| rate_hz * effect.psd(*f, rate_hz).unwrap_or(0.0)).collect(),
+            None => {
+                let (level, exponent) = (self.at(0), self.at(1));
+                frequencies_hz.iter().map(|f| (level - exponent * (f / (MIDDLE * rate_hz)).ln()).exp()).collect()
+            }
         }
+    }
+
+    /// Power gain at each frequency.
+    fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        let effect = self.effect();
+        let gain = |f: &f64| effect.as_ref().map_or(1.0, |effect| effect.power_gain(*f, rate_hz));
+        frequencies_hz.iter().map(gain).collect()
     }
 
     /// Which number is the logarithm of a power that the term adds, or of the white noise after a filter.
     fn level(&self) -> usize {
         match self.shape {
-            Shape::QuantizationNoise | Shape::GaussMarkov | Shape::Resonance | Shape::MovingAverage(_) => 0,
             Shape::LowPass(_) => 1,
+            _ => 0,
         }
     }
 
-    fn is_filter(&self) -> bool {
+    pub(super) fn is_filter(&self) -> bool {
         matches!(self.shape, Shape::LowPass(_) | Shape::MovingAverage(_))
     }
 
@@ -74,6 +110,7 @@ impl Term {
             ],
             Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), (-18.0, 4.0)],
             Shape::MovingAverage(_) => vec![(-18.0, 4.0)],
+            Shape::Slope(which) => vec![level, Shape::SLOPES[which.min(2)]],
         }
     }
 }
@@ -145,16 +182,6 @@ struct Pieces {
     before: Vec<f64>,
 }
 
-fn added(term: &Term, grid: &Grid) -> Vec<f64> {
-    let (effect, rate_hz) = (term.effect(), grid.rate_hz());
-    grid.frequencies_hz().iter().map(|f| rate_hz * effect.psd(*f, rate_hz).unwrap_or(0.0)).collect()
-}
-
-fn gains(term: &Term, grid: &Grid) -> Vec<f64> {
-    let (effect, rate_hz) = (term.effect(), grid.rate_hz());
-    grid.frequencies_hz().iter().map(|f| effect.power_gain(*f, rate_hz)).collect()
-}
-
 impl Pieces {
     fn of(law: &Law, data: Data<'_>) -> Self {
         let bins = data.grid.counts().len();
@@ -172,13 +199,13 @@ impl Pieces {
         };
         for term in &law.terms {
             if term.is_filter() {
-                let gain = gains(term, data.grid);
+                let gain = term.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
                 pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
                 pieces.gains.push(gain);
                 pieces.floors.push(term.numbers[term.level()].exp());
                 pieces.added.push(Vec::new());
             } else {
-                let more = added(term, data.grid);
+                let more = term.added(data.grid.frequencies_hz(), data.grid.rate_hz());
                 pieces.before.iter_mut().zip(&more).for_each(|(all, one)| *all += one);
                 pieces.added.push(more);
                 pieces.gains.push(Vec::new());
@@ -242,12 +269,12 @@ impl Law {
                     let mut moved = term.clone();
                     moved.numbers[number] += STEP;
                     if term.is_filter() {
-                        let there = gains(&moved, data.grid);
+                        let there = moved.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
                         let change = there.iter().zip(&pieces.gains[at]).map(|(to, from)| (to / from - 1.0) / STEP);
                         let places = change.zip(&pieces.before).zip(pieces.gain.iter().zip(&pieces.spectrum));
                         slopes.push(places.map(|((change, before), (gain, s))| change * before * gain / s).collect());
                     } else {
-                        let there = added(&moved, data.grid);
+                        let there = moved.added(data.grid.frequencies_hz(), data.grid.rate_hz());
                         let change = there.iter().zip(&pieces.added[at]).map(|(to, from)| (to - from) / STEP);
                         slopes.push(scaled(&change.collect::<Vec<f64>>()));
                     }
@@ -273,6 +300,27 @@ impl Law {
     #[must_use]
     pub fn fit(&self, data: Data<'_>) -> Fitted {
         const ROUNDS: usize = 60;
+        self.fit_for(data, ROUNDS)
+    }
+
+    /// The best of fits from several starts: those that are ahead after a few rounds are fitted to the end.
+    #[must_use]
+    pub fn fit_best(starts: Vec<Self>, data: Data<'_>) -> Option<Fitted> {
+        const FIRST: usize = 8;
+        const BEHIND: f64 = 12.0;
+        const MOST: usize = 3;
+        if starts.len() == 1 {
+            return starts.first().map(|law| law.fit(data));
+        }
+        let mut first: Vec<Fitted> = starts.iter().map(|law| law.fit_for(data, FIRST)).collect();
+        first.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
+        let ahead = first.first()?.log_posterior - BEHIND;
+        first.retain(|of| of.log_posterior > ahead);
+        let ended = first.into_iter().take(MOST).map(|of| of.law.fit(data));
+        ended.reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })
+    }
+
+    fn fit_for(&self, data: Data<'_>, rounds: usize) -> Fitted {
         const ENOUGH: f64 = 1e-4;
         const LONGEST: f64 = 2.0;
         let ranges = self.ranges(data.grid);
@@ -287,7 +335,7 @@ impl Law {
         let mut damping = 1e-3;
         let mut fisher = DMatrix::zeros(numbers.len(), numbers.len());
         let mut small = 0;
-        for _ in 0..ROUNDS {
+        for _ in 0..rounds {
             let slopes = law.slopes(&pieces, data);
             let count = slopes.len();
             let mut gradient = DVector::zeros(count);
@@ -361,7 +409,8 @@ impl Law {
     /// another.
     #[must_use]
     pub fn fit_from_several(&self, data: Data<'_>) -> Fitted {
-        let mut best = self.fit(data);
+        let best = self.fit(data);
+        let mut starts = Vec::new();
         // Frequencies at which flicker and walk meet the white noise, as shares of the band.
         for (flicker, walk) in [(1e-4, 1e-5), (1e-2, 1e-4), (1e-3, 1e-3), (1e-5, 1e-2)] {
             let mut start = self.clone();
@@ -378,12 +427,9 @@ impl Law {
                 }
             }
             start.levels[0] = best.law.levels[0];
-            let other = start.fit(data);
-            if other.log_posterior > best.log_posterior + 1e-3 {
-                best = other;
-            }
+            starts.push(start);
         }
-        best
+        Self::fit_best(starts, data).filter(|other| other.log_posterior > best.log_posterior + 1e-3).unwrap_or(best)
     }
 }
 

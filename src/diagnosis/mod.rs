@@ -8,6 +8,7 @@
 //! [`course`]s and sines ([`series`]). What each effect would give is in [`evidence`]; [`search`] adds one after the other as
 //! long as they are worth their price, which is what chance gives in simulated records of the same length.
 
+pub mod calibration;
 mod compose;
 pub mod course;
 pub mod diagnose;
@@ -20,6 +21,7 @@ pub mod grid;
 pub mod holdout;
 pub mod law;
 pub mod omnibus;
+mod plans;
 pub mod prepare;
 pub mod prices;
 pub mod recording;

@@ -1,67 +1,185 @@
 //! Prices: what chance makes of each effect's gain and of each omnibus statistic in records of noise alone.
 //!
-//! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). Offsets were read off simulated
-//! records (docs/validation.md); between the lengths of the table they go straight in ln of the samples.
+//! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). [`Tails::shipped`] has those of
+//! simulated records at four lengths (`cargo run --release --example null_tails`); [`super::calibration`] finds them for a
+//! record's own length and model.
 
 use super::evidence::Kind;
 use super::omnibus::Statistic;
-use super::search::Prices;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-/// Lengths of the table, samples.
+/// The tail of a distribution.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
+pub struct Tail {
+    /// Where the line meets a chance of 1, nats.
+    pub offset: f64,
+    /// Nats for a factor of e.
+    pub scale: f64,
+}
+
+impl Tail {
+    /// Of values drawn by chance: the mean excess over the value that a share of 0.15 is above (an exponential tail; Davison
+    /// and Smith 1990, J. R. Stat. Soc. B 52, with shape 0). Fewer than 20 values, or none above 0, have none.
+    #[must_use]
+    pub fn of(values: &[f64]) -> Option<Self> {
+        const SHARE: f64 = 0.15;
+        const LEAST: f64 = 1.0;
+        let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        if sorted.len() < 20 {
+            return None;
+        }
+        sorted.sort_unstable_by(f64::total_cmp);
+        let above = ((SHARE * sorted.len() as f64) as usize).max(3);
+        let (rest, top) = sorted.split_at(sorted.len() - above);
+        let threshold = rest.last().copied().unwrap_or_default().max(0.0);
+        let scale = (top.iter().map(|value| (value - threshold).max(0.0)).sum::<f64>() / above as f64).max(LEAST);
+        let share = above as f64 / sorted.len() as f64;
+        Some(Self { offset: threshold + scale * share.ln(), scale })
+    }
+
+    /// The value that is above with a chance.
+    #[must_use]
+    pub fn beyond(&self, chance: f64) -> f64 {
+        self.offset - self.scale * chance.ln()
+    }
+
+    /// The chance of a value above; more than 1 for what is usual.
+    #[must_use]
+    pub fn chance(&self, value: f64) -> f64 {
+        (-(value - self.offset) / self.scale).exp()
+    }
+}
+
+/// The tails of everything that a diagnosis looks at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Tails {
+    /// Gains of effects.
+    pub kinds: BTreeMap<Kind, Tail>,
+    /// Statistics of what remains.
+    pub statistics: BTreeMap<Statistic, Tail>,
+}
+
+/// Lengths of the shipped table, samples.
 const LENGTHS: [f64; 3] = [8193.0, 65_536.0, 720_000.0];
 
 /// Kind, offsets at the lengths, scale.
-const KINDS: [(Kind, [f64; 3], f64); 16] = [
+const KINDS: [(Kind, [f64; 3], f64); 18] = [
     (Kind::RateRamp, [0.0, 0.0, 0.0], 1.0),
     (Kind::TemperatureBias, [0.0, 0.0, 0.0], 1.0),
     (Kind::WarmUp, [0.5, 0.5, 0.5], 1.0),
-    (Kind::BiasStep, [5.0, 6.0, 6.5], 1.0),
-    (Kind::Tone, [10.4, 12.4, 14.8], 1.0),
-    (Kind::Resonance, [6.4, 7.3, 8.5], 1.0),
-    (Kind::GaussMarkov, [0.5, 0.5, 0.5], 1.0),
+    (Kind::BiasStep, [4.4, 5.6, 7.1], 1.0),
+    (Kind::Tone, [9.9, 12.0, 14.4], 1.05),
+    (Kind::Resonance, [6.2, 7.2, 8.0], 1.05),
+    (Kind::GaussMarkov, [0.3, 0.5, 0.6], 1.0),
     (Kind::QuantizationNoise, [-0.3, -0.3, -0.3], 1.0),
-    (Kind::LowPass, [0.4, 0.4, 0.4], 1.0),
+    (Kind::LowPass, [0.0, 0.0, 0.0], 1.15),
     (Kind::MovingAverage, [0.0, 0.0, 0.0], 1.0),
     (Kind::Spikes, [0.0, 0.0, 0.0], 1.0),
     (Kind::HeavyTails, [0.0, 0.0, 0.0], 1.0),
-    (Kind::Bursts, [10.3, 12.3, 14.7], 1.0),
-    (Kind::VarianceInterval, [10.3, 12.3, 14.7], 1.0),
+    (Kind::Bursts, [8.0, 10.3, 12.4], 1.2),
+    (Kind::VarianceInterval, [8.0, 10.3, 12.4], 1.2),
     (Kind::VariancePerDegree, [0.0, 0.0, 0.0], 1.0),
-    (Kind::VarianceProfile, [6.5, 6.5, 6.5], 1.3),
+    (Kind::VarianceProfile, [6.9, 6.9, 6.9], 1.35),
+    (Kind::TemperatureCurve, [0.3, 0.5, 0.6], 1.0),
+    (Kind::Slope, [0.0, 0.2, 0.4], 1.0),
 ];
 
-const STATISTICS: [(Statistic, [f64; 3], f64); 12] = [
+const STATISTICS: [(Statistic, [f64; 3], f64); 18] = [
     (Statistic::Kurtosis, [-0.5, -0.5, -0.5], 1.0),
-    (Statistic::Skewness, [-0.5, -0.5, -0.5], 1.0),
-    (Statistic::Tiles, [-0.5, -0.5, -0.5], 1.2),
-    (Statistic::Tile, [4.5, 5.2, 5.6], 1.1),
-    (Statistic::Octave, [2.0, 2.5, 3.0], 1.6),
-    (Statistic::Stretch, [3.0, 3.5, 3.5], 1.6),
-    (Statistic::OctaveKurtosis, [0.5, 0.5, 0.8], 1.1),
-    (Statistic::Clusters, [2.0, 2.5, 2.5], 1.1),
-    (Statistic::FineBand, [3.0, 5.0, 7.5], 1.1),
+    (Statistic::Skewness, [-0.4, -0.4, -0.4], 1.1),
+    (Statistic::Tiles, [0.0, 0.0, 0.0], 1.15),
+    (Statistic::Tile, [3.9, 4.2, 4.5], 1.1),
+    (Statistic::Octave, [2.7, 2.8, 3.4], 1.1),
+    (Statistic::Stretch, [3.5, 3.3, 3.3], 1.15),
+    (Statistic::OctaveKurtosis, [-0.3, -0.3, -0.2], 1.1),
+    (Statistic::Clusters, [0.0, 0.4, 0.4], 1.65),
+    (Statistic::FineBand, [2.9, 4.9, 7.2], 1.1),
     (Statistic::FineBands, [-0.5, -0.5, -0.5], 1.2),
-    (Statistic::Modulation, [8.3, 10.4, 12.8], 1.0),
-    (Statistic::Echo, [7.5, 9.2, 9.4], 1.0),
+    (Statistic::Modulation, [8.1, 10.3, 12.8], 1.1),
+    (Statistic::Echo, [6.2, 8.3, 8.4], 1.1),
+    (Statistic::Rectangle, [7.5, 9.8, 11.9], 1.15),
+    (Statistic::Component, [0.0, 0.0, 0.0], 1.3),
+    (Statistic::Atom, [0.0, 0.0, 0.0], 1.0),
+    (Statistic::Sweep, [9.5, 11.7, 13.9], 1.1),
+    (Statistic::Flashes, [1.2, 1.3, 1.5], 1.3),
+    (Statistic::Crosstalk, [7.1, 8.3, 8.6], 1.15),
 ];
 
-fn between(offsets: [f64; 3], samples: usize) -> f64 {
+/// Straight in ln of the samples between the table's lengths, and beyond them.
+fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
     let x = (samples.max(2) as f64).ln();
-    let at = usize::from(x > LENGTHS[1].ln());
+    let at = LENGTHS[1..LENGTHS.len() - 1].iter().filter(|length| x > length.ln()).count();
     let (from, to) = (LENGTHS[at].ln(), LENGTHS[at + 1].ln());
     offsets[at] + (x - from) / (to - from) * (offsets[at + 1] - offsets[at])
 }
 
-/// For records of `samples` of which `channels` are looked at: by chance an effect is named in about a part `level` of them.
-#[must_use]
-pub fn of_effects(samples: usize, channels: usize, level: f64) -> Prices {
-    let tails = KINDS.into_iter().map(|(kind, offsets, scale)| (kind, between(offsets, samples), scale)).collect();
-    Prices { tails, level: level / (channels.max(1) * KINDS.len()) as f64 }
+impl Tails {
+    /// The table's, for records of `samples`.
+    #[must_use]
+    pub fn shipped(samples: usize) -> Self {
+        let tail = |offsets, scale| Tail { offset: between(offsets, samples), scale };
+        Self {
+            kinds: KINDS.into_iter().map(|(kind, offsets, scale)| (kind, tail(offsets, scale))).collect(),
+            statistics: STATISTICS.into_iter().map(|(of, offsets, scale)| (of, tail(offsets, scale))).collect(),
+        }
+    }
+
+    /// The chance that noise alone shows as much of a statistic; more than 1 for what is usual.
+    #[must_use]
+    pub fn chance(&self, statistic: Statistic, value: f64) -> f64 {
+        self.statistics.get(&statistic).map_or(1.0, |tail| tail.chance(value))
+    }
 }
 
-/// The chance that noise alone shows as much of a statistic in a record of `samples`; above 1 for what is usual.
-#[must_use]
-pub fn chance(statistic: Statistic, value: f64, samples: usize) -> f64 {
-    let row = STATISTICS.into_iter().find(|(own, ..)| *own == statistic);
-    row.map_or(1.0, |(_, offsets, scale)| (-(value - between(offsets, samples)) / scale).exp())
+/// What each kind that is looked for has to give before it is named, nats.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prices(BTreeMap<Kind, f64>);
+
+impl Prices {
+    /// With tails, of `channels` that are looked at: by chance a kind is named in a part `level` of records of noise alone,
+    /// all kinds and channels counted.
+    #[must_use]
+    pub fn new(tails: &Tails, channels: usize, level: f64, wanted: impl Fn(Kind) -> bool) -> Self {
+        const LEAST: f64 = 6.0;
+        let level = level / (channels.max(1) * Kind::ALL.len()) as f64;
+        let kinds = tails.kinds.iter().filter(|(kind, _)| wanted(**kind));
+        Self(kinds.map(|(kind, tail)| (*kind, tail.beyond(level).max(LEAST))).collect())
+    }
+
+    /// Of a kind; infinite if it is not looked for.
+    #[must_use]
+    pub fn of(&self, kind: Kind) -> f64 {
+        self.0.get(&kind).copied().unwrap_or(f64::INFINITY)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exponential_tail_is_found_and_prices_follow_from_it() {
+        // Quantiles of 2 + 1.5·Exp(1).
+        let values: Vec<f64> = (0..1000).map(|i| 2.0 - 1.5 * (1.0 - (f64::from(i) + 0.5) / 1000.0).ln()).collect();
+        let tail = Tail::of(&values).unwrap();
+        assert!((tail.offset - 2.0).abs() < 0.05 && (tail.scale - 1.5).abs() < 0.03, "{tail:?}");
+        assert!((tail.chance(tail.beyond(1e-3)) - 1e-3).abs() < 1e-9);
+        assert_eq!(Tail::of(&values[..10]), None);
+        let tails = Tails::shipped(65_536);
+        let prices = Prices::new(&tails, 2, 0.005, |kind| kind != Kind::Tone);
+        assert_eq!(prices.of(Kind::Tone), f64::INFINITY);
+        assert!(prices.of(Kind::BiasStep) > prices.of(Kind::RateRamp) + 3.0);
+    }
+
+    #[test]
+    fn every_kind_and_statistic_has_a_tail_at_any_length() {
+        for samples in [1000, 8193, 100_000, 5_000_000] {
+            let tails = Tails::shipped(samples);
+            assert!(Kind::ALL.iter().all(|kind| tails.kinds.contains_key(kind)));
+            assert!(Statistic::ALL.iter().all(|of| tails.statistics.contains_key(of)));
+        }
+    }
 }

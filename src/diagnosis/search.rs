@@ -1,32 +1,8 @@
 //! The search: which effects explain a series, one after the other, each paid for.
 
 use super::evidence::{self, Candidate, Kind};
+use super::prices::Prices;
 use super::series::Series;
-
-/// What an effect has to give before it is named, nats: a gain that chance reaches with a small probability.
-///
-/// The survival function of a gain under noise alone is about exp(−(x − offset)/scale) far out; both are measured on simulated
-/// records of the same length.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Prices {
-    /// Offset and scale of each kind that is looked for.
-    pub tails: Vec<(Kind, f64, f64)>,
-    /// Chance that one channel of noise alone shows one kind.
-    pub level: f64,
-}
-
-impl Prices {
-    /// Of a kind.
-    #[must_use]
-    pub fn of(&self, kind: Kind) -> f64 {
-        const LEAST: f64 = 6.0;
-        let Some((_, offset, scale)) = self.tails.iter().find(|(own, ..)| *own == kind) else {
-            // Not looked for.
-            return f64::INFINITY;
-        };
-        (offset + scale * (1.0 / self.level).ln()).max(LEAST)
-    }
-}
 
 /// An effect that was added.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +18,7 @@ pub struct Step {
 }
 
 /// A complex kind that stands in for a simple one has to be better by some nats.
-const SIMPLER: [(Kind, Kind, f64); 9] = [
+const SIMPLER: [(Kind, Kind, f64); 14] = [
     (Kind::WarmUp, Kind::RateRamp, 4.0),
     (Kind::BiasStep, Kind::RateRamp, 2.0),
     (Kind::TemperatureBias, Kind::RateRamp, 0.0),
@@ -52,6 +28,12 @@ const SIMPLER: [(Kind, Kind, f64); 9] = [
     (Kind::HeavyTails, Kind::Spikes, 0.0),
     (Kind::LowPass, Kind::MovingAverage, 6.0),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
+    // What is outside the library has to be clearly better than what is in it.
+    (Kind::Slope, Kind::GaussMarkov, 3.0),
+    (Kind::Slope, Kind::QuantizationNoise, 3.0),
+    (Kind::Slope, Kind::LowPass, 3.0),
+    (Kind::TemperatureCurve, Kind::WarmUp, 3.0),
+    (Kind::TemperatureCurve, Kind::RateRamp, 3.0),
 ];
 
 /// Explains a series as far as effects are worth their prices.
@@ -72,7 +54,27 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
             more_tones(series, prices, &mut steps);
         }
     }
+    other_filter(series, &mut steps);
     steps
+}
+
+/// Chosen before all else was known, a filter may be of the other kind: what is in front of it shapes the spectrum too.
+fn other_filter(series: &mut Series<'_>, steps: &mut [Step]) {
+    let filters = [Kind::LowPass, Kind::MovingAverage];
+    let last = steps.len().saturating_sub(1);
+    // The last to be chosen knew everything.
+    let Some(at) = steps.iter().position(|step| filters.contains(&step.kind)).filter(|at| *at < last) else { return };
+    let kept = series.clone();
+    series.explanation.law.terms.retain(|term| !term.is_filter());
+    series.rebuild(false);
+    let candidates = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
+    let best = candidates.into_iter().flatten().reduce(|a, b| if b.gain > a.gain { b } else { a });
+    *series = kept;
+    if let Some(best) = best.filter(|best| best.kind != steps[at].kind) {
+        series.explanation = best.explanation;
+        series.rebuild(false);
+        steps[at] = Step { kind: best.kind, gain: best.gain, ..steps[at].clone() };
+    }
 }
 
 fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {

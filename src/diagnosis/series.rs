@@ -458,7 +458,7 @@ impl<'a> Series<'a> {
             if settled && round > 0 {
                 break;
             }
-            spectrum = self.grid.fill(&fitted.logarithms)[..kept].to_vec();
+            spectrum = self.grid.fill_first(&fitted.logarithms, kept);
         }
         best
     }

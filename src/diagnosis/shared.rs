@@ -10,6 +10,8 @@ pub struct Whitened {
     pub coefficients: Vec<f64>,
     /// Share of the spectrum's root that white noise has, at each.
     pub white: Vec<f32>,
+    /// The residual in time.
+    pub residual: Vec<f64>,
 }
 
 impl Whitened {
@@ -18,7 +20,11 @@ impl Whitened {
     pub fn of(series: &Series<'_>) -> Self {
         let white = series.white().powi(2);
         let share = |s: &f64| if s.is_finite() { (white / s).sqrt().min(1.0) as f32 } else { 0.0 };
-        Self { coefficients: series.whitened.clone(), white: series.spectrum.iter().map(share).collect() }
+        Self {
+            coefficients: series.whitened.clone(),
+            white: series.spectrum.iter().map(share).collect(),
+            residual: series.residual.clone(),
+        }
     }
 }
 
@@ -144,6 +150,7 @@ mod tests {
                 .map(|(own, all)| (1.0 - share * share).sqrt() * own + share * all)
                 .collect(),
             white: vec![1.0; n],
+            residual: Vec::new(),
         };
         let channels = [of(0, 0.5), of(1, 0.0), of(2, -0.3), of(3, 0.4)];
         let all = shared(&channels, 10.0);
@@ -170,6 +177,7 @@ mod tests {
                 .map(|(own, all)| (1.0 - share * share).sqrt() * own + share * all)
                 .collect(),
             white: vec![1.0; n],
+            residual: Vec::new(),
         };
         let (one, other) = (noise(8), noise(9));
         let found = shared(&[of(0, &one, 0.8), of(1, &one, 0.8), of(2, &other, 0.8), of(3, &other, -0.8)], 10.0);

@@ -30,6 +30,36 @@ pub struct Rectangle {
     pub ratio: f64,
 }
 
+/// Calls with the mean square of each tile over what it should be, and its coefficients: `edges` in coefficients of a stretch,
+/// stretch by stretch, band after band.
+pub(super) fn each(series: &Series<'_>, stretches: usize, edges: &[usize], mut tile: impl FnMut(f64, usize)) {
+    let size = series.len() / stretches;
+    let mut transform = Cosines::new(size);
+    // A change of variance is the white part's alone: its share of each band.
+    let white = series.white().powi(2);
+    let share = |span: &[usize]| {
+        let of = series.spectrum.get(span[0] * stretches..span[1] * stretches).unwrap_or_default();
+        of.iter().map(|s| (white / s).min(1.0)).sum::<f64>() / of.len().max(1) as f64
+    };
+    let changes = !series.variance.is_empty();
+    let shares: Vec<f64> = edges.windows(2).map(|span| if changes { share(span) } else { 0.0 }).collect();
+    for stretch in 0..stretches {
+        let range = stretch * size..(stretch + 1) * size;
+        let mut values = series.residual[range.clone()].to_vec();
+        let variance = series.variance.get(range);
+        if let Some(variance) = variance {
+            values.iter_mut().zip(variance).for_each(|(e, v)| *e *= v.sqrt());
+        }
+        transform.forward(&mut values);
+        let change = variance.map_or(0.0, |of| of.iter().sum::<f64>() / of.len().max(1) as f64 - 1.0);
+        for (span, share) in edges.windows(2).zip(&shares) {
+            let of = &values[span[0]..span[1]];
+            let mean = of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64 / (1.0 + share * change);
+            tile(mean, of.len());
+        }
+    }
+}
+
 impl Tiles {
     const STRETCHES: usize = 32;
 
@@ -43,31 +73,11 @@ impl Tiles {
             let next = edges.last().map_or(size, |edge| (edge * 3 / 2).max(edge + 4)).min(size);
             edges.push(next);
         }
-        let mut transform = Cosines::new(size);
         let (mut excess, mut ratio) = (Vec::new(), Vec::new());
-        // A change of variance is the white part's alone: its share of each band.
-        let white = series.white().powi(2);
-        let share = |span: &[usize]| {
-            let of = series.spectrum.get(span[0] * Self::STRETCHES..span[1] * Self::STRETCHES).unwrap_or_default();
-            of.iter().map(|s| (white / s).min(1.0)).sum::<f64>() / of.len().max(1) as f64
-        };
-        let shares: Vec<f64> = edges.windows(2).map(share).collect();
-        for stretch in 0..Self::STRETCHES {
-            let range = stretch * size..(stretch + 1) * size;
-            let mut values = series.residual[range.clone()].to_vec();
-            let variance = series.variance.get(range);
-            if let Some(variance) = variance {
-                values.iter_mut().zip(variance).for_each(|(e, v)| *e *= v.sqrt());
-            }
-            transform.forward(&mut values);
-            let change = variance.map_or(0.0, |of| of.iter().sum::<f64>() / of.len().max(1) as f64 - 1.0);
-            for (span, share) in edges.windows(2).zip(&shares) {
-                let of = &values[span[0]..span[1]];
-                let mean = of.iter().map(|c| c * c).sum::<f64>() / of.len().max(1) as f64 / (1.0 + share * change);
-                excess.push(super::omnibus::excess(mean, of.len() as f64));
-                ratio.push(mean);
-            }
-        }
+        each(series, Self::STRETCHES, &edges, |mean, count| {
+            excess.push(super::omnibus::excess(mean, count as f64));
+            ratio.push(mean);
+        });
         let hz = |edge: usize| edge as f64 * rate_hz / (2.0 * size.max(1) as f64);
         let s = |edge: usize| (edge * size) as f64 / rate_hz;
         Self {

@@ -1,8 +1,8 @@
 //! The transform: an orthonormal discrete cosine transform, in which a record's noise is uncorrelated.
 
+use super::plans::{self, Turns};
 use realfft::num_complex::Complex;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use std::f64::consts::PI;
+use realfft::{ComplexToReal, RealToComplex};
 use std::sync::Arc;
 
 /// DCT-II of records of one length, and its inverse, by one real FFT of that length (Makhoul 1980, IEEE Trans. ASSP 28).
@@ -18,12 +18,10 @@ pub struct Cosines {
     forward: Arc<dyn RealToComplex<f64>>,
     backward: Arc<dyn ComplexToReal<f64>>,
     /// cos and sin of πk/2n for k up to n/2.
-    turns: Vec<(f64, f64)>,
+    turns: Turns,
     real: Vec<f64>,
     complex: Vec<Complex<f64>>,
     scratch: Vec<Complex<f64>>,
-    /// Of twice the length, made when it is first asked for.
-    padded: Option<Arc<dyn RealToComplex<f64>>>,
 }
 
 impl std::fmt::Debug for Cosines {
@@ -37,22 +35,15 @@ impl Cosines {
     #[must_use]
     pub fn new(length: usize) -> Self {
         let length = length.max(1);
-        let mut planner = RealFftPlanner::new();
-        let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
-        let step = PI / (2.0 * length as f64);
-        let turn = |k: usize| {
-            let (sine, cosine) = (k as f64 * step).sin_cos();
-            (cosine, sine)
-        };
+        let (forward, backward) = (plans::forward(length), plans::backward(length));
         Self {
             length,
-            turns: (0..=length / 2).map(turn).collect(),
+            turns: plans::turns(length),
             real: forward.make_input_vec(),
             complex: forward.make_output_vec(),
             scratch: vec![Complex::default(); forward.get_scratch_len().max(backward.get_scratch_len())],
             forward,
             backward,
-            padded: None,
         }
     }
 
@@ -64,7 +55,7 @@ impl Cosines {
         if values.len() != n {
             return Vec::new();
         }
-        let plan = self.padded.get_or_insert_with(|| RealFftPlanner::new().plan_fft_forward(2 * n)).clone();
+        let plan = plans::forward(2 * n);
         let (mut input, mut output) = (plan.make_input_vec(), plan.make_output_vec());
         input[..n].copy_from_slice(values);
         // It fails only for buffers of a wrong length, and these are the plan's own.
@@ -91,7 +82,7 @@ impl Cosines {
         // It fails only for buffers of a wrong length, and these are the plan's own.
         let _ = self.forward.process_with_scratch(&mut self.real, &mut self.complex, &mut self.scratch);
         let scale = (2.0 / n as f64).sqrt();
-        for (k, (of, (cosine, sine))) in self.complex.iter().zip(&self.turns).enumerate() {
+        for (k, (of, (cosine, sine))) in self.complex.iter().zip(self.turns.iter()).enumerate() {
             let (re, im) = (of.re * cosine + of.im * sine, of.im * cosine - of.re * sine);
             values[k] = scale * re;
             if k > 0 && k < n - k {
@@ -108,7 +99,7 @@ impl Cosines {
             return;
         }
         coefficients[0] *= 2.0f64.sqrt();
-        for (k, (of, (cosine, sine))) in self.complex.iter_mut().zip(&self.turns).enumerate() {
+        for (k, (of, (cosine, sine))) in self.complex.iter_mut().zip(self.turns.iter()).enumerate() {
             let (re, im) = (coefficients[k], if k > 0 { -coefficients[n - k] } else { 0.0 });
             *of = Complex::new(re * cosine - im * sine, re * sine + im * cosine);
         }
@@ -129,6 +120,7 @@ impl Cosines {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::PI;
 
     #[test]
     fn the_transform_is_that_of_its_definition_and_its_inverse_undoes_it() {

@@ -79,6 +79,8 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
                 let effect = TemperatureBias { per_c: size, reference_c: temperature_c };
                 add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
             }
+            // No effect of the library.
+            Course::Follows(_) => {}
             Course::WarmUp(tau) => {
                 let tau_s = tau / rate_hz;
                 let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
@@ -117,8 +119,9 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         add(Kind::Tone, Arc::new(effect), ci95);
     }
     for (term, errors) in explanation.law.terms.iter().zip(&spread.terms) {
-        let (kind, effect, ci95) = spectral(term, errors, scale);
-        add(kind, effect, ci95);
+        if let Some((kind, effect, ci95)) = spectral(term, errors, scale) {
+            add(kind, effect, ci95);
+        }
     }
     if let Some(degrees) = explanation.tails
         && !prepared.has.contains(&"heavy_tails")
@@ -195,11 +198,11 @@ struct LineFound {
 /// An effect of the spectrum with the intervals of its parameters.
 type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
 
-fn spectral(term: &Term, errors: &[f64], scale: f64) -> Spectral {
+fn spectral(term: &Term, errors: &[f64], scale: f64) -> Option<Spectral> {
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
     let error = |index: usize| errors.get(index).copied().unwrap_or_default();
     let size = |index: usize| (0.5 * at(index)).exp() * scale;
-    match term.shape {
+    Some(match term.shape {
         Shape::QuantizationNoise => {
             let q = size(0);
             (Kind::QuantizationNoise, Arc::new(QuantizationNoise { q }), vec![("Q", times(q, 0.5 * error(0)))])
@@ -224,7 +227,9 @@ fn spectral(term: &Term, errors: &[f64], scale: f64) -> Spectral {
             (Kind::LowPass, Arc::new(LowPass { cutoff_hz, order }), ci95)
         }
         Shape::MovingAverage(window) => (Kind::MovingAverage, Arc::new(MovingAverage { window }), Vec::new()),
-    }
+        // No effect of the library.
+        Shape::Slope(_) => return None,
+    })
 }
 
 /// Lines at whole multiples of the lowest of them, within what a record of 1/`resolution_hz` tells apart, are one comb, with

@@ -35,6 +35,24 @@ pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::TemperatureBias, &[Course::Temperature], drift))
 }
 
+/// The temperature otherwise than along a straight line at once, beside its straight line.
+#[must_use]
+pub fn curve(series: &Series<'_>) -> Option<Candidate> {
+    let known = |course: &Course| matches!(course, Course::Follows(_));
+    if has(series, known) || !has(series, |course| *course == Course::Temperature) {
+        return None;
+    }
+    curve_alone(series)
+}
+
+/// The same without asking whether the straight line was found.
+pub(super) fn curve_alone(series: &Series<'_>) -> Option<Candidate> {
+    let ways = series.setting().courses.ways();
+    let drifts = ways.into_iter().map(|way| (Course::Follows(way), series.with_courses(&[Course::Follows(way)])));
+    let (course, drift) = drifts.reduce(|a, b| if b.1.gain > a.1.gain { b } else { a })?;
+    Some(candidate(series, Kind::TemperatureCurve, &[course], drift))
+}
+
 /// A warm-up: its time constant from a 120th to a quarter of the record.
 #[must_use]
 pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {

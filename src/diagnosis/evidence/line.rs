@@ -3,7 +3,7 @@
 use super::{Candidate, Kind};
 use crate::diagnosis::explanation::{Sine, turning};
 use crate::diagnosis::grid::{Grid, Narrow};
-use crate::diagnosis::law::{Data, Shape, Term};
+use crate::diagnosis::law::{Data, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
 
@@ -60,7 +60,8 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     series.residual = residual;
     let (power, cycles) = strongest(&periodogram)?;
     let mut explanation = series.explanation.clone();
-    if power < 10.0 {
+    // The greatest of n by chance is about this.
+    if power < (n as f64).ln() + 1.0 {
         return Some(Candidate { kind: Kind::Tone, gain: power, explanation });
     }
     let cycles = peak(&series.residual, cycles);
@@ -118,7 +119,8 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let rate_hz = series.setting().rate_hz;
     let (frequency_hz, width_hz) = (cycles * rate_hz, count / (2.0 * n as f64) * rate_hz);
     let mut explanation = series.explanation.clone();
-    if score < 6.0 {
+    // About what chance makes of it.
+    if score < 9.0 {
         return Some(Candidate { kind: Kind::Resonance, gain: score.max(0.0), explanation });
     }
     // All narrow bands on a grid that resolves them.
@@ -143,11 +145,9 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
         let mut law = without.law.clone();
         let sigma2 = (ratio - 1.0).max(0.05) * level / top;
         law.terms.push(Term { shape: Shape::Resonance, numbers: vec![sigma2.ln(), frequency_hz, bandwidth_hz.ln()] });
-        law.fit(data)
+        law
     };
-    let with = [start(0.6, ratio), start(0.2, 2.0 * ratio)]
-        .into_iter()
-        .reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
+    let with = Law::fit_best(vec![start(0.6, ratio), start(0.2, 2.0 * ratio)], data)?;
     let mut alone = with.law.clone();
     alone.terms.pop();
     let alone = alone.fit(data).log_posterior.max(without.log_posterior);

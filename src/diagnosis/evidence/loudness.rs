@@ -123,6 +123,12 @@ impl Sums {
         let quiet = sum < (to - from) as f64 && to - from < SHORTEST_QUIET;
         if quiet { 0.0 } else { gain(sum, to - from) }
     }
+    /// Whether the gain is surely below `least`: r − 1 − ln r is below (r − 1)²/2, above 1, and below that over r otherwise.
+    fn hopeless(&self, from: usize, to: usize, level: f64, least: f64) -> bool {
+        let count = (to - from) as f64;
+        let ratio = (self.limited[to] - self.limited[from]) / (level * count);
+        0.25 * count * (ratio - 1.0).powi(2) < least * ratio.clamp(1e-6, 1.0)
+    }
     /// The variance inside, its ratio to that outside, and the gain of having both, by the squares as they are.
     fn split(&self, from: usize, to: usize) -> (f64, f64, f64) {
         let all = self.whole.len() - 1;
@@ -239,7 +245,11 @@ fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f
         let step = (length / 4).max(1);
         let mut from = first;
         while from + length <= end {
-            let gain = sums.gain(from, from + length, level);
+            let gain = if sums.hopeless(from, from + length, level, best.0) {
+                0.0
+            } else {
+                sums.gain(from, from + length, level)
+            };
             if gain > best.0 {
                 best = (gain, from, from + length);
             }

@@ -8,9 +8,11 @@ pub mod spectral;
 
 use super::explanation::Explanation;
 use super::series::Series;
+use serde::{Deserialize, Serialize};
 
 /// A kind of cause, as far as the search tells them apart; several kinds may be one effect of the contract.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// A constant drift.
     RateRamp,
@@ -44,11 +46,15 @@ pub enum Kind {
     VariancePerDegree,
     /// Variance over time.
     VarianceProfile,
+    /// The level follows the temperature with play, or its square: outside the library.
+    TemperatureCurve,
+    /// A density as another power of the frequency: outside the library.
+    Slope,
 }
 
 impl Kind {
     /// All.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::RateRamp,
         Self::TemperatureBias,
         Self::WarmUp,
@@ -65,9 +71,11 @@ impl Kind {
         Self::VarianceInterval,
         Self::VariancePerDegree,
         Self::VarianceProfile,
+        Self::TemperatureCurve,
+        Self::Slope,
     ];
 
-    /// The contract's effect.
+    /// The contract's effect; of what is outside the library a name that is not one of the contract's.
     #[must_use]
     pub fn effect(self) -> &'static str {
         match self {
@@ -85,6 +93,8 @@ impl Kind {
             Self::HeavyTails => "heavy_tails",
             Self::Bursts => "bursts",
             Self::VarianceInterval | Self::VariancePerDegree | Self::VarianceProfile => "variance_change",
+            Self::TemperatureCurve => "temperature_curve",
+            Self::Slope => "slope",
         }
     }
 }
@@ -94,6 +104,16 @@ impl Kind {
     #[must_use]
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
+    }
+
+    /// What it is, if no effect of the library is it: it is looked for so that it is not taken for one of them.
+    #[must_use]
+    pub fn foreign(self) -> Option<&'static str> {
+        match self {
+            Self::TemperatureCurve => Some("the level follows the temperature, but not along a straight line at once"),
+            Self::Slope => Some("a density that falls as a power of the frequency that no effect has"),
+            _ => None,
+        }
     }
 
     /// Whether there may be several of it.
@@ -120,6 +140,13 @@ pub struct Candidate {
     pub explanation: Explanation,
 }
 
+/// The same, with what is looked for beside something else only, as if that had been found.
+pub(super) fn all_and_conditional(series: &mut Series<'_>) -> Vec<Candidate> {
+    let mut found = all(series);
+    found.extend(level::curve_alone(series));
+    found
+}
+
 /// What each effect of the library would give a series.
 #[must_use]
 pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
@@ -127,13 +154,20 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     found.extend(level::ramp(series));
     found.extend(level::temperature(series));
     found.extend(level::warm_up(series));
+    found.extend(level::curve(series));
     found.extend(level::steps(series));
     found.extend(line::tone(series));
     found.extend(line::resonance(series));
     found.extend(spectral::gauss_markov(series));
     found.extend(spectral::quantization_noise(series));
-    found.extend(spectral::low_pass(series));
-    found.extend(spectral::moving_average(series));
+    let low_pass = spectral::low_pass(series);
+    // What no filter of any order gains, none of another shape does.
+    let hopeless = low_pass.as_ref().is_some_and(|candidate| candidate.gain < spectral::HOPELESS);
+    found.extend(low_pass);
+    if !hopeless {
+        found.extend(spectral::moving_average(series));
+    }
+    found.extend(spectral::slope(series));
     found.extend(outlier::spikes(series));
     found.extend(outlier::heavy_tails(series));
     found.extend(loudness::intervals(series));

@@ -74,7 +74,9 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         // Stretches of noise, not spikes.
         return None;
     }
-    explanation.spikes = Some(spike_law(series, &large, core, wide));
+    // What is not worth a nat is not looked at more closely.
+    let hopeless = SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5 };
+    explanation.spikes = Some(if gain < 1.0 { hopeless } else { spike_law(series, &large, core, wide) });
     explanation.outliers.extend(flagged);
     explanation.outliers.sort_unstable();
     explanation.outliers.dedup();

@@ -1,7 +1,7 @@
 //! Spectral effects: more terms in the law.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::law::{Fitted, Shape, Term};
+use crate::diagnosis::law::{Fitted, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 
 /// The best law with another term, from several starts of its numbers.
@@ -10,9 +10,9 @@ fn with_term(series: &Series<'_>, shape: Shape, starts: impl IntoIterator<Item =
     let started = |numbers: Vec<f64>| {
         let mut law = series.explanation.law.clone();
         law.terms.push(Term { shape, numbers });
-        law.fit(data)
+        law
     };
-    let best = starts.into_iter().map(started).reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
+    let best = Law::fit_best(starts.into_iter().map(started).collect(), data)?;
     // A better optimum without the term is no evidence for it.
     let mut without = best.law.clone();
     without.terms.pop();
@@ -62,13 +62,15 @@ pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::QuantizationNoise, with_term(series, Shape::QuantizationNoise, [vec![start]])?))
 }
 
+/// Nats below which a filter of the first order is no filter.
+pub(super) const HOPELESS: f64 = 3.0;
+
 /// A Butterworth filter of the order that fits best.
 #[must_use]
 pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
         return None;
     }
-    const HOPELESS: f64 = 3.0;
     let rate_hz = series.setting().rate_hz;
     let of = |order: u64| {
         let starts = [0.15, 0.4].map(|share| vec![(share * rate_hz).ln(), white(series) - 6.0]);
@@ -108,14 +110,35 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
         return None;
     }
-    let of = |window: u64| {
-        let fitted = with_term(series, Shape::MovingAverage(window), [vec![white(series) - 6.0]])?;
-        Some(fitted)
+    let started = |window: u64| {
+        let mut law = series.explanation.law.clone();
+        law.terms.push(Term { shape: Shape::MovingAverage(window), numbers: vec![white(series) - 6.0] });
+        law
     };
-    let best = (2..=LONGEST)
-        .filter_map(|window| Some((window, of(window)?)))
-        .reduce(|a, b| if b.1.0 > a.1.0 { b } else { a })?;
-    let mut candidate = candidate(series, Kind::MovingAverage, best.1);
-    without_ends(&mut candidate, best.0 as usize, series.len());
+    // Each to its end: a window's notches do not show before the levels are right.
+    let fits = (2..=LONGEST).map(|window| started(window).fit(series.data()));
+    let best = fits.reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
+    let window = match best.law.terms.last().map(|term| term.shape) {
+        Some(Shape::MovingAverage(window)) => window,
+        _ => return None,
+    };
+    let mut without = best.law.clone();
+    without.terms.pop();
+    let without = without.fit(series.data()).log_posterior.max(series.fitted.log_posterior);
+    let mut candidate = candidate(series, Kind::MovingAverage, (best.log_posterior - without, best));
+    without_ends(&mut candidate, window as usize, series.len());
     Some(candidate)
+}
+
+/// A density that falls otherwise than white noise, flicker and random walk do.
+#[must_use]
+pub fn slope(series: &Series<'_>) -> Option<Candidate> {
+    if has(series, |shape| matches!(shape, Shape::Slope(_))) {
+        return None;
+    }
+    let fits = Shape::SLOPES.into_iter().enumerate().filter_map(|(which, (low, high))| {
+        with_term(series, Shape::Slope(which), [vec![white(series) - 1.5, 0.5 * (low + high)]])
+    });
+    let best = fits.reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    Some(candidate(series, Kind::Slope, best))
 }

@@ -1,12 +1,20 @@
 //! The omnibus: whether a residual is white, normal and the same throughout, whatever it might be otherwise.
 
+mod component;
+pub mod crosstalk;
+mod flashes;
+mod rectangles;
+mod sweep;
+
+use super::plans;
 use super::series::Series;
 use super::tiles::Tiles;
-use realfft::RealFftPlanner;
-use statrs::function::gamma::digamma;
+use serde::{Deserialize, Serialize};
+use statrs::function::gamma::{digamma, gamma_ur};
 
 /// A statistic of a residual, about −ln of the chance of as much, up to an offset that the record's length gives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[expect(clippy::exhaustive_enums, reason = "each has a null distribution in the table")]
 pub enum Statistic {
     /// Fourth moment of single samples.
@@ -33,11 +41,23 @@ pub enum Statistic {
     Modulation,
     /// The greatest autocorrelation.
     Echo,
+    /// Variance in the most conspicuous rectangle of time and frequency, whatever its size.
+    Rectangle,
+    /// Third and fourth moments of what a spectral term of the law is told to have made.
+    Component,
+    /// A value that is met far more often than its neighbours.
+    Atom,
+    /// Power along the most conspicuous straight line of a spectrogram.
+    Sweep,
+    /// Power in a few coefficients of short stretches.
+    Flashes,
+    /// The greatest correlation with another channel some samples earlier or later.
+    Crosstalk,
 }
 
 impl Statistic {
     /// All.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 18] = [
         Self::Kurtosis,
         Self::Skewness,
         Self::Tiles,
@@ -50,6 +70,12 @@ impl Statistic {
         Self::FineBands,
         Self::Modulation,
         Self::Echo,
+        Self::Rectangle,
+        Self::Component,
+        Self::Atom,
+        Self::Sweep,
+        Self::Flashes,
+        Self::Crosstalk,
     ];
 
     /// What it sees, for people.
@@ -68,34 +94,40 @@ impl Statistic {
             Self::FineBands => "power in many narrow bands",
             Self::Modulation => "noise whose level has a period",
             Self::Echo => "an echo: samples that resemble those a while before",
+            Self::Rectangle => "power that comes and goes or wanders in a band",
+            Self::Component => {
+                "what looks like a process by its spectrum is not normal: it jumps, or keeps its amplitude"
+            }
+            Self::Atom => "one value is met far more often than those beside it",
+            Self::Sweep => "a line whose frequency moves",
+            Self::Flashes => "short flashes of narrow bands",
+            Self::Crosstalk => "samples that resemble another channel's a while before",
         }
     }
 
     /// Whether it looks at single samples' distribution, which rounding, limits and tails change.
     #[must_use]
     pub fn is_marginal(self) -> bool {
-        matches!(self, Self::Kurtosis | Self::Skewness | Self::OctaveKurtosis)
+        matches!(self, Self::Kurtosis | Self::OctaveKurtosis)
     }
 }
 
 /// All statistics of a series' residual.
 #[must_use]
 pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
+    let mut found = Vec::with_capacity(Statistic::ALL.len());
+    found.push((Statistic::Skewness, skewness(&series.residual)));
+    found.push((Statistic::Component, component::worst(series)));
+    found.push((Statistic::Atom, atom(series.samples(), &series.explanation.outliers)));
     series.residual = series.scores().into_owned();
     let residual = series.residual.clone();
-    let n = residual.len();
-    let mut found = Vec::with_capacity(Statistic::ALL.len());
-    let half_square = |z: f64| 0.5 * z * z;
-    let (mut third, mut fourth) = (0.0, 0.0);
-    for e in &residual {
-        let e = e.clamp(-8.0, 8.0);
-        third += e.powi(3);
-        fourth += e.powi(4);
-    }
-    let count = n as f64;
+    let count = residual.len() as f64;
+    let fourth: f64 = residual.iter().map(|e| e.clamp(-8.0, 8.0).powi(4)).sum();
     found.push((Statistic::Kurtosis, half_square((fourth / count - 3.0) * (count / 96.0).sqrt())));
-    found.push((Statistic::Skewness, half_square(third / count * (count / 15.0).sqrt())));
     tiles(&Tiles::of(series), &mut found);
+    found.push((Statistic::Rectangle, rectangles::heaviest(series)));
+    found.push((Statistic::Sweep, sweep::steepest(series)));
+    found.push((Statistic::Flashes, flashes::brightest(series)));
     octaves(series, &mut found);
     bands(series, &mut found);
     periodic(&residual, &mut found);
@@ -108,6 +140,48 @@ pub(super) fn excess(ratio: f64, count: f64) -> f64 {
     half * (ratio - 1.0 - ratio.max(1e-9).ln()) - half * (half.ln() - digamma(half))
 }
 
+fn half_square(z: f64) -> f64 {
+    0.5 * z * z
+}
+
+/// −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
+pub(super) fn surprise(square: f64, count: f64) -> f64 {
+    if square <= 0.0 { 0.0 } else { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() }
+}
+
+/// Whether values on one side of 0 are larger than on the other, at any symmetric distribution: the sum of a cubic that is
+/// orthogonal to the values themselves, over its own root of squares.
+fn skewness(residual: &[f64]) -> f64 {
+    const LARGEST: f64 = 5.0;
+    let limited = || residual.iter().map(|e| e.clamp(-LARGEST, LARGEST));
+    let (second, fourth) = limited().fold((0.0, 0.0), |(s, f), e| (s + e * e, f + e.powi(4)));
+    let slope = fourth / second.max(f64::MIN_POSITIVE);
+    let cubic = |e: f64| e.powi(3) - slope * e;
+    let (sum, square) = limited().map(cubic).fold((0.0, 0.0), |(s, q), c| (s + c, q + c * c));
+    if square > 0.0 { half_square(sum / square.sqrt()) } else { 0.0 }
+}
+
+/// How often the most frequent value that is no outlier is met beyond the fifth most frequent, runs counted once: about that
+/// many rare chances.
+fn atom(samples: &[f64], outliers: &[usize]) -> f64 {
+    const FIFTH: usize = 5;
+    let changes = (1..samples.len()).filter(|t| samples[*t] != samples[t - 1] && outliers.binary_search(t).is_err());
+    let mut values: Vec<f64> = changes.map(|t| samples[t]).collect();
+    values.sort_unstable_by(f64::total_cmp);
+    let mut counts: Vec<usize> = values.chunk_by(|a, b| a == b).map(<[f64]>::len).collect();
+    if counts.len() < FIFTH {
+        return 0.0;
+    }
+    let (_, fifth, top) = {
+        let at = counts.len() - FIFTH;
+        counts.select_nth_unstable(at)
+    };
+    let (fifth, most) = (*fifth as f64, top.iter().copied().max().unwrap_or(0) as f64);
+    // Poisson counts: twice the difference of roots is about normal; small counts are chance.
+    let z = 2.0 * (most.sqrt() - fifth.sqrt()) - 3.0;
+    if most >= 6.0 && z > 0.0 { half_square(z) } else { 0.0 }
+}
+
 fn tiles(tiles: &Tiles, found: &mut Vec<(Statistic, f64)>) {
     let stretches = tiles.edges_s.len() - 1;
     let bands = tiles.edges_hz.len() - 1;
@@ -115,16 +189,16 @@ fn tiles(tiles: &Tiles, found: &mut Vec<(Statistic, f64)>) {
         return;
     }
     let table = &tiles.excess;
-    let spread = 0.5f64.sqrt();
-    let normal = |sum: f64, count: f64| {
-        let z = sum / (spread * count.sqrt());
-        if z > 0.0 { 0.5 * z * z } else { 0.0 }
+    // An excess is half of a square less its mean.
+    let sum = |of: &mut dyn Iterator<Item = usize>| {
+        let (square, count) = of.fold((0.0, 0.0), |(s, c), at| (s + 2.0 * table[at] + 1.0, c + 1.0));
+        surprise(square, count)
     };
-    found.push((Statistic::Tiles, normal(table.iter().sum(), table.len() as f64)));
+    found.push((Statistic::Tiles, sum(&mut (0..table.len()))));
     found.push((Statistic::Tile, table.iter().copied().fold(0.0, f64::max)));
-    let octave = |band: usize| normal((0..stretches).map(|block| table[block * bands + band]).sum(), stretches as f64);
+    let octave = |band: usize| sum(&mut (0..stretches).map(|block| block * bands + band));
     found.push((Statistic::Octave, (0..bands).map(octave).fold(0.0, f64::max)));
-    let stretch = |block: usize| normal((0..bands).map(|band| table[block * bands + band]).sum(), bands as f64);
+    let stretch = |block: usize| sum(&mut (0..bands).map(|band| block * bands + band));
     found.push((Statistic::Stretch, (0..stretches).map(stretch).fold(0.0, f64::max)));
 }
 
@@ -193,8 +267,7 @@ fn bands(series: &Series<'_>, found: &mut Vec<(Statistic, f64)>) {
 fn periodic(residual: &[f64], found: &mut Vec<(Statistic, f64)>) {
     const LAGS: usize = 20_000;
     let n = residual.len();
-    let mut planner = RealFftPlanner::new();
-    let forward = planner.plan_fft_forward(n);
+    let forward = plans::forward(n);
     let (mut input, mut output) = (forward.make_input_vec(), forward.make_output_vec());
     let squares = residual.iter().map(|e| (e * e).min(12.0));
     let mean = squares.clone().sum::<f64>() / n as f64;
@@ -206,7 +279,7 @@ fn periodic(residual: &[f64], found: &mut Vec<(Statistic, f64)>) {
     }
     input.copy_from_slice(residual);
     if forward.process(&mut input, &mut output).is_ok() {
-        let backward = planner.plan_fft_inverse(n);
+        let backward = plans::backward(n);
         for value in &mut output {
             *value = (value.norm_sqr()).into();
         }

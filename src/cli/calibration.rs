@@ -1,0 +1,69 @@
+//! Calibration on the command line: what chance finds in records like this one, found once and kept.
+
+use crate::diagnosis::Recording;
+use crate::diagnosis::calibration::{Nulls, RECORDS};
+use crate::diagnosis::prices::Tails;
+use crate::jobs::TwoThreads;
+use crate::simulator::SensorModel;
+use crate::store::SOFTWARE;
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use sha2::{Digest as _, Sha256};
+use std::io::{IsTerminal as _, Write as _};
+use std::path::PathBuf;
+
+/// The tails for a recording and a model: from the cache, or from [`RECORDS`] simulated records, the same either way.
+pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails> {
+    let nulls = Nulls::of(real, sim);
+    let file = folder().map(|folder| folder.join(format!("null-{}.json", &name(&nulls)[..24])));
+    // A file that cannot be read, or is another version's, is made anew.
+    let kept = file.as_ref().and_then(|file| std::fs::read(file).ok());
+    if let Some(tails) = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+        return Ok(tails);
+    }
+    let target =
+        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let bar = ProgressBar::with_draw_target(Some(RECORDS as u64), target);
+    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} records of noise alone · {eta} left");
+    let bar = if let Ok(style) = style { bar.with_style(style) } else { bar };
+    let each = |done: usize| {
+        bar.set_position(done as u64);
+        true
+    };
+    let tails = nulls.tails(RECORDS, &TwoThreads, &each)?.context("the calibration was stopped")?;
+    bar.finish_and_clear();
+    if let Some(file) = file
+        && let Err(error) = keep(&file, &tails)
+    {
+        eprintln!("the calibration is not kept for the next time: {}: {error}", file.display());
+    }
+    Ok(tails)
+}
+
+/// Digest of everything that the tails depend on.
+fn name(nulls: &Nulls) -> String {
+    let mut digest = Sha256::new();
+    digest
+        .update(format!("{SOFTWARE} {RECORDS} {} {} {:?} {}", nulls.samples, nulls.rate_hz, nulls.levels, nulls.seed));
+    for value in nulls.temperature_c.iter().flatten() {
+        digest.update(value.to_le_bytes());
+    }
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// `$XDG_CACHE_HOME/vn100d`, else `~/.cache/vn100d`.
+fn folder() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let cache = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))?;
+    Some(cache.join("vn100d"))
+}
+
+/// Whole or not at all.
+fn keep(file: &std::path::Path, tails: &Tails) -> std::io::Result<()> {
+    let folder = file.parent().unwrap_or(file);
+    std::fs::create_dir_all(folder)?;
+    let mut new = tempfile::NamedTempFile::new_in(folder)?;
+    new.write_all(&serde_json::to_vec(tails)?)?;
+    new.persist(file).map_err(|error| error.error)?;
+    Ok(())
+}

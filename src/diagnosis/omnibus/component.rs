@@ -1,0 +1,85 @@
+//! Component: what a spectral term is told to have made of a record, and whether it looks normal.
+//!
+//! A telegraph signal has a Gauss–Markov process's spectrum, a swept line a resonance's; given the record, a term's most
+//! probable course shows two levels, or one amplitude, where a normal process shows neither.
+
+use super::half_square;
+use crate::diagnosis::plans;
+use crate::diagnosis::series::Series;
+
+/// Fewest independent values of which moments say something.
+const FEWEST: f64 = 24.0;
+
+/// Half the square of the most conspicuous moment's deviation, over its standard deviation, of all terms.
+pub(super) fn worst(series: &mut Series<'_>) -> f64 {
+    let terms = series.explanation.law.terms.clone();
+    let (rate_hz, n) = (series.setting().rate_hz, series.len());
+    let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
+    let mut found = 0.0f64;
+    for term in terms.iter().filter(|term| term.adds()) {
+        let logarithms: Vec<f64> =
+            term.added(&hz, rate_hz).into_iter().map(|power| power.max(f64::MIN_POSITIVE).ln()).collect();
+        let own = series.grid.fill(&logarithms);
+        // Share of the term in each coefficient's power; a filter behind it would change both alike.
+        let share: Vec<f64> = own.iter().zip(&series.spectrum).map(|(own, all)| (own / all).min(1.0)).collect();
+        let mut course: Vec<f64> = series.coefficients.iter().zip(&share).map(|(c, share)| c * share).collect();
+        let mut power: Vec<f64> = own.iter().zip(&share).map(|(own, share)| own * share).collect();
+        // Nothing is known of a record's mean.
+        (course[0], power[0]) = (0.0, 0.0);
+        series.transform().backward(&mut course);
+        let Some((third, fourth)) = correlations(&power, n) else { continue };
+        let count = n as f64;
+        let variance = course.iter().map(|x| x * x).sum::<f64>() / count;
+        let moment = |order: i32| course.iter().map(|x| (x / variance.sqrt()).powi(order)).sum::<f64>() / count;
+        if variance <= 0.0 || count / fourth < FEWEST {
+            continue;
+        }
+        let skewed = moment(3) / (6.0 * third / count).sqrt();
+        let tails = kurtosis_score(moment(4), count / fourth);
+        found = found.max(half_square(skewed)).max(half_square(tails));
+    }
+    found
+}
+
+/// The kurtosis of `n` independent normal values as a standard normal value (Anscombe and Glynn 1983, Biometrika 70): two
+/// levels are far rarer than the plain standard error says.
+fn kurtosis_score(kurtosis: f64, n: f64) -> f64 {
+    let mean = 3.0 * (n - 1.0) / (n + 1.0);
+    let variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));
+    let x = (kurtosis - mean) / variance.sqrt();
+    let skew = 6.0 * (n * n - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0))
+        * (6.0 * (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0))).sqrt();
+    let a = 6.0 + 8.0 / skew * (2.0 / skew + (1.0 + 4.0 / (skew * skew)).sqrt());
+    let below = (1.0 + x * (2.0 / (a - 4.0)).sqrt()).max(1e-6);
+    (1.0 - 2.0 / (9.0 * a) - ((1.0 - 2.0 / a) / below).cbrt()) / (2.0 / (9.0 * a)).sqrt()
+}
+
+/// Sums of the third and fourth powers of the autocorrelation that a power spectrum gives, over all lags.
+fn correlations(power: &[f64], samples: usize) -> Option<(f64, f64)> {
+    let backward = plans::backward(2 * samples);
+    let (mut input, mut output) = (backward.make_input_vec(), backward.make_output_vec());
+    input.iter_mut().zip(power.iter().chain([&0.0])).for_each(|(own, power)| *own = (*power).into());
+    backward.process(&mut input, &mut output).ok()?;
+    let all = output[0];
+    if all <= 0.0 {
+        return None;
+    }
+    let sums = output[1..samples].iter().fold((0.0, 0.0), |(third, fourth), value| {
+        let r = value / all;
+        (third + r.powi(3), fourth + r.powi(4))
+    });
+    Some((1.0 + 2.0 * sums.0, 1.0 + 2.0 * sums.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kurtosis_score_is_that_of_published_tables() {
+        // scipy.stats.kurtosistest's statistic for uniform-like and normal values: b2 1.8 and 3.0 of 100.
+        assert!((kurtosis_score(1.8, 100.0) + 5.22).abs() < 0.3, "{}", kurtosis_score(1.8, 100.0));
+        assert!(kurtosis_score(3.0, 100.0).abs() < 0.4, "{}", kurtosis_score(3.0, 100.0));
+        assert!(kurtosis_score(1.0, 1e4) < -30.0 && kurtosis_score(6.0, 1e4) > 15.0);
+    }
+}

@@ -1,0 +1,79 @@
+//! Crosstalk: one channel's samples in another's, earlier or later.
+
+use crate::diagnosis::plans;
+use realfft::num_complex::Complex;
+
+/// Longest lag, samples.
+const LONGEST: usize = 20_000;
+/// Shorter lags are those of noise that channels share at once, seen through two whitening filters.
+const SHORTEST: usize = 3;
+
+/// For each channel half the greatest squared correlation with any other at a lag times the samples: about −ln of its chance,
+/// how many lags there are not counted. The residuals are white.
+#[must_use]
+pub fn greatest(residuals: &[&[f64]]) -> Vec<f64> {
+    let mut found = vec![0.0; residuals.len()];
+    let n = residuals.first().map_or(0, |of| of.len());
+    if residuals.len() < 2 || n < 8 * SHORTEST {
+        return found;
+    }
+    let (forward, backward) = (plans::forward(n), plans::backward(n));
+    let mut input = forward.make_input_vec();
+    let mut spectra: Vec<Vec<Complex<f64>>> = Vec::with_capacity(residuals.len());
+    for of in residuals {
+        let mut spectrum = forward.make_output_vec();
+        input.copy_from_slice(of);
+        if forward.process(&mut input, &mut spectrum).is_err() {
+            return found;
+        }
+        spectra.push(spectrum);
+    }
+    let power = |of: &[f64]| of.iter().map(|e| e * e).sum::<f64>();
+    let longest = LONGEST.min(n / 4);
+    for i in 0..spectra.len() {
+        for j in 0..i {
+            let mut product: Vec<Complex<f64>> =
+                spectra[i].iter().zip(&spectra[j]).map(|(a, b)| a * b.conj()).collect();
+            // The first and, of an even number, the last are real.
+            product[0].im = 0.0;
+            if n.is_multiple_of(2)
+                && let Some(last) = product.last_mut()
+            {
+                last.im = 0.0;
+            }
+            if backward.process(&mut product, &mut input).is_err() {
+                continue;
+            }
+            let lags = input[SHORTEST..longest].iter().chain(&input[n - longest..n - SHORTEST]);
+            let most = lags.map(|sum| sum.abs()).fold(0.0, f64::max) / n as f64;
+            let square = most * most / (power(residuals[i]) * power(residuals[j])).max(f64::MIN_POSITIVE);
+            let value = 0.5 * n as f64 * square;
+            found[i] = found[i].max(value);
+            found[j] = found[j].max(value);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::{Stream, StreamId};
+
+    #[test]
+    fn a_delayed_copy_is_found_in_both_and_others_are_left_alone() {
+        let n = 6001;
+        let noise = |effect: u16| {
+            let mut stream = Stream::new(5, StreamId { owner: 1, effect, instance: 0 });
+            (0..n).map(|_| stream.normal()).collect::<Vec<f64>>()
+        };
+        let (source, mut copy, other) = (noise(0), noise(1), noise(2));
+        for t in 37..n {
+            copy[t] -= 0.15 * source[t - 37];
+        }
+        let found = greatest(&[&source, &copy, &other]);
+        // n·r²/2 = 66.
+        assert!(found[0] > 40.0 && found[0] == found[1] && found[2] < 18.0, "{found:?}");
+        assert_eq!(greatest(&[&source]), [0.0]);
+    }
+}

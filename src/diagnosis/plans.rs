@@ -1,0 +1,64 @@
+//! Plans: transforms of the lengths in use, kept by each thread, because to plan one takes as long as to run it.
+
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Lengths that are kept; with one more all are forgotten.
+const MOST: usize = 24;
+
+/// cos and sin of πk/2n for k up to n/2.
+pub(super) type Turns = Arc<[(f64, f64)]>;
+
+#[derive(Default)]
+struct Plans {
+    planner: Option<RealFftPlanner<f64>>,
+    forward: BTreeMap<usize, Arc<dyn RealToComplex<f64>>>,
+    backward: BTreeMap<usize, Arc<dyn ComplexToReal<f64>>>,
+    turns: BTreeMap<usize, Turns>,
+}
+
+thread_local! {
+    static PLANS: RefCell<Plans> = RefCell::default();
+}
+
+impl Plans {
+    fn forget(&mut self) {
+        if self.forward.len() + self.backward.len() + self.turns.len() > 3 * MOST {
+            *self = Self::default();
+        }
+    }
+}
+
+/// From `n` real values.
+pub(super) fn forward(n: usize) -> Arc<dyn RealToComplex<f64>> {
+    PLANS.with_borrow_mut(|plans| {
+        plans.forget();
+        let planner = plans.planner.get_or_insert_with(RealFftPlanner::new);
+        plans.forward.entry(n).or_insert_with(|| planner.plan_fft_forward(n)).clone()
+    })
+}
+
+/// To `n` real values.
+pub(super) fn backward(n: usize) -> Arc<dyn ComplexToReal<f64>> {
+    PLANS.with_borrow_mut(|plans| {
+        plans.forget();
+        let planner = plans.planner.get_or_insert_with(RealFftPlanner::new);
+        plans.backward.entry(n).or_insert_with(|| planner.plan_fft_inverse(n)).clone()
+    })
+}
+
+/// Of a cosine transform of length `n`.
+pub(super) fn turns(n: usize) -> Turns {
+    PLANS.with_borrow_mut(|plans| {
+        plans.forget();
+        let step = PI / (2.0 * n as f64);
+        let turn = |k: usize| {
+            let (sine, cosine) = (k as f64 * step).sin_cos();
+            (cosine, sine)
+        };
+        plans.turns.entry(n).or_insert_with(|| (0..=n / 2).map(turn).collect()).clone()
+    })
+}
