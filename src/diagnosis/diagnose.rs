@@ -21,7 +21,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// Who does the work: several channels may be looked at at a time.
 pub trait Workers: Sync {
-    /// Calls `work` once with each number below `count`.
+    /// Calls `work` once with each number below `count`; where it leaves some out the diagnosis is called off.
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
 }
 
@@ -127,7 +127,7 @@ pub(super) struct Found {
 /// Compares a record with a model.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared.
+/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
@@ -138,8 +138,9 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         let found = explain(&ready, sim, index, &prices, options.believed);
         *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
     });
-    let both = places.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
-    let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
+    let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let both: Vec<(Findings, Whitened)> = done.collect::<Option<_>>().ok_or(DiagnosisError::CalledOff)?;
+    let (channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
     let shared = if options.wants("common_mode") { shared::shared(&whitened, price) } else { Vec::new() };
