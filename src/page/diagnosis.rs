@@ -11,6 +11,8 @@ use std::fmt::Write as _;
 
 /// Entries of a list that are shown of one cause on one channel.
 const ENTRIES: usize = 6;
+/// The bars' scale over what a true model shows, at least.
+const SCALE: f64 = 20.0;
 /// Characters of a parameter that is no number.
 const LONGEST: usize = 60;
 
@@ -161,7 +163,9 @@ fn bars(out: &mut String, gap: &Discrepancy) {
         ("with what was found", gap.after, "after"),
         ("a true model shows", gap.floor, "floor"),
     ];
-    let most = rows.iter().map(|(_, value, _)| *value).fold(f64::MIN_POSITIVE, f64::max);
+    // Where there is no gap the bars are short: the scale reaches to so many times what a true model shows, at least.
+    let least = SCALE * gap.floor.max(f64::MIN_POSITIVE);
+    let most = rows.iter().map(|(_, value, _)| *value).fold(least, f64::max);
     let _ = write!(out, "<h2>The gap, in {}</h2><div class=\"bars\">", escaped(&gap.unit));
     for (name, value, class) in rows {
         let _ =
