@@ -29,6 +29,7 @@ pub mod export;
 pub mod model_fit;
 pub mod motion;
 pub mod noise;
+pub mod page;
 pub mod protocol;
 pub mod simulator;
 pub mod trial;

@@ -290,7 +290,7 @@ fn answer_of_form(headers: &HeaderMap, result: Option<&ResultRow>, form: &str, b
 }
 
 /// Names the program that made the result, where it is not this one.
-fn with_stale(mut response: Response, software: &str) -> Response {
+pub(super) fn with_stale(mut response: Response, software: &str) -> Response {
     let stale = (software != SOFTWARE).then(|| HeaderValue::from_str(software).ok()).flatten();
     if let Some(software) = stale {
         response.headers_mut().insert(STALE, software);
@@ -298,7 +298,8 @@ fn with_stale(mut response: Response, software: &str) -> Response {
     response
 }
 
-fn unfinished(row: JobRow) -> Result<Response, ApiError> {
+/// The job of a result that is not there: 202, or why there will be none.
+pub(super) fn unfinished(row: JobRow) -> Result<Response, ApiError> {
     match row.state {
         JobState::Queued | JobState::Running | JobState::Done => Ok(jobs::answer(StatusCode::ACCEPTED, row)),
         JobState::Failed | JobState::Cancelled => {

@@ -26,7 +26,12 @@ pub(super) struct Job {
 
 impl From<JobRow> for Job {
     fn from(row: JobRow) -> Self {
-        let result = row.result_id.map(|_| format!("/v1/captures/{}/{}?job={}", row.capture, row.kind, row.id));
+        let result = row.result_id.map(|_| {
+            if row.kind == JobKind::Diagnosis.name() {
+                return format!("/v1/diagnoses/{}", row.id);
+            }
+            format!("/v1/captures/{}/{}?job={}", row.capture, row.kind, row.id)
+        });
         Self { row, result }
     }
 }
@@ -132,7 +137,16 @@ pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>
     if !with.is_empty() {
         parameters.insert("with".to_owned(), with.into());
     }
-    let parameters = serde_json::Value::Object(parameters);
+    queue(&state, kind, capture_id, serde_json::Value::Object(parameters)).await
+}
+
+/// Queues a job that somebody asks for: 202, or 200 where it is there already.
+pub(super) async fn queue(
+    state: &ApiState,
+    kind: JobKind,
+    capture_id: i64,
+    parameters: serde_json::Value,
+) -> Result<Response, ApiError> {
     let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
     let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok(answer(status, row))

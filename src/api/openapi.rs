@@ -22,6 +22,7 @@ use utoipa::openapi::OpenApi as Document;
         (name = "captures", description = "Recordings and their accounting; `{id}` is an id, a name, or `latest`"),
         (name = "analysis", description = "Statistics, Allan deviation, noise parameters"),
         (name = "jobs", description = "Background work"),
+        (name = "diagnoses", description = "Sensor models, and where captures and simulators differ"),
     ),
     components(schemas(super::problem::Problem)),
 )]

@@ -2,7 +2,7 @@
 
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
-use super::{analysis, captures, health, imports, jobs, openapi, samples, status};
+use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, samples, status};
 use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
@@ -37,6 +37,12 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(analysis::noise))
         .routes(routes!(jobs::list, jobs::submit))
         .routes(routes!(jobs::show, jobs::cancel))
+        .routes(routes!(models::list, models::keep))
+        .routes(routes!(models::show, models::delete))
+        .routes(routes!(diagnoses::submit))
+        .routes(routes!(diagnoses::list))
+        .routes(routes!(diagnoses::show))
+        .routes(routes!(diagnoses::model))
 }
 
 /// The whole interface as a service.
@@ -49,6 +55,7 @@ pub fn router(parts: ApiParts) -> Router {
     routes
         .merge(openapi::route(&document))
         .route("/", axum::routing::get(status::page))
+        .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))
         .fallback(nothing_here)
         .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))
         .layer(middleware::from_fn_with_state(state.clone(), layers::authorize))

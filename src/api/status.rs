@@ -97,6 +97,8 @@ fn render(status: &Status, uptime_s: u64) -> String {
         "/v1/captures/latest/statistics",
         "/v1/captures/latest/gaps",
         "/v1/jobs",
+        "/v1/diagnoses",
+        "/diagnoses/latest",
         "/readyz",
         "/metrics",
         "/openapi.json",

@@ -365,7 +365,10 @@ pub struct DiagnoseArgs {
     /// Write the model here with its parameters corrected and what it lacked added
     #[arg(long, value_name = "OUT.json")]
     pub augmented_model: Option<PathBuf>,
-    /// Replace the file where it exists
+    /// Write the diagnosis here as a page for people, with spectra; it loads nothing from elsewhere
+    #[arg(long, value_name = "OUT.html")]
+    pub html: Option<PathBuf>,
+    /// Replace files where they exist
     #[arg(long)]
     pub force: bool,
 }

@@ -1,11 +1,12 @@
 //! `vn100d diagnose`: where a recording and a simulator differ, and which effect the simulator lacks.
 
 use super::args::DiagnoseArgs;
-use super::output::Output;
+use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
 use crate::diagnosis::report::{Cause, Place};
 use crate::diagnosis::{self, Diagnosis, DiagnosisError, Options, Verdict};
 use crate::jobs::{TwoThreads, gridded};
+use crate::page;
 use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
@@ -18,7 +19,14 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let paths = [Path::new(&args.real), Path::new(&args.sim)];
     let read: Vec<&Path> = paths.into_iter().filter(|path| path.exists()).collect();
     let create = |path: &std::path::PathBuf| Output::create(path, args.force, &read);
+    if let (Some(one), Some(other)) = (&args.augmented_model, &args.html)
+        && is_same(one, other)
+    {
+        let message = format!("{} cannot be both the model and the page: choose another name", one.display());
+        return Err(CliError { failure: Failure::Usage, message }.into());
+    }
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
+    let html = args.html.as_ref().map(create).transpose()?;
     let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     let gridded = gridded(&together.source, &together.plan)?;
     let sim = simulator(context, args)?;
@@ -33,19 +41,14 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         ..Options::default()
     };
     let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options).map_err(|error| refused(&error))?;
-    if gridded.left_out > 0 {
-        outcome.diagnosis.notes.push(format!(
-            "compared are {:.0} s from {:.0} s on, the longest part without a gap of a minute; {} samples are outside it",
-            gridded.recording.length_s(),
-            gridded.from_s,
-            gridded.left_out
-        ));
-    }
+    outcome.diagnosis.notes.extend(gridded.note());
     if let Some(output) = augmented {
-        let path = output.path().display().to_string();
-        let text = serde_json::to_string_pretty(&outcome.augmented)? + "\n";
-        output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
-        output.keep()?;
+        write(output, &(serde_json::to_string_pretty(&outcome.augmented)? + "\n"))?;
+    }
+    if let Some(output) = html {
+        let spectra = diagnosis::spectra(&gridded.recording, &sim, &outcome.augmented);
+        let (report, spectra) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&spectra)?);
+        write(output, &page::diagnosis(&report, &spectra, &[])?)?;
     }
     if context.json {
         print_json(&outcome.diagnosis)?
@@ -64,6 +67,12 @@ fn simulator(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<SensorMod
     }
     let everything = diagnosis::effect_names();
     Ok(model::fitted(context, std::slice::from_ref(&args.sim), args.rate, &everything, None)?.model)
+}
+
+fn write(output: Output, text: &str) -> anyhow::Result<()> {
+    let path = output.path().display().to_string();
+    output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
+    output.keep()
 }
 
 fn refused(error: &DiagnosisError) -> anyhow::Error {

@@ -4,22 +4,15 @@ use super::args::{EffectNames, ModelArgs, ModelCommand, ModelFormat};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
-use crate::diagnosis;
 use crate::export::{ImuNoise, Target};
-use crate::jobs::{Plan, SampleSource, TwoThreads, direct, gridded};
-use crate::model_fit::{Difference, differences, model_of, with_effects};
-use crate::noise::statistics::Moments;
-use crate::sample::Channel;
+use crate::jobs::{self, TwoThreads};
+use crate::model_fit::{Difference, differences};
 use crate::simulator::SensorModel;
-use crate::store::{SOFTWARE, StoreError};
 use anyhow::Context as _;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
-
-/// Samples read at a time.
-const CHUNK: usize = 65_536;
 
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
@@ -83,44 +76,14 @@ pub(super) fn fitted(
     name: Option<String>,
 ) -> anyhow::Result<Fit> {
     let together = analysis::open(context, captures, rate_hz)?;
-    let levels = levels(&together.source, &together.plan)?;
-    let (rejected, title) = (together.rejected(), together.name());
-    let gridded = (!wanted.is_empty()).then(|| gridded(&together.source, &together.plan)).transpose()?;
-    let report = direct::noise(&together.source, together.plan)?;
-    let name = name.unwrap_or(title);
-    let mut model = model_of(&report, &levels, &name, SOFTWARE);
-    if let Some(gridded) = gridded {
-        let options = diagnosis::Options {
-            workers: &TwoThreads,
-            effects: Some(wanted),
-            believed: false,
-            ..diagnosis::Options::default()
-        };
-        let found = diagnosis::diagnose(&gridded.recording, &model, &options)?;
-        let temperature_c = levels.get(&Channel::Temperature).copied();
-        let record_s = gridded.recording.length_s();
-        model = with_effects(&model, &found.augmented, wanted, record_s, temperature_c);
-    }
+    let rejected = together.rejected();
+    let name = name.unwrap_or_else(|| together.name());
+    let model = jobs::fitted(&together.source, together.plan, wanted, &name, &TwoThreads)?;
     Ok(Fit { model, name, rejected })
 }
 
 pub(super) fn load(path: &Path) -> anyhow::Result<SensorModel> {
     super::emulate::load_model(Some(path))
-}
-
-/// Mean of every channel of a plan, and of the temperature where it was recorded.
-fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
-    let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
-    let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
-    let mut next_seq = 0;
-    while next_seq < plan.end_seq {
-        let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
-        for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
-            column.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
-        }
-        next_seq = chunk.next_seq();
-    }
-    Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
 }
 
 fn show(model: &SensorModel) -> std::io::Result<()> {

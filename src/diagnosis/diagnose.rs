@@ -21,7 +21,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// Who does the work: several channels may be looked at at a time.
 pub trait Workers: Sync {
-    /// Calls `work` once with each number below `count`.
+    /// Calls `work` once with each number below `count`; where it leaves some out the diagnosis is called off.
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
 }
 
@@ -139,7 +139,7 @@ pub(super) struct Found {
 /// Compares a record with a model.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared.
+/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
@@ -152,8 +152,9 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         let found = explain(&ready, sim, index, &prices, &halves, options.believed);
         *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
     });
-    let both = places.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
-    let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.unzip();
+    let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let both: Vec<(Findings, Whitened)> = done.collect::<Option<_>>().ok_or(DiagnosisError::CalledOff)?;
+    let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
     let residuals: Vec<&[f64]> = whitened.iter().map(|of| of.residual.as_slice()).collect();
     for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(&residuals)) {
         of.statistics.push((Statistic::Crosstalk, value));

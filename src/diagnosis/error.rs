@@ -68,6 +68,9 @@ pub enum DiagnosisError {
         /// The others'.
         expected: usize,
     },
+    /// Whoever works on it left a channel out: nobody wants it any more.
+    #[error("the diagnosis was called off")]
+    CalledOff,
     /// The model cannot be simulated at this rate.
     #[error("the model cannot be simulated: {0}")]
     Model(String),

@@ -33,6 +33,7 @@ pub mod search;
 mod sentence;
 pub mod series;
 pub mod shared;
+pub mod spectra;
 pub mod spread;
 pub mod tiles;
 pub mod transform;
@@ -42,6 +43,7 @@ pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use error::DiagnosisError;
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
+pub use spectra::{ChannelSpectra, spectra};
 
 /// The effects that can be found in a record at rest: the contract's, on channels.
 #[must_use]

@@ -1,6 +1,8 @@
 //! Why a job was not taken or could not be done.
 
+use crate::diagnosis::DiagnosisError;
 use crate::noise::allan::AllanError;
+use crate::simulator::ModelError;
 use crate::store::StoreError;
 
 /// Everything that can go wrong with a job.
@@ -38,6 +40,12 @@ pub enum JobError {
     /// The estimator refused.
     #[error("{0}")]
     Allan(#[from] AllanError),
+    /// A sensor model that is none.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// Recording and model cannot be compared.
+    #[error("{0}")]
+    Diagnosis(DiagnosisError),
     /// A checkpoint could not be read.
     #[error("the checkpoint of job {job} is damaged: submit the job again")]
     Checkpoint {
@@ -59,4 +67,13 @@ pub enum JobError {
     /// A worker thread could not be started.
     #[error("a worker thread could not be started: {0}")]
     Thread(std::io::Error),
+}
+
+impl From<DiagnosisError> for JobError {
+    fn from(error: DiagnosisError) -> Self {
+        match error {
+            DiagnosisError::CalledOff => Self::CalledOff,
+            other => Self::Diagnosis(other),
+        }
+    }
 }

@@ -83,6 +83,10 @@ impl Fold {
                     None => Distribution::new(channels),
                 })
             }
+            // It takes all samples at once: `diagnosis` is its room.
+            JobKind::Diagnosis => {
+                return Err(JobError::InsufficientData { reason: "a diagnosis is no fold".to_owned() });
+            }
         };
         let end_seq = fold.end_seq(job);
         Ok((fold, next_seq.min(end_seq)))

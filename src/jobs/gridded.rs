@@ -20,6 +20,21 @@ pub struct Gridded {
     pub left_out: u64,
 }
 
+impl Gridded {
+    /// What a reader should know of it: that it is not all there is.
+    #[must_use]
+    pub fn note(&self) -> Option<String> {
+        (self.left_out > 0).then(|| {
+            format!(
+                "compared are {:.0} s from {:.0} s on, the longest part without a gap of a minute; {} samples are outside it",
+                self.recording.length_s(),
+                self.from_s,
+                self.left_out
+            )
+        })
+    }
+}
+
 /// Reads a plan's samples; of several captures the first one's.
 ///
 /// # Errors

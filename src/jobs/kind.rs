@@ -15,11 +15,15 @@ pub enum JobKind {
     Noise,
     /// Moments, histogram and a test for normality (`vn100d-statistics-1`).
     Statistics,
+    /// Where a simulator differs and what it lacks (`vn100d-diagnosis-1`).
+    Diagnosis,
 }
 
 impl JobKind {
     /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
+    pub const ALL: [Self; 4] = [Self::Allan, Self::Noise, Self::Statistics, Self::Diagnosis];
+    /// Those that a capture gets without being asked.
+    pub const USUAL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
 
     /// The name in the database and JSON.
     #[must_use]
@@ -28,6 +32,7 @@ impl JobKind {
             Self::Allan => "allan",
             Self::Noise => "noise",
             Self::Statistics => "statistics",
+            Self::Diagnosis => "diagnosis",
         }
     }
 
@@ -42,8 +47,8 @@ impl JobKind {
         })
     }
 
-    /// Reads the parameters of a job of this kind; what is not given is filled in, so that the same wish is the same job
-    /// however it is written.
+    /// Reads the parameters of a job of one of the usual kinds; what is not given is filled in, so that the same wish is the
+    /// same job however it is written.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for unknown names and impossible values.
@@ -78,7 +83,7 @@ impl JobKind {
     }
 }
 
-/// Parameters of a job.
+/// Parameters of a job of one of the usual kinds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobParameters {

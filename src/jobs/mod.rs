@@ -5,13 +5,15 @@
 //! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
 //! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads at nice 10 that rest a
 //! tenth of their time while they read and hold no read transaction between chunks; what is fitted then is fitted on two threads.
-//! Memory is bounded whatever a capture's length: docs/performance.md has the figures.
+//! Memory is bounded whatever a capture's length: docs/performance.md has the figures. A diagnosis is the exception in two
+//! ways: it begins anew where it was interrupted, and it takes the samples that fit, all at once, and says so.
 //!
 //! [`direct`] does the same for whoever waits, from any [`SampleSource`].
 //!
 //! [`Live`] answers for a capture that still runs.
 
 mod curves;
+mod diagnosis;
 pub mod direct;
 mod distribution;
 mod error;
@@ -21,6 +23,7 @@ mod gridded;
 mod held;
 mod kind;
 mod live;
+mod model;
 mod plan;
 mod report;
 mod runner;
@@ -33,10 +36,12 @@ mod threads;
 mod together;
 mod worker;
 
+pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator};
 pub use error::JobError;
 pub use gridded::{Gridded, gridded};
 pub use kind::{JobKind, JobParameters};
 pub use live::{CATCH_UP, Live, LivePoints, SoFar};
+pub use model::fitted;
 pub use plan::{Plan, Slice};
 pub use report::{Extent, StatisticsReport};
 pub use runner::CHUNK;

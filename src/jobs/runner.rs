@@ -39,6 +39,9 @@ pub(super) fn run(
     mut keep_on: impl FnMut() -> bool,
 ) -> Result<Outcome, JobError> {
     let kind = JobKind::from_name(&job.kind)?;
+    if kind == JobKind::Diagnosis {
+        return super::diagnosis::run(store, reader, job, keep_on);
+    }
     let parameters = kind.parameters(&job.params)?;
     let (mut fold, mut next_seq) = Fold::begin(reader, job, kind, &parameters)?;
     let end_seq = fold.end_seq(job);

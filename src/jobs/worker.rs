@@ -1,7 +1,7 @@
 //! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
-use super::{JobError, JobKind, JobParameters, together};
+use super::{DiagnosisParameters, JobError, JobKind, JobParameters, together};
 use crate::observe::JobsStatus;
 use crate::sample::Channel;
 use crate::store::{JobRow, JobState, NewJob, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
@@ -115,11 +115,16 @@ impl Jobs {
         parameters: &serde_json::Value,
         queue_max: u64,
     ) -> Result<(JobRow, bool), JobError> {
-        let parameters = kind.parameters(parameters)?;
-        if !parameters.with.is_empty() {
-            self.check_together(capture_id, &parameters)?;
-        }
-        let params = serde_json::to_value(parameters)?;
+        let params = if kind == JobKind::Diagnosis {
+            let reader = self.inner.readers.get()?;
+            serde_json::to_value(DiagnosisParameters::read(&reader, parameters)?)?
+        } else {
+            let parameters = kind.parameters(parameters)?;
+            if !parameters.with.is_empty() {
+                self.check_together(capture_id, &parameters)?;
+            }
+            serde_json::to_value(parameters)?
+        };
         let new = NewJob { kind: kind.name().to_owned(), capture_id, params };
         let submitted = self.inner.store.submit_job(new, queue_max)?;
         if submitted.1 {
@@ -138,13 +143,13 @@ impl Jobs {
         together::plan(&reader, &captures, &wanted).map(|_| ())
     }
 
-    /// Queues all that a complete or imported capture gets without being asked: one job of every kind, however many wait.
+    /// Queues all that a complete or imported capture gets without being asked: one job of every usual kind, however many wait.
     ///
     /// # Errors
     /// As [`Self::submit`].
     pub fn submit_all(&self, capture_id: i64) -> Result<Vec<JobRow>, JobError> {
         let usual = &serde_json::Value::Null;
-        JobKind::ALL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
+        JobKind::USUAL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
     }
 
     /// Calls a job off.
@@ -190,7 +195,7 @@ impl Jobs {
 /// # Errors
 /// As [`Jobs::submit`].
 pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> {
-    for kind in JobKind::ALL {
+    for kind in JobKind::USUAL {
         let params = serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?;
         store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params }, u64::MAX)?;
     }

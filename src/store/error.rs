@@ -191,6 +191,18 @@ pub enum StoreError {
         /// What was asked for.
         id: i64,
     },
+    /// No sensor model has that id.
+    #[error("there is no sensor model `{asked}`: GET /v1/models lists them")]
+    NoSuchModel {
+        /// What was asked for.
+        asked: String,
+    },
+    /// No diagnosis has that id.
+    #[error("there is no diagnosis `{asked}`: GET /v1/diagnoses lists them")]
+    NoSuchDiagnosis {
+        /// What was asked for.
+        asked: String,
+    },
     /// The name is taken.
     #[error("a capture named `{name}` exists already: choose another name")]
     NameTaken {
@@ -297,7 +309,11 @@ impl StoreError {
             | Self::LogMissing { .. }
             | Self::Thread(_)
             | Self::Unwritten { .. } => StoreErrorKind::Io,
-            Self::NoDatabase { .. } | Self::NoSuchCapture { .. } | Self::NoSuchJob { .. } => StoreErrorKind::NotFound,
+            Self::NoDatabase { .. }
+            | Self::NoSuchCapture { .. }
+            | Self::NoSuchJob { .. }
+            | Self::NoSuchModel { .. }
+            | Self::NoSuchDiagnosis { .. } => StoreErrorKind::NotFound,
             Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } => StoreErrorKind::Conflict,
             Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
             Self::Closed | Self::QueueFull { .. } | Self::Refusing { .. } | Self::Lost { .. } => {

@@ -107,10 +107,10 @@ pub struct JobCheckpoint {
     pub state: Vec<u8>,
 }
 
-const JOB_COLUMNS: &str = "id, kind, capture_id, params, end_seq, state, progress, created_utc_ns, started_utc_ns, \
+pub(super) const JOB_COLUMNS: &str = "id, kind, capture_id, params, end_seq, state, progress, created_utc_ns, started_utc_ns, \
     finished_utc_ns, error, result_id, software";
 
-fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
+pub(super) fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
     let state: String = row.get(5)?;
     let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));
     let software: String = row.get(12)?;
@@ -219,6 +219,20 @@ impl Store {
                     )?
                     .execute(params![id, checkpoint.next_seq as i64, checkpoint.state, SOFTWARE])?;
             }
+            Ok(running == 1)
+        })
+    }
+
+    /// Keeps how far a running job has come that begins anew when it is begun again: nothing is spared it, so that its starts go
+    /// on being counted. Answers false where the job was cancelled or deleted: it is to end.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn note_progress(&self, id: i64, progress: f64) -> Result<bool, StoreError> {
+        self.execute(move |transaction| {
+            let running = transaction
+                .prepare_cached("UPDATE job SET progress = max(progress, ?2) WHERE id = ?1 AND state = 'running'")?
+                .execute(params![id, progress.clamp(0.0, 1.0)])?;
             Ok(running == 1)
         })
     }

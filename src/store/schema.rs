@@ -23,6 +23,7 @@ const MIGRATIONS: &[&str] = &[
     include_str!("../../migrations/0006_job_software.sql"),
     include_str!("../../migrations/0007_utc_corrections.sql"),
     include_str!("../../migrations/0008_boot.sql"),
+    include_str!("../../migrations/0009_models.sql"),
 ];
 /// How long the writer waits for a foreign lock before it reports it.
 const WRITER_BUSY: Duration = Duration::from_millis(5000);

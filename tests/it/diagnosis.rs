@@ -72,9 +72,18 @@ fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
     let less = write(folder.path(), "less.json", &less.to_string());
     let open = diagnosed(&again, &less, &[]);
     assert_eq!(effects(&open), ["resonance"], "{open:#}");
-    // A person gets one sentence first.
-    let said = done(&["diagnose", "--real", &real, "--sim", &plain]);
-    assert!(said.lines().next().unwrap().contains("that the model lacks"), "{said}");
+    // A person gets one sentence first, also on the page.
+    let page = path("page.html");
+    let said = done(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
+    let sentence = said.lines().next().unwrap();
+    assert!(sentence.contains("that the model lacks"), "{said}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(html.contains(&format!("<h1>{sentence}</h1>")) && html.contains("<polyline class=\"after\""), "{html}");
+    let again = vn100d(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
+    let said = String::from_utf8(again.stderr).unwrap();
+    assert!(again.status.code() == Some(73) && said.contains("--force"), "{said}");
+    let both = vn100d(&["diagnose", "--real", &real, "--sim", &plain, "--html", "x", "--augmented-model", "./x"]);
+    assert_eq!(both.status.code(), Some(2), "{}", String::from_utf8_lossy(&both.stderr));
 }
 
 #[test]

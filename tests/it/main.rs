@@ -6,6 +6,7 @@ mod bad_input;
 #[path = "../world/bag.rs"]
 mod bag;
 mod demo;
+mod diagnoses;
 mod diagnosis;
 mod docs;
 mod imports;

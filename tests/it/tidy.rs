@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 25] = [
+const MAY_USE: [(&str, &[&str]); 26] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -23,15 +23,32 @@ const MAY_USE: [(&str, &[&str]); 25] = [
     ("capture", &["protocol", "sample", "clock", "observe", "units"]),
     ("store", &["sample", "clock", "observe", "units"]),
     ("recording", &["protocol", "sample", "clock", "units"]),
-    ("jobs", &["store", "diagnosis", "noise", "sample", "clock", "observe", "units"]),
+    ("page", &["sample"]),
+    ("jobs", &["store", "diagnosis", "model_fit", "noise", "simulator", "sample", "clock", "observe", "units"]),
     ("config", &["units", "protocol", "observe"]),
     ("notify", &["observe", "sample", "clock", "units"]),
     ("retention", &["sample"]),
-    ("api", &["store", "jobs", "datasheet", "export", "observe", "control", "noise", "sample", "clock", "units"]),
+    (
+        "api",
+        &[
+            "store",
+            "jobs",
+            "page",
+            "simulator",
+            "datasheet",
+            "export",
+            "observe",
+            "control",
+            "noise",
+            "sample",
+            "clock",
+            "units",
+        ],
+    ),
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 12] = [
+const PURE: [&str; 13] = [
     "protocol",
     "sample",
     "noise",
@@ -40,6 +57,7 @@ const PURE: [&str; 12] = [
     "export",
     "motion",
     "model_fit",
+    "page",
     "effects",
     "simulator",
     "retention",

@@ -3,6 +3,7 @@
 mod analysis;
 mod captures;
 mod daemon;
+mod diagnoses;
 mod limits;
 mod samples;
 

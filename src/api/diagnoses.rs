@@ -1,0 +1,221 @@
+//! Diagnoses: asked for, listed, shown as a document, as a model and as a page. A diagnosis has its job's id.
+
+use super::analysis::{unfinished, with_stale};
+use super::extract::{J, P, Q};
+use super::problem::{ApiError, Problem};
+use super::state::ApiState;
+use super::{conditional, jobs, page};
+use crate::jobs::{DiagnosisDocument, JobError, JobKind};
+use crate::page as pages;
+use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::response::{Html, IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// What a capture is compared with.
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DiagnosisBody {
+    /// A model's id (`"model-1"`), a sensor model, or the id or name of a capture that a simulator made.
+    #[schema(value_type = Object)]
+    sim: Option<Value>,
+    /// A motion. Not supported yet: 400 where it is given.
+    #[schema(value_type = Object)]
+    reference: Option<Value>,
+}
+
+/// A diagnosis in a list.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct DiagnosisEntry {
+    /// Its id, and its job's.
+    id: i64,
+    /// The capture's id.
+    capture: i64,
+    /// What its job is doing or how it ended.
+    state: JobState,
+    /// How far it has come, 0–1.
+    progress: f64,
+    /// When it was asked for.
+    created_at: UtcNs,
+    /// When it ended.
+    finished_at: Option<UtcNs>,
+    /// `no_gap`, `parameters`, `effects`, `unknown_effect`; null until it is done.
+    verdict: Option<String>,
+    /// The one sentence; null until it is done.
+    summary: Option<String>,
+    /// Why it failed.
+    error: Option<String>,
+    /// Whether another version of the program made it.
+    stale: bool,
+    /// Path of its page.
+    page: String,
+}
+
+impl From<DiagnosisRow> for DiagnosisEntry {
+    fn from(row: DiagnosisRow) -> Self {
+        let DiagnosisRow { job, verdict, summary } = row;
+        Self {
+            id: job.id,
+            capture: job.capture,
+            state: job.state,
+            progress: job.progress,
+            created_at: job.created_at,
+            finished_at: job.finished_at,
+            verdict,
+            summary,
+            error: job.error,
+            stale: job.stale,
+            page: format!("/diagnoses/{}", job.id),
+        }
+    }
+}
+
+/// A page of diagnoses, the latest first.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Diagnoses {
+    diagnoses: Vec<DiagnosisEntry>,
+    /// Cursor of the next page; null on the last.
+    next: Option<String>,
+}
+
+/// Which diagnoses are wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct DiagnosesQuery {
+    /// Only those of this capture: id, name, or `latest`.
+    capture: Option<String>,
+    /// How many rows at most.
+    #[param(minimum = 1, maximum = 1000, default = 100)]
+    limit: Option<u32>,
+    /// `next` of the page before.
+    cursor: Option<String>,
+}
+
+/// Compares a capture with a simulator, as a job. The same again is the same job.
+#[utoipa::path(post, path = "/v1/captures/{id}/diagnoses", tag = "diagnoses",
+    params(("id" = String, Path, description = "Id, name, or `latest`")), request_body = DiagnosisBody, responses(
+    (status = 202, body = jobs::Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
+    (status = 200, body = jobs::Job, description = "It was asked for before"),
+    (status = 400, body = Problem, content_type = "application/problem+json", description = "No model, or an impossible one"),
+    (status = 404, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn submit(
+    State(state): State<ApiState>,
+    P(capture): P,
+    J(body): J<DiagnosisBody>,
+) -> Result<Response, ApiError> {
+    let body = body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"sim\": …}"))?;
+    let capture_id = state.resolve(capture).await?;
+    let mut wish = serde_json::Map::new();
+    let given = [("sim", body.sim), ("reference", body.reference)];
+    wish.extend(given.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))));
+    jobs::queue(&state, JobKind::Diagnosis, capture_id, Value::Object(wish)).await
+}
+
+/// Diagnoses, the latest first.
+#[utoipa::path(get, path = "/v1/diagnoses", tag = "diagnoses", params(DiagnosesQuery), responses(
+    (status = 200, body = Diagnoses),
+    (status = 400, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn list(
+    State(state): State<ApiState>,
+    uri: Uri,
+    Q(query): Q<DiagnosesQuery>,
+) -> Result<Response, ApiError> {
+    let request = page::request(query.limit, query.cursor)?;
+    let found = state
+        .read(move |reader| {
+            let capture_id = query.capture.as_deref().map(|name| reader.resolve(name)).transpose()?;
+            reader.diagnoses(capture_id, &request)
+        })
+        .await?;
+    let entries = |rows: Vec<DiagnosisRow>, next| Diagnoses {
+        diagnoses: rows.into_iter().map(DiagnosisEntry::from).collect(),
+        next,
+    };
+    Ok(page::answer(&uri, found, entries))
+}
+
+/// A diagnosis: where capture and simulator differ, what the simulator lacks, and how far that closes the gap.
+#[utoipa::path(get, path = "/v1/diagnoses/{id}", tag = "diagnoses",
+    params(("id" = String, Path, description = "Id, or `latest`")), responses(
+    (status = 200, body = Object, description = "`vn100d-diagnosis-1`",
+     headers(("ETag" = String, description = "Of the result"))),
+    (status = 202, body = jobs::Job, description = "Not done yet", headers(
+        ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
+    (status = 304, description = "`If-None-Match` names the result"),
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 422, body = Problem, content_type = "application/problem+json", description = "They cannot be compared")))]
+pub(super) async fn show(State(state): State<ApiState>, headers: HeaderMap, P(id): P) -> Result<Response, ApiError> {
+    part(&state, &headers, id, "report", |document| document.report.get().to_owned()).await
+}
+
+/// The model that a diagnosis corrected: parameters as they were found, what it lacked added.
+#[utoipa::path(get, path = "/v1/diagnoses/{id}/model", tag = "diagnoses",
+    params(("id" = String, Path, description = "Id, or `latest`")), responses(
+    (status = 200, body = Object, description = "`vn100d-sensor-model-1`",
+     headers(("ETag" = String, description = "Of the result"))),
+    (status = 202, body = jobs::Job, description = "Not done yet", headers(
+        ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
+    (status = 304, description = "`If-None-Match` names the result"),
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 422, body = Problem, content_type = "application/problem+json", description = "They cannot be compared")))]
+pub(super) async fn model(State(state): State<ApiState>, headers: HeaderMap, P(id): P) -> Result<Response, ApiError> {
+    part(&state, &headers, id, "model", |document| document.model.get().to_owned()).await
+}
+
+/// A page for people: the diagnosis, or how far its job is.
+pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
+    let (job, result) = state.read(move |reader| find(reader, &id)).await?;
+    let html = match &result {
+        Some(result) => {
+            let document = DiagnosisDocument::read(&result.body)?;
+            let links = [
+                ("as JSON", format!("/v1/diagnoses/{}", job.id)),
+                ("corrected model", format!("/v1/diagnoses/{}/model", job.id)),
+                ("the capture", format!("/v1/captures/{}", job.capture)),
+                ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
+            ];
+            let page = pages::diagnosis(document.report.get(), document.spectra.get(), &links);
+            page.map_err(JobError::from)?
+        }
+        None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),
+    };
+    let headers = [
+        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'"),
+        (header::CACHE_CONTROL, "no-store"),
+    ];
+    Ok((headers, Html(html)).into_response())
+}
+
+/// A part of a result as it was stored, or the job that is to make it.
+async fn part(
+    state: &ApiState,
+    headers: &HeaderMap,
+    id: String,
+    form: &str,
+    take: impl FnOnce(&DiagnosisDocument<'_>) -> String,
+) -> Result<Response, ApiError> {
+    let (job, result) = state.read(move |reader| find(reader, &id)).await?;
+    let Some(result) = result else { return unfinished(job) };
+    let body = take(&DiagnosisDocument::read(&result.body)?);
+    let json = [(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))];
+    let tag = conditional::entity_tag_of_form(&result, form);
+    Ok(with_stale(conditional::answer(headers, &tag, (json, body)), &result.software))
+}
+
+/// The job of a diagnosis, and its result once it is there.
+fn find(reader: &Reader, id: &str) -> Result<(JobRow, Option<ResultRow>), StoreError> {
+    let unknown = || StoreError::NoSuchDiagnosis { asked: id.chars().take(40).collect() };
+    let number = if id == "latest" { reader.latest_diagnosis()? } else { id.parse().map_err(|_| unknown())? };
+    let job = match reader.job(number) {
+        Err(StoreError::NoSuchJob { .. }) => return Err(unknown()),
+        job => job?,
+    };
+    if job.kind != JobKind::Diagnosis.name() {
+        return Err(unknown());
+    }
+    let result = job.result_id.map(|id| reader.result(id)).transpose()?.flatten();
+    Ok((job, result))
+}

@@ -1,0 +1,51 @@
+//! Model: the sensor model of a plan's samples, at once, for whoever waits for it.
+
+use super::{JobError, Plan, SampleSource, direct, gridded};
+use crate::diagnosis::{self, Workers};
+use crate::model_fit::{model_of, with_effects};
+use crate::noise::statistics::Moments;
+use crate::sample::Channel;
+use crate::simulator::SensorModel;
+use crate::store::{SOFTWARE, StoreError};
+use std::collections::BTreeMap;
+
+/// Samples read at a time.
+const CHUNK: usize = 65_536;
+
+/// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found.
+///
+/// # Errors
+/// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
+pub fn fitted(
+    source: &dyn SampleSource,
+    plan: Plan,
+    wanted: &[&'static str],
+    name: &str,
+    workers: &dyn Workers,
+) -> Result<SensorModel, JobError> {
+    let levels = levels(source, &plan)?;
+    let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan)).transpose()?;
+    let report = direct::noise(source, plan)?;
+    let plain = model_of(&report, &levels, name, SOFTWARE);
+    let Some(gridded) = gridded else { return Ok(plain) };
+    let options =
+        diagnosis::Options { workers, effects: Some(wanted), believed: false, ..diagnosis::Options::default() };
+    let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
+    let temperature_c = levels.get(&Channel::Temperature).copied();
+    Ok(with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c))
+}
+
+/// Mean of every channel of a plan, and of the temperature where it was recorded.
+fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
+    let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
+    let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
+    let mut next_seq = 0;
+    while next_seq < plan.end_seq {
+        let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
+        for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
+            column.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
+        }
+        next_seq = chunk.next_seq();
+    }
+    Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
+}

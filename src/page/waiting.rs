@@ -1,0 +1,36 @@
+//! Waiting: the page of a job that is not done, or has no result.
+
+use super::{escaped, framed};
+
+/// A page that says what a job is doing and asks again, or why it has no result. `state` is the job's, `progress` 0–1.
+#[must_use]
+pub fn waiting(title: &str, state: &str, progress: f64, error: Option<&str>) -> String {
+    let ended = matches!(state, "failed" | "cancelled");
+    let sentence = match (state, error) {
+        (_, Some(error)) => escaped(error),
+        ("queued", None) => "it waits for its turn".to_owned(),
+        ("running", None) => format!("{:.0} % done", 100.0 * progress),
+        (other, None) => escaped(other),
+    };
+    let bar =
+        if ended { String::new() } else { format!("<progress value=\"{}\"></progress>", progress.clamp(0.0, 1.0)) };
+    let title = escaped(title);
+    framed(
+        &title,
+        (!ended).then_some(2),
+        &format!("<p class=\"soft\">{title}: {}</p><h1>{sentence}</h1>{bar}", escaped(state)),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_that_runs_asks_again_and_one_that_failed_says_why() {
+        let runs = waiting("diagnosis 7", "running", 0.42, None);
+        assert!(runs.contains("42 % done") && runs.contains("http-equiv=\"refresh\""), "{runs}");
+        let failed = waiting("diagnosis 7", "failed", 0.0, Some("no <gyro_x>"));
+        assert!(failed.contains("no &lt;gyro_x&gt;") && !failed.contains("http-equiv"), "{failed}");
+    }
+}

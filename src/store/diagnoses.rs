@@ -1,0 +1,84 @@
+//! Diagnoses: jobs of that kind with what came of them. A diagnosis has its job's id.
+
+use super::jobs::{JOB_COLUMNS, job_of};
+use super::{JobRow, Page, PageRequest, Reader, StoreError};
+use rusqlite::{OptionalExtension, params};
+
+/// The jobs' kind.
+const KIND: &str = "diagnosis";
+
+/// A diagnosis in a list.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DiagnosisRow {
+    /// Its job.
+    pub job: JobRow,
+    /// The verdict, once there is one.
+    pub verdict: Option<String>,
+    /// The one sentence, once there is one.
+    pub summary: Option<String>,
+}
+
+impl Reader {
+    /// The id of the diagnosis that was asked for last.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchDiagnosis`] where there is none, or what the database says.
+    pub fn latest_diagnosis(&self) -> Result<i64, StoreError> {
+        let sql = "SELECT id FROM job WHERE kind = ?1 ORDER BY id DESC LIMIT 1";
+        let found = self.connection.prepare_cached(sql)?.query_row([KIND], |row| row.get(0)).optional()?;
+        found.ok_or_else(|| StoreError::NoSuchDiagnosis { asked: "latest".to_owned() })
+    }
+
+    /// Diagnoses, the latest first; only a capture's where asked for.
+    ///
+    /// # Errors
+    /// [`StoreError::BadCursor`], or what the database says.
+    pub fn diagnoses(&self, capture_id: Option<i64>, page: &PageRequest) -> Result<Page<DiagnosisRow>, StoreError> {
+        let sql = format!(
+            "SELECT {JOB_COLUMNS}, \
+             (SELECT json_extract(body, '$.report.verdict') FROM result WHERE id = job.result_id), \
+             (SELECT json_extract(body, '$.report.summary') FROM result WHERE id = job.result_id) \
+             FROM job WHERE kind = ?1 AND id < ?2 AND capture_id = coalesce(?3, capture_id) ORDER BY id DESC LIMIT ?4"
+        );
+        let before = page.after("diagnoses")?.unwrap_or(i64::MAX);
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let mut rows = statement.query(params![KIND, before, capture_id, page.limit() as i64 + 1])?;
+        let mut found = Vec::new();
+        while let Some(row) = rows.next()? {
+            let job = job_of(row)?;
+            found.push((job.id, DiagnosisRow { job, verdict: row.get(13)?, summary: row.get(14)? }));
+        }
+        Ok(Page::cut(found, page.limit(), "diagnoses"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::store::tests::World;
+    use crate::store::{NewJob, PageRequest};
+
+    #[test]
+    fn diagnoses_are_listed_with_their_sentence_once_it_is_there() {
+        let world = World::new();
+        let id = world.capturing();
+        let submit = |kind: &str, number: u32| {
+            let params = serde_json::json!({ "sim": number });
+            let job = NewJob { kind: kind.to_owned(), capture_id: id, params };
+            world.store.submit_job(job, u64::MAX).unwrap().0.id
+        };
+        assert!(world.reader().latest_diagnosis().is_err());
+        let done = submit("diagnosis", 1);
+        world.store.claim_job().unwrap();
+        let body = r#"{"report": {"verdict": "no_gap", "summary": "no gap"}}"#;
+        world.store.finish_job(done, body.to_owned()).unwrap();
+        submit("noise", 1);
+        let waits = submit("diagnosis", 2);
+        let reader = world.reader();
+        assert_eq!(reader.latest_diagnosis().unwrap(), waits);
+        let rows = reader.diagnoses(Some(id), &PageRequest::first()).unwrap().rows;
+        let told: Vec<_> = rows.iter().map(|row| (row.job.id, row.verdict.as_deref())).collect();
+        assert_eq!(told, [(waits, None), (done, Some("no_gap"))]);
+        assert_eq!(rows[1].summary.as_deref(), Some("no gap"));
+        assert!(reader.diagnoses(Some(id + 1), &PageRequest::first()).unwrap().rows.is_empty());
+    }
+}
