@@ -34,6 +34,15 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
             gridded.left_out
         ));
     }
+    // Times in the report are the capture's, as everywhere; a model is run from its own begin on.
+    outcome.diagnosis.begins_at(gridded.from_s);
+    if gridded.from_s > 0.0 {
+        let from_s = gridded.from_s;
+        outcome
+            .diagnosis
+            .notes
+            .push(format!("times are the capture's; those of the corrected model begin at its {from_s:.1} s"));
+    }
     if let Some(output) = augmented {
         let path = output.path().display().to_string();
         let text = serde_json::to_string_pretty(&outcome.augmented)? + "\n";

@@ -11,6 +11,7 @@ use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORM
 use super::shared::Shared;
 use super::tiles::Rectangle;
 use super::translate::{self, Translated, Units};
+use crate::effects::timing::JITTER_MAX;
 use crate::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Stream, StreamId, Timing};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -235,6 +236,17 @@ fn poisson(chance: f64, samples: usize) -> [f64; 2] {
     [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
 }
 
+/// What the stamps show, where there are any.
+fn stamps(real: &Recording) -> Option<facts::Stamps> {
+    let there = |place: &usize| !real.missing.get(*place).copied().unwrap_or(false);
+    let places: Vec<usize> = if real.time_s.len() == real.len() {
+        (0..real.len()).collect()
+    } else {
+        (0..real.len()).filter(there).collect()
+    };
+    (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten()
+}
+
 /// Stamps that scatter and samples that are missing one by one.
 fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     /// Runs that are longer are gaps, not drops.
@@ -255,21 +267,20 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
             run = 0;
         }
     }
-    let places: Vec<usize> = if real.time_s.len() == real.len() {
-        (0..real.len()).collect()
-    } else {
-        (0..real.len()).filter(|t| !real.missing.get(*t).copied().unwrap_or(false)).collect()
-    };
-    let stamps = (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten();
-    let jitter_s = stamps.map_or(0.0, |stamps| stamps.jitter_s);
-    let jitter_s = if jitter_s * real.rate_hz > JITTER { jitter_s } else { 0.0 };
+    let scatter_s = stamps(real).map_or(0.0, |stamps| stamps.jitter_s);
+    let scatter_s = if scatter_s * real.rate_hz > JITTER { scatter_s } else { 0.0 };
+    // A model's stamps keep their order.
+    let most_s = JITTER_MAX / sim.rate_hz;
+    let jitter_s = scatter_s.min(most_s);
     if runs < 3 && jitter_s == 0.0 {
         return Vec::new();
     }
     let drop_probability = if runs < 3 { 0.0 } else { dropped as f64 / real.len() as f64 };
     let mut evidence = Vec::new();
     if jitter_s > 0.0 {
-        evidence.push(format!("stamps scatter by {jitter_s:.2e} s about even steps"));
+        let more =
+            if scatter_s > most_s { ", more than a model's may: they do not tell when samples were taken" } else { "" };
+        evidence.push(format!("stamps scatter by {scatter_s:.2e} s about even steps{more}"));
     }
     if drop_probability > 0.0 {
         evidence.push(format!("{dropped} samples are missing, one by one"));
@@ -357,8 +368,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             }
         }
     }
-    let stamps = (real.time_s.len() == real.len()).then(|| facts::stamps(&real.time_s, 0..real.len())).flatten();
-    let rate_hz = stamps.map_or(real.rate_hz, |stamps| stamps.rate_hz);
+    let rate_hz = stamps(real).map_or(real.rate_hz, |stamps| stamps.rate_hz);
     if (rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF {
         off.push(Parameter {
             channel: "sensor".to_owned(),

@@ -170,7 +170,7 @@ fn chance(column: &[f64]) -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Stamps {
-    /// Standard deviation about evenly spaced instants, s.
+    /// Standard deviation about evenly spaced instants beyond the stamps' own rounding, s.
     pub jitter_s: f64,
     /// Samples per second.
     pub rate_hz: f64,
@@ -193,7 +193,19 @@ pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Sta
     let period = product / square;
     let residual: f64 = pairs.iter().map(|(p, t)| (t - time - period * (p - place)).powi(2)).sum();
     let rate_hz = 1.0 / period;
-    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: (residual / (n - 2.0)).sqrt(), rate_hz })
+    let variance = residual / (n - 2.0) - digits_s(time_s).powi(2) / 12.0;
+    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: variance.max(0.0).sqrt(), rate_hz })
+}
+
+/// The power of ten, s, that all stamps are multiples of, counted from the first; 0 below 1e-7.
+fn digits_s(time_s: &[f64]) -> f64 {
+    const WHOLE: f64 = 1e-3;
+    let first = time_s.first().copied().unwrap_or_default();
+    let whole = |digit: &i32| {
+        let per_s = 10f64.powi(*digit);
+        time_s.iter().map(|s| (s - first) * per_s).all(|of| (of - of.round()).abs() < WHOLE)
+    };
+    (0..=7).find(whole).map_or(0.0, |digit| 10f64.powi(-digit))
 }
 
 #[cfg(test)]
@@ -268,5 +280,11 @@ mod tests {
         let found = stamps(&time_s, 0..5000).unwrap();
         assert!((found.jitter_s / 0.001 - 1.0).abs() < 0.05 && (found.rate_hz / 40.0 - 1.0).abs() < 1e-6, "{found:?}");
         assert_eq!(stamps(&time_s[..10], 0..10), None);
+        // Whole milliseconds of even steps that are none are no jitter, beside it they are not added to it.
+        let whole = |time_s: f64| (1e3 * time_s).round() / 1e3;
+        let even: Vec<f64> = (0..5000).map(|i| whole(i as f64 / 60.0)).collect();
+        assert!(stamps(&even, 0..5000).unwrap().jitter_s < 5e-5);
+        let both: Vec<f64> = time_s.iter().map(|s| whole(*s)).collect();
+        assert!((stamps(&both, 0..5000).unwrap().jitter_s / 0.001 - 1.0).abs() < 0.05);
     }
 }

@@ -40,6 +40,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
     while seq < slice.samples.end {
         let limit = CHUNK.min(usize::try_from(slice.samples.end - seq).unwrap_or(CHUNK));
         let chunk = plan.read_chunk(source, seq, limit, &channels)?;
+        let stamps = source.stamps(slice.capture_id, seq - slice.samples.start, chunk.len())?;
         for (number, rows) in plan.runs(&chunk) {
             if number.is_none() {
                 continue;
@@ -54,6 +55,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
             let Some(part) = &mut open else { continue };
             for row in rows {
                 part.push(place(chunk.first_seq + row as u64), chunk.columns.iter().map(|column| column[row]));
+                part.stamps.push(stamps.get(row).copied().flatten());
             }
         }
         seq = chunk.next_seq();
@@ -80,11 +82,13 @@ struct Part {
     there: u64,
     missing: Vec<bool>,
     columns: Vec<Vec<f64>>,
+    /// One per sample that is there: which run of the device's clock, and s in that.
+    stamps: Vec<Option<(u32, f64)>>,
 }
 
 impl Part {
     fn new(first: u64, columns: usize) -> Self {
-        Self { first, there: 0, missing: Vec::new(), columns: vec![Vec::new(); columns] }
+        Self { first, there: 0, missing: Vec::new(), columns: vec![Vec::new(); columns], stamps: Vec::new() }
     }
     fn end(&self) -> u64 {
         self.first + self.missing.len() as u64
@@ -97,8 +101,15 @@ impl Part {
         self.there += 1;
         self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
+    /// The samples' stamps, where all are of one run of one clock.
+    fn time_s(&self) -> Vec<f64> {
+        let Some(Some((run, begin_s))) = self.stamps.first().copied() else { return Vec::new() };
+        let times = self.stamps.iter().map(|stamp| stamp.filter(|(own, _)| *own == run).map(|(_, s)| s - begin_s));
+        times.collect::<Option<Vec<f64>>>().unwrap_or_default()
+    }
     fn recording(self, rate_hz: f64, channels: &[Channel]) -> Recording {
-        let mut recording = Recording { rate_hz, missing: self.missing, ..Recording::default() };
+        let time_s = self.time_s();
+        let mut recording = Recording { rate_hz, missing: self.missing, time_s, ..Recording::default() };
         for (channel, values) in channels.iter().zip(self.columns) {
             let there = values.iter().filter(|value| value.is_finite()).count();
             if *channel == Channel::Temperature {
@@ -123,6 +134,11 @@ mod tests {
         let mut part = Part::new(10, 2);
         part.push(10, [1.0, 20.0].into_iter());
         part.push(13, [2.0, f64::NAN].into_iter());
+        for (second, times) in [(Some((1, 7.075)), vec![0.0, 0.075]), (Some((2, 7.075)), vec![]), (None, vec![])] {
+            part.stamps = vec![Some((1, 7.0)), second];
+            let found = part.time_s();
+            assert!(found.len() == times.len() && found.iter().zip(&times).all(|(a, b)| (a - b).abs() < 1e-12));
+        }
         let recording = part.recording(40.0, &[Channel::GyroX, Channel::Temperature]);
         assert_eq!(recording.missing, [false, true, true, false]);
         assert_eq!(recording.values(Channel::GyroX).unwrap()[3], 2.0);
