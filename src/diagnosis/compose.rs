@@ -5,6 +5,7 @@ use super::evidence::Kind;
 use super::facts;
 use super::holdout::BLOCKS;
 use super::omnibus::Statistic;
+use super::pairs;
 use super::prices;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Parameter, Place, Verdict};
@@ -31,9 +32,9 @@ const OFF: f64 = 4.0;
 const RATE_OFF: f64 = 1e-4;
 
 /// An effect on a channel with what it gives.
-struct Named {
-    channel: Channel,
-    effect: Arc<dyn Effect>,
+pub(super) struct Named {
+    pub(super) channel: Channel,
+    pub(super) effect: Arc<dyn Effect>,
     gain: f64,
     confidence: f64,
     evidence: Vec<String>,
@@ -52,6 +53,9 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     named.extend(of_shared(found, sim));
     named.extend(of_stamps(real, sim));
     named.retain(|of| options.wants(of.effect.name()));
+    for of in &mut named {
+        of.evidence.extend(pairs::of_line(of.channel, &*of.effect, real.rate_hz));
+    }
     if !found.further.is_empty() {
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
@@ -72,6 +76,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
     }
+    notes.extend(pairs::notes(found, &named, real));
     let augmented = augmented(found, sim, &named);
     let per_channel = found.channels.iter().map(|of| {
         let samples = of.scores.samples as f64;

@@ -20,6 +20,7 @@ pub mod grid;
 pub mod holdout;
 pub mod law;
 pub mod omnibus;
+mod pairs;
 pub mod prepare;
 pub mod prices;
 pub mod recording;
