@@ -8,6 +8,7 @@ mod bag;
 mod demo;
 mod diagnosis;
 mod docs;
+mod gap;
 mod imports;
 mod night;
 mod recordings;
