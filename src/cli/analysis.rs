@@ -4,9 +4,10 @@ use super::Context;
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
 use crate::jobs::{Extent, JobError, Plan, SampleSource, Setting, one_sensor};
-use crate::recording::{LoadedRecording, Options, load_columns};
+use crate::recording::{Kind, LoadedRecording, Options, load_columns};
 use crate::sample::Channel;
 use crate::store::{Chunk, Missing, Reader, StoreError};
+use crate::units::NANOS_PER_SECOND;
 use std::ops::Range;
 use std::path::Path;
 
@@ -68,10 +69,16 @@ struct Loaded {
     missing_total: u64,
     /// NaN where a sample has no value.
     columns: Vec<(Channel, Vec<f64>)>,
+    /// The samples' stamps, s; empty where there are none or they are the host's.
+    stamps_s: Vec<f64>,
 }
 
 impl Loaded {
     fn new(name: &str, mut recording: LoadedRecording) -> Self {
+        // Whose stamps a table has nobody knows; those before raw lines and in bags are the host's.
+        let of_table = recording.info.kind == Kind::Csv;
+        let stamps_ns = std::mem::take(&mut recording.stamps_ns);
+        let stamps = stamps_ns.into_iter().filter(|_| of_table).map(|ns| ns as f64 / NANOS_PER_SECOND as f64).collect();
         let columns = std::mem::take(&mut recording.columns).into_iter();
         let wanted = columns.filter(|of| Channel::ANALYSED.contains(&of.channel) || of.channel == Channel::Temperature);
         let marked = wanted.map(|mut column| {
@@ -88,6 +95,7 @@ impl Loaded {
             name: name.to_owned(),
             rate_hz: recording.info.rate_hz,
             columns: marked.collect(),
+            stamps_s: stamps,
             missing: Missing::of(recording.gaps.iter().map(|gap| (gap.before_seq, gap.missing))),
             missing_total: recording.missing,
             segments: recording.segments,
@@ -163,6 +171,14 @@ impl SampleSource for Shelf {
             Some(recording) => Ok(recording.missing.clone()),
             None => self.reader(capture_id)?.missing(capture_id),
         }
+    }
+
+    fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError> {
+        let Some(recording) = self.recording(capture_id) else {
+            return self.reader(capture_id)?.stamps(capture_id, from_seq, limit);
+        };
+        let from = usize::try_from(from_seq).unwrap_or(usize::MAX);
+        Ok(recording.stamps_s.iter().skip(from).take(limit).map(|time_s| Some((1, *time_s))).collect())
     }
 
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
@@ -277,6 +293,7 @@ mod tests {
             missing: Missing::of([(3, 10), (4, 2)]),
             missing_total: 12,
             columns: vec![(Channel::GyroX, (0..9).map(f64::from).collect())],
+            stamps_s: Vec::new(),
         };
         let numbers = [1, 1, 1, 2, 3, 3, 3, 3, 3];
         for from in 0..10 {

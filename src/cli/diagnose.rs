@@ -41,7 +41,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         ..Options::default()
     };
     let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options).map_err(|error| refused(&error))?;
-    outcome.diagnosis.notes.extend(gridded.note());
+    gridded.tell(&mut outcome.diagnosis);
     if let Some(output) = augmented {
         write(output, &(serde_json::to_string_pretty(&outcome.augmented)? + "\n"))?;
     }

@@ -5,11 +5,13 @@ use super::evidence::Kind;
 use super::facts;
 use super::holdout::BLOCKS;
 use super::omnibus::Statistic;
+use super::pairs;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Parameter, Place, Verdict};
 use super::shared::Shared;
 use super::tiles::Rectangle;
 use super::translate::{self, Translated, Units};
+use crate::effects::timing::JITTER_MAX;
 use crate::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Stream, StreamId, Timing};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -29,9 +31,9 @@ const OFF: f64 = 4.0;
 const RATE_OFF: f64 = 1e-4;
 
 /// An effect on a channel with what it gives.
-struct Named {
-    channel: Channel,
-    effect: Arc<dyn Effect>,
+pub(super) struct Named {
+    pub(super) channel: Channel,
+    pub(super) effect: Arc<dyn Effect>,
     gain: f64,
     confidence: f64,
     evidence: Vec<String>,
@@ -50,6 +52,9 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     named.extend(of_shared(found, sim));
     named.extend(of_stamps(real, sim));
     named.retain(|of| options.wants(of.effect.name()));
+    for of in &mut named {
+        of.evidence.extend(pairs::of_line(of.channel, &*of.effect, real.rate_hz));
+    }
     if !found.further.is_empty() {
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
@@ -73,6 +78,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
     }
+    notes.extend(pairs::notes(found, &named, real));
     let augmented = augmented(found, sim, &named);
     let per_channel = found.channels.iter().map(|of| {
         let samples = of.scores.samples as f64;
@@ -237,6 +243,17 @@ fn poisson(chance: f64, samples: usize) -> [f64; 2] {
     [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
 }
 
+/// What the stamps show, where there are any.
+fn stamps(real: &Recording) -> Option<facts::Stamps> {
+    let there = |place: &usize| !real.missing.get(*place).copied().unwrap_or(false);
+    let places: Vec<usize> = if real.time_s.len() == real.len() {
+        (0..real.len()).collect()
+    } else {
+        (0..real.len()).filter(there).collect()
+    };
+    (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten()
+}
+
 /// Stamps that scatter and samples that are missing one by one.
 fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     /// Runs that are longer are gaps, not drops.
@@ -257,21 +274,20 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
             run = 0;
         }
     }
-    let places: Vec<usize> = if real.time_s.len() == real.len() {
-        (0..real.len()).collect()
-    } else {
-        (0..real.len()).filter(|t| !real.missing.get(*t).copied().unwrap_or(false)).collect()
-    };
-    let stamps = (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten();
-    let jitter_s = stamps.map_or(0.0, |stamps| stamps.jitter_s);
-    let jitter_s = if jitter_s * real.rate_hz > JITTER { jitter_s } else { 0.0 };
+    let scatter_s = stamps(real).map_or(0.0, |stamps| stamps.jitter_s);
+    let scatter_s = if scatter_s * real.rate_hz > JITTER { scatter_s } else { 0.0 };
+    // A model's stamps keep their order.
+    let most_s = JITTER_MAX / sim.rate_hz;
+    let jitter_s = scatter_s.min(most_s);
     if runs < 3 && jitter_s == 0.0 {
         return Vec::new();
     }
     let drop_probability = if runs < 3 { 0.0 } else { dropped as f64 / real.len() as f64 };
     let mut evidence = Vec::new();
     if jitter_s > 0.0 {
-        evidence.push(format!("stamps scatter by {jitter_s:.2e} s about even steps"));
+        let more =
+            if scatter_s > most_s { ", more than a model's may: they do not tell when samples were taken" } else { "" };
+        evidence.push(format!("stamps scatter by {scatter_s:.2e} s about even steps{more}"));
     }
     if drop_probability > 0.0 {
         evidence.push(format!("{dropped} samples are missing, one by one"));
@@ -376,8 +392,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             }
         }
     }
-    let stamps = (real.time_s.len() == real.len()).then(|| facts::stamps(&real.time_s, 0..real.len())).flatten();
-    let rate_hz = stamps.map_or(real.rate_hz, |stamps| stamps.rate_hz);
+    let rate_hz = stamps(real).map_or(real.rate_hz, |stamps| stamps.rate_hz);
     if (rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF {
         off.push(Parameter {
             channel: "sensor".to_owned(),

@@ -133,13 +133,51 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     }
     let same = |t: usize, back: usize| columns.iter().all(|column| column[t] == column[t - back]);
     let places: Vec<usize> = (1..n).filter(|t| same(*t, 1)).collect();
-    let chance: f64 = columns.iter().map(|column| chance(&column[..n])).product();
-    let expected = chance * (n - 1) as f64;
     let found = places.len() as f64;
+    let expected = match columns {
+        [one] => chance(&one[..n]) * (n - 1) as f64,
+        several => {
+            let equal = several.iter().map(|column| (1..n).filter(|t| column[*t] == column[t - 1]).count() as f64);
+            let equal: Vec<f64> = equal.map(|count| count / (n - 1) as f64).collect();
+            jointly(found / (n - 1) as f64, &equal, together(columns, n)) * (n - 1) as f64
+        }
+    };
     // Fewer than one expected is counted as a part of one, so that a single repeat is no proof.
     let floor = expected.max(1e-3);
     let gain = if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 };
     Repeats { places, expected, gain }
+}
+
+/// How often chance makes all channels equal their last samples, of how often they are (`all`, `each`): whatever part is sent
+/// again is so in all at once.
+fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
+    const ROUNDS: usize = 100;
+    let mut again = all;
+    let mut by_chance = 0.0;
+    for _ in 0..ROUNDS {
+        let alone: f64 = each.iter().map(|own| ((own - again) / (1.0 - again).max(1e-9)).max(0.0)).product();
+        by_chance = (together * alone).min(all);
+        again = (all - by_chance) / (1.0 - by_chance).max(1e-9);
+    }
+    (1.0 - again) * by_chance
+}
+
+/// By how much more often channels are all what they were some samples ago than if each were so by itself: coarse values
+/// that share noise, or are loud and quiet together, are. Samples that are sent again do not make it.
+fn together(columns: &[&[f64]], n: usize) -> f64 {
+    /// Distances: farther than a value is held, near enough that the level is the same.
+    const APART: std::ops::Range<usize> = 20..28;
+    /// Fewer tell nothing.
+    const LEAST: f64 = 200.0;
+    let (mut both, mut alone) = (0.0, 0.0);
+    for apart in APART.filter(|apart| *apart < n) {
+        let same = |column: &&[f64], t: usize| column[t] == column[t - apart];
+        let length = (n - apart) as f64;
+        let counts = columns.iter().map(|column| (apart..n).filter(|t| same(column, *t)).count() as f64 / length);
+        alone += length * counts.product::<f64>();
+        both += (apart..n).filter(|t| columns.iter().all(|column| same(column, *t))).count() as f64;
+    }
+    if both < LEAST { 1.0 } else { (both / alone).max(1.0) }
 }
 
 /// The chance that a rounded value is the one before it again: from how often neighbours differ by one step and by two, as a
@@ -170,7 +208,7 @@ fn chance(column: &[f64]) -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Stamps {
-    /// Standard deviation about evenly spaced instants, s.
+    /// Standard deviation about evenly spaced instants beyond the stamps' own rounding, s.
     pub jitter_s: f64,
     /// Samples per second.
     pub rate_hz: f64,
@@ -193,7 +231,19 @@ pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Sta
     let period = product / square;
     let residual: f64 = pairs.iter().map(|(p, t)| (t - time - period * (p - place)).powi(2)).sum();
     let rate_hz = 1.0 / period;
-    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: (residual / (n - 2.0)).sqrt(), rate_hz })
+    let variance = residual / (n - 2.0) - digits_s(time_s).powi(2) / 12.0;
+    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: variance.max(0.0).sqrt(), rate_hz })
+}
+
+/// The power of ten, s, that all stamps are multiples of, counted from the first; 0 below 1e-7.
+fn digits_s(time_s: &[f64]) -> f64 {
+    const WHOLE: f64 = 1e-3;
+    let first = time_s.first().copied().unwrap_or_default();
+    let whole = |digit: &i32| {
+        let per_s = 10f64.powi(*digit);
+        time_s.iter().map(|s| (s - first) * per_s).all(|of| (of - of.round()).abs() < WHOLE)
+    };
+    (0..=7).find(whole).map_or(0.0, |digit| 10f64.powi(-digit))
 }
 
 #[cfg(test)]
@@ -244,6 +294,13 @@ mod tests {
         let by_chance = of_all(&columns);
         assert!(by_chance.gain < 6.0 && !by_chance.places.is_empty(), "{}", by_chance.gain);
         assert!(of_all(&columns[..1]).gain < 6.0, "{}", of_all(&columns[..1]).gain);
+        // Coarse values that share noise repeat together more often than by themselves.
+        let source = noise(10, 200_000);
+        let shared = |seed: u64| -> Vec<f64> {
+            noise(seed, 200_000).iter().zip(&source).map(|(own, all)| ((own + all) / 1.5).round() * 1.5).collect()
+        };
+        let linked = [shared(11), shared(12), shared(13)];
+        assert!(of_all(&linked).gain < 6.0, "{}", of_all(&linked).gain);
         let mut held = columns;
         for t in [50, 700, 701, 9000, 15_000, 15_100, 16_000, 17_000] {
             for column in &mut held {
@@ -268,5 +325,11 @@ mod tests {
         let found = stamps(&time_s, 0..5000).unwrap();
         assert!((found.jitter_s / 0.001 - 1.0).abs() < 0.05 && (found.rate_hz / 40.0 - 1.0).abs() < 1e-6, "{found:?}");
         assert_eq!(stamps(&time_s[..10], 0..10), None);
+        // Whole milliseconds of even steps that are none are no jitter, beside it they are not added to it.
+        let whole = |time_s: f64| (1e3 * time_s).round() / 1e3;
+        let even: Vec<f64> = (0..5000).map(|i| whole(i as f64 / 60.0)).collect();
+        assert!(stamps(&even, 0..5000).unwrap().jitter_s < 5e-5);
+        let both: Vec<f64> = time_s.iter().map(|s| whole(*s)).collect();
+        assert!((stamps(&both, 0..5000).unwrap().jitter_s / 0.001 - 1.0).abs() < 0.05);
     }
 }

@@ -16,9 +16,9 @@ pub enum Shape {
     GaussMarkov,
     /// ln σ², frequency/Hz, ln bandwidth/Hz.
     Resonance,
-    /// ln cutoff/Hz, ln of the white noise after it.
+    /// ln cutoff/Hz, ln of the white noise after it over the white noise before it.
     LowPass(u64),
-    /// ln of the white noise after it.
+    /// ln of the white noise after it over that before it.
     MovingAverage(u64),
     /// A density that falls as a power of the frequency, as no effect of the library does: ln of it (per sample) at a
     /// hundredth of the rate, exponent; which of [`Shape::SLOPES`].
@@ -108,8 +108,8 @@ impl Term {
                 (0.002 * rate_hz, 0.4999 * rate_hz),
                 ((2.0 * rate_hz / samples as f64).max(1e-4 * rate_hz).ln(), (0.15 * rate_hz).ln()),
             ],
-            Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), (-18.0, 4.0)],
-            Shape::MovingAverage(_) => vec![(-18.0, 4.0)],
+            Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), FLOOR],
+            Shape::MovingAverage(_) => vec![FLOOR],
             Shape::Slope(which) => vec![level, Shape::SLOPES[which.min(2)]],
         }
     }
@@ -168,6 +168,10 @@ pub struct Data<'a> {
     pub beliefs: &'a Beliefs,
 }
 
+/// Bounds of ln of the white noise's power behind a filter over that before it: an effect has no such noise, so that what is
+/// not small is no filter's (at most 6 % of N).
+const FLOOR: (f64, f64) = (-18.0, -5.6);
+
 /// Bounds of a level, ln of power per sample.
 pub(super) const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
 
@@ -202,7 +206,7 @@ impl Pieces {
                 let gain = term.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
                 pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
                 pieces.gains.push(gain);
-                pieces.floors.push(term.numbers[term.level()].exp());
+                pieces.floors.push((law.levels[0] + term.numbers[term.level()]).exp());
                 pieces.added.push(Vec::new());
             } else {
                 let more = term.added(data.grid.frequencies_hz(), data.grid.rate_hz());
@@ -259,6 +263,11 @@ impl Law {
             places.map(|((value, gain), s)| value * gain / s).collect()
         };
         let mut slopes: Vec<Vec<f64>> = pieces.levels.iter().map(|level| scaled(level)).collect();
+        // The noise behind a filter is told as a part of that before it.
+        let floor: f64 = pieces.floors.iter().sum();
+        if floor > 0.0 {
+            slopes[0].iter_mut().zip(&pieces.spectrum).for_each(|(slope, s)| *slope += floor / s);
+        }
         for (at, term) in self.terms.iter().enumerate() {
             for number in 0..term.numbers.len() {
                 if number == term.level() && term.is_filter() {
@@ -511,7 +520,7 @@ mod tests {
         let data = Data { grid: &grid, power: &power, base: &base, beliefs: &[None, None, None] };
         let start = Law {
             levels: [-3.0, -12.0, -20.0],
-            terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -5.0] }],
+            terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -7.0] }],
         };
         let found = start.fit_from_several(data).law;
         assert!((found.terms[0].numbers[0].exp() / 9.0 - 1.0).abs() < 0.02, "{found:?}");

@@ -21,6 +21,7 @@ pub mod grid;
 pub mod holdout;
 pub mod law;
 pub mod omnibus;
+mod pairs;
 mod plans;
 pub mod prepare;
 pub mod prices;

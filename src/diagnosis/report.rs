@@ -56,7 +56,7 @@ pub struct Place {
     pub band_hz: [f64; 2],
     /// Averaging times that see them.
     pub tau_s: [f64; 2],
-    /// Begin, s after the record's.
+    /// Begin, s after that of what was compared, or of the capture ([`Diagnosis::begins_at`]).
     pub from_s: f64,
     /// End, s.
     pub to_s: f64,
@@ -167,4 +167,78 @@ pub struct Diagnosis {
     pub software: String,
     /// What was compared.
     pub inputs: BTreeMap<&'static str, String>,
+}
+
+impl Diagnosis {
+    /// Tells all its times from the capture's begin on, of which it saw what is `from_s` and later.
+    pub fn begins_at(&mut self, from_s: f64) {
+        for place in &mut self.r#where {
+            place.from_s += from_s;
+            place.to_s += from_s;
+        }
+        for cause in &mut self.causes {
+            cause.parameters.values_mut().chain(cause.uncertainty.values_mut()).for_each(|of| later(of, from_s));
+        }
+        self.summary = super::sentence::summary(self);
+    }
+}
+
+/// Moves the times among an effect's parameters, or among a list of effects.
+fn later(parameters: &mut Value, by_s: f64) {
+    match parameters {
+        Value::Array(list) => list.iter_mut().for_each(|of| later(of, by_s)),
+        Value::Object(of) => {
+            for (name, value) in of {
+                match name.as_str() {
+                    // An instant, or the two ends of its interval.
+                    "at_s" | "from_s" | "to_s" => every(value, by_s),
+                    "intervals" => pairs(value, |pair| pair.iter_mut().for_each(|end| every(end, by_s))),
+                    "profile" => pairs(value, |pair| pair.iter_mut().take(1).for_each(|at| every(at, by_s))),
+                    _ => {}
+                }
+            }
+        }
+        _ => {}
+    }
+}
+
+fn pairs(list: &mut Value, mut change: impl FnMut(&mut Vec<Value>)) {
+    list.as_array_mut().into_iter().flatten().filter_map(Value::as_array_mut).for_each(&mut change);
+}
+
+fn every(value: &mut Value, by_s: f64) {
+    match value {
+        Value::Array(list) => list.iter_mut().for_each(|one| every(one, by_s)),
+        one => {
+            if let Some(number) = one.as_f64() {
+                *one = (number + by_s).into();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn every_time_is_moved_and_nothing_else() {
+        let mut list = json!([
+            {"at_s": 3.5, "size": 2.0},
+            {"from_s": 1, "to_s": 2.5, "factor": 3.0},
+            {"intervals": [[1.0, 2.0], [4.0, 5.0]], "sigma": 0.1},
+            {"profile": [[0.0, 1.0], [60.0, 2.0]]},
+            {"at_s": [3.0, 4.0], "size": [1.0, 3.0], "tau_s": [7.0, 9.0]}
+        ]);
+        later(&mut list, 10.0);
+        let moved = json!([
+            {"at_s": 13.5, "size": 2.0},
+            {"from_s": 11.0, "to_s": 12.5, "factor": 3.0},
+            {"intervals": [[11.0, 12.0], [14.0, 15.0]], "sigma": 0.1},
+            {"profile": [[10.0, 1.0], [70.0, 2.0]]},
+            {"at_s": [13.0, 14.0], "size": [1.0, 3.0], "tau_s": [7.0, 9.0]}
+        ]);
+        assert_eq!(list, moved);
+    }
 }

@@ -1,6 +1,7 @@
 //! The search: which effects explain a series, one after the other, each paid for.
 
 use super::evidence::{self, Candidate, Kind};
+use super::law::Shape;
 use super::prices::Prices;
 use super::series::Series;
 
@@ -55,7 +56,47 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         }
     }
     other_filter(series, &mut steps);
+    take_back(series, prices, &mut steps);
     steps
+}
+
+/// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
+fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    if steps.len() < 2 {
+        return;
+    }
+    loop {
+        let whole = series.fitted.log_posterior;
+        let terms = &series.explanation.law.terms;
+        let losses = (0..terms.len()).filter_map(|at| {
+            let kind = kind_of(terms[at].shape);
+            // Where the model has the term itself nothing was named.
+            steps.iter().any(|step| step.kind == kind).then_some(())?;
+            let mut law = series.explanation.law.clone();
+            law.terms.remove(at);
+            let loss = whole - law.fit(series.data()).log_posterior;
+            (loss < prices.of(kind)).then_some((loss, at, kind))
+        });
+        let Some((_, at, kind)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+        series.explanation.law.terms.remove(at);
+        let weakest = |of: &(usize, &Step)| of.1.kind == kind;
+        let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
+        if let Some(step) = step.map(|(step, _)| step) {
+            steps.remove(step);
+        }
+        series.rebuild(false);
+    }
+}
+
+fn kind_of(shape: Shape) -> Kind {
+    match shape {
+        Shape::QuantizationNoise => Kind::QuantizationNoise,
+        Shape::GaussMarkov => Kind::GaussMarkov,
+        Shape::Resonance => Kind::Resonance,
+        Shape::LowPass(_) => Kind::LowPass,
+        Shape::MovingAverage(_) => Kind::MovingAverage,
+        Shape::Slope(_) => Kind::Slope,
+    }
 }
 
 /// Chosen before all else was known, a filter may be of the other kind: what is in front of it shapes the spectrum too.

@@ -79,7 +79,21 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     groups.sort_unstable();
     groups.dedup();
     let members = |of: usize| -> Vec<usize> { (0..count).filter(|index| group[*index] == of).collect() };
-    groups.into_iter().map(members).filter(|of| of.len() > 1).map(|of| source(&of, &correlation, white)).collect()
+    let sources = groups.into_iter().map(members).filter(|of| of.len() > 1);
+    sources.map(|of| with_part(source(&of, &correlation, white))).filter(|of| of.parts.len() > 1).collect()
+}
+
+/// Without the channels that are linked to others and yet have next to none of the source.
+fn with_part(mut of: Shared) -> Shared {
+    /// The least part that counts, and the same in standard errors.
+    const LEAST: f64 = 0.02;
+    const ERRORS: f64 = 4.0;
+    let counts: Vec<bool> =
+        of.parts.iter().zip(&of.errors).map(|((_, part), e)| part.abs() > LEAST.max(ERRORS * e)).collect();
+    let keep = |index: usize| counts.get(index).copied().unwrap_or(false);
+    of.parts = of.parts.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, part)| part).collect();
+    of.errors = of.errors.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, e)| e).collect();
+    of
 }
 
 /// One source of channels that are linked, each to one of the others at least; n the coefficients that tell.

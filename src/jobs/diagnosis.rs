@@ -258,7 +258,8 @@ fn document_of(
     let workers = OneByOne { wire, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
     let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options)?;
-    outcome.diagnosis.notes.extend(cut.into_iter().chain(gridded.note()).chain(notes));
+    outcome.diagnosis.notes.extend(cut.into_iter().chain(notes));
+    gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
     let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);
     let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, spectra: &spectra };

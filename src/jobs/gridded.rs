@@ -1,7 +1,7 @@
 //! Gridded: a plan's samples as a diagnosis takes them, on a regular grid with the missing ones marked.
 
 use super::{JobError, Plan, SampleSource};
-use crate::diagnosis::Recording;
+use crate::diagnosis::{Diagnosis, Recording};
 use crate::sample::Channel;
 
 /// Gaps longer than this end what is taken as one record, s: no noise is told through them.
@@ -21,17 +21,24 @@ pub struct Gridded {
 }
 
 impl Gridded {
-    /// What a reader should know of it: that it is not all there is.
-    #[must_use]
-    pub fn note(&self) -> Option<String> {
-        (self.left_out > 0).then(|| {
-            format!(
+    /// Tells a diagnosis of it which part of the plan's samples it is of: its times become the plan's.
+    pub fn tell(&self, diagnosis: &mut Diagnosis) {
+        if self.left_out > 0 {
+            diagnosis.notes.push(format!(
                 "compared are {:.0} s from {:.0} s on, the longest part without a gap of a minute; {} samples are outside it",
                 self.recording.length_s(),
                 self.from_s,
                 self.left_out
-            )
-        })
+            ));
+        }
+        // Times in the report are the capture's, as everywhere; a model is run from its own begin on.
+        if self.from_s > 0.0 {
+            diagnosis.begins_at(self.from_s);
+            diagnosis.notes.push(format!(
+                "times are the capture's; those of the corrected model begin at its {:.1} s",
+                self.from_s
+            ));
+        }
     }
 }
 
@@ -55,6 +62,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
     while seq < slice.samples.end {
         let limit = CHUNK.min(usize::try_from(slice.samples.end - seq).unwrap_or(CHUNK));
         let chunk = plan.read_chunk(source, seq, limit, &channels)?;
+        let stamps = source.stamps(slice.capture_id, seq - slice.samples.start, chunk.len())?;
         for (number, rows) in plan.runs(&chunk) {
             if number.is_none() {
                 continue;
@@ -69,6 +77,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
             let Some(part) = &mut open else { continue };
             for row in rows {
                 part.push(place(chunk.first_seq + row as u64), chunk.columns.iter().map(|column| column[row]));
+                part.stamps.push(stamps.get(row).copied().flatten());
             }
         }
         seq = chunk.next_seq();
@@ -95,11 +104,13 @@ struct Part {
     there: u64,
     missing: Vec<bool>,
     columns: Vec<Vec<f64>>,
+    /// One per sample that is there: which run of the device's clock, and s in that.
+    stamps: Vec<Option<(u32, f64)>>,
 }
 
 impl Part {
     fn new(first: u64, columns: usize) -> Self {
-        Self { first, there: 0, missing: Vec::new(), columns: vec![Vec::new(); columns] }
+        Self { first, there: 0, missing: Vec::new(), columns: vec![Vec::new(); columns], stamps: Vec::new() }
     }
     fn end(&self) -> u64 {
         self.first + self.missing.len() as u64
@@ -112,8 +123,15 @@ impl Part {
         self.there += 1;
         self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
+    /// The samples' stamps, where all are of one run of one clock.
+    fn time_s(&self) -> Vec<f64> {
+        let Some(Some((run, begin_s))) = self.stamps.first().copied() else { return Vec::new() };
+        let times = self.stamps.iter().map(|stamp| stamp.filter(|(own, _)| *own == run).map(|(_, s)| s - begin_s));
+        times.collect::<Option<Vec<f64>>>().unwrap_or_default()
+    }
     fn recording(self, rate_hz: f64, channels: &[Channel]) -> Recording {
-        let mut recording = Recording { rate_hz, missing: self.missing, ..Recording::default() };
+        let time_s = self.time_s();
+        let mut recording = Recording { rate_hz, missing: self.missing, time_s, ..Recording::default() };
         for (channel, values) in channels.iter().zip(self.columns) {
             let there = values.iter().filter(|value| value.is_finite()).count();
             if *channel == Channel::Temperature {
@@ -138,6 +156,11 @@ mod tests {
         let mut part = Part::new(10, 2);
         part.push(10, [1.0, 20.0].into_iter());
         part.push(13, [2.0, f64::NAN].into_iter());
+        for (second, times) in [(Some((1, 7.075)), vec![0.0, 0.075]), (Some((2, 7.075)), vec![]), (None, vec![])] {
+            part.stamps = vec![Some((1, 7.0)), second];
+            let found = part.time_s();
+            assert!(found.len() == times.len() && found.iter().zip(&times).all(|(a, b)| (a - b).abs() < 1e-12));
+        }
         let recording = part.recording(40.0, &[Channel::GyroX, Channel::Temperature]);
         assert_eq!(recording.missing, [false, true, true, false]);
         assert_eq!(recording.values(Channel::GyroX).unwrap()[3], 2.0);

@@ -1,8 +1,10 @@
 //! Source: where a computation's samples come from. The database is one; whoever has them elsewhere gives another.
 
 use super::report::Extent;
-use crate::sample::Channel;
+use crate::sample::{Channel, Timebase};
 use crate::store::{Chunk, Missing, Reader, StoreError};
+use crate::units::NANOS_PER_SECOND;
+use std::collections::BTreeMap;
 
 /// Samples of captures, by the captures' ids.
 pub trait SampleSource {
@@ -24,6 +26,13 @@ pub trait SampleSource {
     /// What the database says.
     fn missing(&self, capture_id: i64) -> Result<Missing, StoreError>;
 
+    /// The device's own stamps of up to `limit` samples from `from_seq` on: which run of its clock, and s in that. Empty where
+    /// none of them has one. When a sample arrived is no stamp: that scatters as the host delivers.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or what the database says.
+    fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError>;
+
     /// What a report says about the samples below `end_seq`.
     ///
     /// # Errors
@@ -43,6 +52,28 @@ impl SampleSource for Reader {
     }
     fn missing(&self, capture_id: i64) -> Result<Missing, StoreError> {
         self.missing(capture_id)
+    }
+    fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError> {
+        // Whose stamps a table has nobody knows; those before raw lines and in bags are the host's.
+        let kind = &self.capture(capture_id)?.configuration["kind"];
+        let imported_with_host_times = *kind == "vn_text" || *kind == "bag";
+        let chunk = self.read_samples(capture_id, from_seq, limit, &[])?;
+        let device_ns = chunk.times.map(|times| times.device_ns).unwrap_or_default();
+        let mut epochs: BTreeMap<u32, Option<u32>> = BTreeMap::new();
+        for number in &chunk.segment {
+            if !epochs.contains_key(number) {
+                let row = self.segment(capture_id, *number)?;
+                let own =
+                    row.timebase == Timebase::Device || row.timebase == Timebase::Stamps && !imported_with_host_times;
+                epochs.insert(*number, own.then_some(row.epoch));
+            }
+        }
+        let stamp = |(number, ns): (&u32, Option<u64>)| {
+            let epoch = epochs.get(number).copied().flatten()?;
+            Some((epoch, ns? as f64 / NANOS_PER_SECOND as f64))
+        };
+        let stamps: Vec<Option<(u32, f64)>> = chunk.segment.iter().zip(device_ns).map(stamp).collect();
+        Ok(if stamps.iter().any(Option::is_some) { stamps } else { Vec::new() })
     }
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
         Extent::read(self, capture_id, end_seq)

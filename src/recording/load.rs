@@ -19,13 +19,15 @@ pub struct LoadedColumn {
     pub segments: Vec<Range<usize>>,
 }
 
-/// A recording in memory: 8 bytes per sample and channel.
+/// A recording in memory: 8 bytes per sample and channel, and per stamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedRecording {
     /// What is known about it.
     pub info: RecordingInfo,
     /// The recording's channels in column order, all of the same length.
     pub columns: Vec<LoadedColumn>,
+    /// The samples' stamps since the first one, ns; empty where the recording has none.
+    pub stamps_ns: Vec<u64>,
     /// Stretches of samples without a gap.
     pub segments: Vec<Range<usize>>,
     /// The gaps between them.
@@ -69,6 +71,7 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
         .iter()
         .map(|channel| LoadedColumn { channel, values: Vec::with_capacity(capacity), segments: Vec::new() })
         .collect();
+    let mut stamps_ns = Vec::new();
     let (mut segments, mut gaps) = (Vec::<Range<usize>>::new(), Vec::new());
     let mut accountant = RecordingAccountant::new(&info);
     let mut records = Vec::new();
@@ -82,6 +85,7 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
                 Record::Segment(_) => begins = true,
                 Record::Sample { sample, .. } => {
                     extend(&mut segments, count, begins);
+                    stamps_ns.extend(sample.device_time_ns);
                     for column in &mut columns {
                         let value = sample.get(column.channel);
                         column.values.push(value.unwrap_or(0.0));
@@ -96,7 +100,18 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
             }
         }
     }
-    Ok(LoadedRecording { columns, segments, gaps, samples: accountant.received(), missing: accountant.missing(), info })
+    if stamps_ns.len() != count {
+        stamps_ns.clear();
+    }
+    Ok(LoadedRecording {
+        columns,
+        stamps_ns,
+        segments,
+        gaps,
+        samples: accountant.received(),
+        missing: accountant.missing(),
+        info,
+    })
 }
 
 /// Adds position `at` to the last range, or begins one where it `begins` or the last does not reach it.

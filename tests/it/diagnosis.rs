@@ -1,6 +1,6 @@
 //! The diagnosis from the command line: what a model lacks is named, added, and gone; taken out it is back.
 
-use crate::world::vn100d;
+use crate::world::{World, vn100d};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -102,6 +102,52 @@ fn what_is_merely_off_is_no_cause_and_another_simulators_recording_is_as_good_as
     assert!((n["ratio"].as_f64().unwrap() / 1.2 - 1.0).abs() < 0.02, "{n}");
     let same = diagnosed(&real, &other, &[]);
     assert_eq!((same["verdict"].as_str(), effects(&same)), (Some("no_gap"), vec![]), "{same:#}");
+}
+
+#[test]
+fn stamps_that_scatter_are_found_in_a_table_and_in_a_capture_of_it_and_times_are_the_captures() {
+    let world = World::new();
+    let path = |name: &str| world.path(name).to_str().unwrap().to_owned();
+    let folder = world.path("models");
+    std::fs::create_dir(&folder).unwrap();
+    let plain = json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}});
+    let mut rich = plain.clone();
+    rich["gyro_x"]["effects"] = json!([
+        {"effect": "timing", "jitter_s": 0.001, "drop_probability": 0.01},
+        {"effect": "bias_step", "at_s": 700, "size": 0.01}
+    ]);
+    let (plain, rich) = (model(&folder, "plain", &plain), model(&folder, "rich", &rich));
+    let (whole, real, better) = (path("whole.csv"), path("real.csv"), path("better.json"));
+    done(&["simulate", "--model", &rich, "--duration", "20min", "--seed", "5", "--out", &whole]);
+    // A hole of more than a minute: compared is what follows.
+    let text = std::fs::read_to_string(&whole).unwrap();
+    let at = |line: &str| line.split(',').next().unwrap().parse::<f64>().ok();
+    let kept = text.lines().filter(|line| !at(line).is_some_and(|s| (100.0..300.0).contains(&s)));
+    std::fs::write(&real, kept.flat_map(|line| [line, "\n"]).collect::<String>()).unwrap();
+    let data = path("data");
+    done(&["--data-dir", &data, "import", &real, "--name", "table"]);
+    for (name, more) in [(real.as_str(), ["--augmented-model", &better]), ("table", ["--data-dir", &data])] {
+        let found = diagnosed(name, &plain, &more);
+        let mut names = effects(&found);
+        names.sort_unstable();
+        assert_eq!(names, ["bias_step", "timing"], "{name}: {found:#}");
+        let of = |effect: &str| found["causes"].as_array().unwrap().iter().find(|one| one["effect"] == effect).unwrap();
+        let timing = &of("timing")["parameters"]["gyro_x"];
+        assert!((timing["jitter_s"].as_f64().unwrap() / 0.001 - 1.0).abs() < 0.05, "{name}: {timing}");
+        assert!((timing["drop_probability"].as_f64().unwrap() / 0.01 - 1.0).abs() < 0.2, "{name}: {timing}");
+        // Places are counted at the rate of the median step, which scattering stamps tell to some 1e-4.
+        let step = &of("bias_step")["parameters"]["gyro_x"];
+        assert!((step["at_s"].as_f64().unwrap() - 700.0).abs() < 0.5, "{name}: {step}");
+        let interval = &of("bias_step")["uncertainty"]["gyro_x"][0]["at_s"];
+        assert!(interval[0].as_f64() > Some(699.0) && interval[1].as_f64() < Some(701.0), "{interval}");
+        let place = &found["where"][0];
+        assert!(place["from_s"].as_f64() >= Some(300.0) && place["to_s"].as_f64() <= Some(1201.0), "{place}");
+        assert!(found["notes"].to_string().contains("begin at its 300"), "{found:#}");
+    }
+    let better: Value = serde_json::from_str(&std::fs::read_to_string(&better).unwrap()).unwrap();
+    let added = better["channels"]["gyro_x"]["effects"].as_array().unwrap();
+    let step = added.iter().find(|effect| effect["effect"] == "bias_step").unwrap();
+    assert!((step["at_s"].as_f64().unwrap() - 400.0).abs() < 0.5, "a model is run from its own begin: {step}");
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod demo;
 mod diagnoses;
 mod diagnosis;
 mod docs;
+mod gap;
 mod imports;
 mod night;
 mod recordings;

@@ -73,7 +73,7 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     }
     let rate_hz = series.setting().rate_hz;
     let of = |order: u64| {
-        let starts = [0.15, 0.4].map(|share| vec![(share * rate_hz).ln(), white(series) - 6.0]);
+        let starts = [0.15, 0.4].map(|share| vec![(share * rate_hz).ln(), -7.0]);
         with_term(series, Shape::LowPass(order), starts)
     };
     let mut best = of(1)?;
@@ -112,7 +112,7 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     }
     let started = |window: u64| {
         let mut law = series.explanation.law.clone();
-        law.terms.push(Term { shape: Shape::MovingAverage(window), numbers: vec![white(series) - 6.0] });
+        law.terms.push(Term { shape: Shape::MovingAverage(window), numbers: vec![-7.0] });
         law
     };
     // Each to its end: a window's notches do not show before the levels are right.
