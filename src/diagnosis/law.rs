@@ -206,7 +206,7 @@ impl Pieces {
                 let gain = term.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
                 pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
                 pieces.gains.push(gain);
-                pieces.floors.push((law.levels[0] + term.numbers[term.level()]).exp());
+                pieces.floors.push((law.levels[0] + term.numbers[term.level()]).exp() * data.grid.rate_hz());
                 pieces.added.push(Vec::new());
             } else {
                 let more = term.added(data.grid.frequencies_hz(), data.grid.rate_hz());

@@ -57,7 +57,23 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     }
     other_filter(series, &mut steps);
     take_back(series, prices, &mut steps);
+    tails_back(series, prices, &mut steps);
     steps
+}
+
+/// Takes back tails that were stretches' before these were known.
+fn tails_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    let last = steps.len().saturating_sub(1);
+    let Some(at) = steps.iter().position(|step| step.kind == Kind::HeavyTails).filter(|at| *at < last) else { return };
+    let kept = series.clone();
+    series.explanation.tails = None;
+    series.rebuild(false);
+    let gain = evidence::outlier::heavy_tails(series).map_or(0.0, |candidate| candidate.gain);
+    if gain < prices.of(Kind::HeavyTails) {
+        steps.remove(at);
+    } else {
+        *series = kept;
+    }
 }
 
 /// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
@@ -104,7 +120,11 @@ fn other_filter(series: &mut Series<'_>, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
     // The last to be chosen knew everything.
-    let Some(at) = steps.iter().position(|step| filters.contains(&step.kind)).filter(|at| *at < last) else { return };
+    let of_filters: Vec<usize> = (0..steps.len()).filter(|at| filters.contains(&steps[*at].kind)).collect();
+    let [at] = of_filters[..] else { return };
+    if at == last {
+        return;
+    }
     let kept = series.clone();
     series.explanation.law.terms.retain(|term| !term.is_filter());
     series.rebuild(false);

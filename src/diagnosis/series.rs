@@ -4,7 +4,7 @@ use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Scedasticity, Sine, profile, turning};
 use super::filling::{beyond, fill_in};
 use super::grid::{Grid, Narrow};
-use super::law::{Base, Beliefs, Data, Fitted, Law, Shape};
+use super::law::{Base, Beliefs, Data, Fitted, Law, Shape, Term};
 use super::transform::Cosines;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
@@ -284,14 +284,17 @@ impl<'a> Series<'a> {
 
     /// A grid that resolves the narrow bands of the law.
     fn resolve_lines(&mut self) {
-        let lines: Vec<Narrow> = self
-            .explanation
-            .law
-            .terms
-            .iter()
-            .filter(|term| term.shape == Shape::Resonance)
-            .map(|term| Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() })
-            .collect();
+        const NOTCH: f64 = 1e-3;
+        let rate_hz = self.setting.rate_hz;
+        let of = |term: &Term| match term.shape {
+            Shape::Resonance => vec![Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() }],
+            // A boxcar's spectrum is narrow where it has none.
+            Shape::MovingAverage(window) => (1..=window / 2)
+                .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
+                .collect(),
+            _ => Vec::new(),
+        };
+        let lines: Vec<Narrow> = self.explanation.law.terms.iter().flat_map(of).collect();
         self.grid = Grid::new(self.len(), self.setting.rate_hz, &lines);
         self.base = (self.setting.base)(&self.grid);
     }

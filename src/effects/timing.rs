@@ -19,7 +19,7 @@ pub struct Timing {
 /// Stamps may deviate by this part of a period at most.
 pub(crate) const DEVIATION_MAX: f64 = 0.49;
 /// And their standard deviation may be this part of a period at most, so that deviations are seldom cut.
-pub(crate) const JITTER_MAX: f64 = 0.2;
+pub const JITTER_MAX: f64 = 0.2;
 
 static SPEC: Spec = Spec {
     name: "timing",

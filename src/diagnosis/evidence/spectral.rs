@@ -68,7 +68,7 @@ pub(super) const HOPELESS: f64 = 3.0;
 /// A Butterworth filter of the order that fits best.
 #[must_use]
 pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
-    if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
+    if has(series, |shape| matches!(shape, Shape::LowPass(_))) {
         return None;
     }
     let rate_hz = series.setting().rate_hz;
@@ -107,7 +107,7 @@ fn without_ends(candidate: &mut Candidate, reach: usize, samples: usize) {
 #[must_use]
 pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     const LONGEST: u64 = 20;
-    if has(series, |shape| matches!(shape, Shape::LowPass(_) | Shape::MovingAverage(_))) {
+    if has(series, |shape| matches!(shape, Shape::MovingAverage(_))) {
         return None;
     }
     let started = |window: u64| {

@@ -74,12 +74,23 @@ fn correlations(power: &[f64], samples: usize) -> Option<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::{Stream, StreamId};
 
     #[test]
-    fn a_kurtosis_score_is_that_of_published_tables() {
-        // scipy.stats.kurtosistest's statistic for uniform-like and normal values: b2 1.8 and 3.0 of 100.
-        assert!((kurtosis_score(1.8, 100.0) + 5.22).abs() < 0.3, "{}", kurtosis_score(1.8, 100.0));
-        assert!(kurtosis_score(3.0, 100.0).abs() < 0.4, "{}", kurtosis_score(3.0, 100.0));
+    fn kurtosis_scores_of_normal_values_are_standard_normal() {
+        let mut stream = Stream::new(3, StreamId { owner: 1, effect: 0, instance: 0 });
+        let mut scores = Vec::new();
+        for _ in 0..2000 {
+            let values: Vec<f64> = (0..60).map(|_| stream.normal()).collect();
+            let square = values.iter().map(|x| x * x).sum::<f64>() / 60.0;
+            scores.push(kurtosis_score(values.iter().map(|x| x.powi(4)).sum::<f64>() / 60.0 / (square * square), 60.0));
+        }
+        let mean = scores.iter().sum::<f64>() / 2000.0;
+        let spread = (scores.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 2000.0).sqrt();
+        let below = scores.iter().filter(|score| **score < -2.326).count();
+        assert!(mean.abs() < 0.1 && (spread - 1.0).abs() < 0.1, "{mean} {spread}");
+        // 1 % of 2000.
+        assert!((8..40).contains(&below), "{below}");
         assert!(kurtosis_score(1.0, 1e4) < -30.0 && kurtosis_score(6.0, 1e4) > 15.0);
     }
 }
