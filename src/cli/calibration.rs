@@ -2,6 +2,7 @@
 
 use crate::diagnosis::Recording;
 use crate::diagnosis::calibration::{Nulls, RECORDS};
+use crate::diagnosis::prepare;
 use crate::diagnosis::prices::Tails;
 use crate::jobs::TwoThreads;
 use crate::simulator::SensorModel;
@@ -14,11 +15,14 @@ use std::path::PathBuf;
 
 /// The tails for a recording and a model: from the cache, or from [`RECORDS`] simulated records, the same either way.
 pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails> {
+    // What cannot be compared is refused before anything is simulated.
+    prepare::prepare(real, sim)?;
     let nulls = Nulls::of(real, sim);
     let file = folder().map(|folder| folder.join(format!("null-{}.json", &name(&nulls)[..24])));
     // A file that cannot be read, or is another version's, is made anew.
     let kept = file.as_ref().and_then(|file| std::fs::read(file).ok());
-    if let Some(tails) = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+    let tails = kept.and_then(|bytes| serde_json::from_slice::<Tails>(&bytes).ok());
+    if let Some(tails) = tails.filter(Tails::is_whole) {
         return Ok(tails);
     }
     let target =
@@ -43,6 +47,8 @@ pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails
 /// Digest of everything that the tails depend on.
 fn name(nulls: &Nulls) -> String {
     let mut digest = Sha256::new();
+    // Another table is another way of looking.
+    digest.update(format!("{:?}", Tails::shipped(nulls.samples)));
     digest
         .update(format!("{SOFTWARE} {RECORDS} {} {} {:?} {}", nulls.samples, nulls.rate_hz, nulls.levels, nulls.seed));
     for value in nulls.temperature_c.iter().flatten() {

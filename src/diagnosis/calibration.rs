@@ -52,7 +52,7 @@ impl Nulls {
         Self {
             samples: real.len(),
             rate_hz: sim.rate_hz,
-            levels: levels.map(|(_, model)| [model.n, model.b, model.k]).collect(),
+            levels: levels.map(|(_, model)| [model.n, model.b, model.k]).filter(|of| of[0] > 0.0).collect(),
             temperature_c: real.temperature_c.clone(),
             seed: 1,
         }
@@ -122,7 +122,7 @@ impl Nulls {
             found.statistics.extend(omnibus::statistics(&mut series));
         }
         let residuals: Vec<&[f64]> = residuals.iter().map(Vec::as_slice).collect();
-        let crosstalk = omnibus::crosstalk::greatest(&residuals);
+        let crosstalk = omnibus::crosstalk::greatest(&residuals, &|_, _| false);
         found.statistics.extend(crosstalk.first().map(|value| (Statistic::Crosstalk, *value)));
         Ok(found)
     }
@@ -150,6 +150,9 @@ impl Nulls {
         workers: &dyn Workers,
         each: &(dyn Fn(usize) -> bool + Sync),
     ) -> Result<Option<Vec<Chance>>, DiagnosisError> {
+        if self.levels.is_empty() {
+            return Err(DiagnosisError::Model("no channel has an N, so that there is no noise to simulate".to_owned()));
+        }
         let places: Vec<Mutex<Option<Result<Chance, DiagnosisError>>>> =
             (0..records).map(|_| Mutex::new(None)).collect();
         let done = Mutex::new((0, true));

@@ -334,7 +334,11 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         for (statistic, value) in &of.statistics {
             // On a lattice the value in the middle is met most.
             let lattice = of.prepared.step.is_some() && *statistic == Statistic::Atom;
-            if lattice || (marginal && statistic.is_marginal()) {
+            // Steps wider than the noise, and what was cut on one side, are skewed by themselves.
+            let coarse = of.prepared.step.is_some_and(|step| step > 1.2 * of.white);
+            let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
+            let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
+            if lattice || skewed || (marginal && statistic.is_marginal()) {
                 continue;
             }
             // The most conspicuous of all other channels.

@@ -155,13 +155,18 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
     let both: Vec<(Findings, Whitened)> = done.collect::<Option<_>>().ok_or(DiagnosisError::CalledOff)?;
     let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
-    let residuals: Vec<&[f64]> = whitened.iter().map(|of| of.residual.as_slice()).collect();
-    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(&residuals)) {
-        of.statistics.push((Statistic::Crosstalk, value));
-    }
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
-    let shared = if options.wants("common_mode") { shared::shared(&whitened, price) } else { Vec::new() };
+    let shared = shared::shared(&whitened, price);
+    let linked = |i: usize, j: usize| {
+        let has = |of: &Shared, at: usize| of.parts.iter().any(|(own, _)| *own == at);
+        shared.iter().any(|of| has(of, i) && has(of, j))
+    };
+    let residuals: Vec<&[f64]> = whitened.iter().map(|of| of.residual.as_slice()).collect();
+    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(&residuals, &linked)) {
+        of.statistics.push((Statistic::Crosstalk, value));
+    }
+    let shared = if options.wants("common_mode") { shared } else { Vec::new() };
     let found = Found {
         channels,
         shared,

@@ -77,7 +77,7 @@ impl Term {
     }
 
     /// Power gain at each frequency.
-    fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+    pub(super) fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         let effect = self.effect();
         let gain = |f: &f64| effect.as_ref().map_or(1.0, |effect| effect.power_gain(*f, rate_hz));
         frequencies_hz.iter().map(gain).collect()

@@ -43,12 +43,13 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
     let lines = with(&["tone", "comb", "resonance"]);
     if !lines.is_empty() {
         notes.push(format!(
-            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one named here looks the same; \
+            "tone or folded tone: at {:.6} Hz alone a line of higher frequency that folds down to one named here looks the same; \
              a record at another output rate tells: a true one stays, a folded one moves",
-            real.rate_hz
+            (real.rate_hz * 1e4).round() / 1e4
         ));
         for one in &lines {
-            let frequency_hz = number(&*one.effect, "frequency_hz").unwrap_or_default();
+            let frequency_hz = number(&*one.effect, "frequency_hz").or(number(&*one.effect, "fundamental_hz"));
+            let Some(frequency_hz) = frequency_hz else { continue };
             if let Some(mains) = mains(frequency_hz, real.rate_hz) {
                 notes.push(format!("{mains} would appear where {} has its line of {frequency_hz:.3} Hz", one.channel));
             }

@@ -1,7 +1,7 @@
 //! Prices: what chance makes of each effect's gain and of each omnibus statistic in records of noise alone.
 //!
 //! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). [`Tails::shipped`] has those of
-//! simulated records at four lengths (`cargo run --release --example null_tails`); [`super::calibration`] finds them for a
+//! simulated records at three lengths (`cargo run --release --example null_tails`); [`super::calibration`] finds them for a
 //! record's own length and model.
 
 use super::evidence::Kind;
@@ -125,6 +125,13 @@ impl Tails {
             kinds: KINDS.into_iter().map(|(kind, offsets, scale)| (kind, tail(offsets, scale))).collect(),
             statistics: STATISTICS.into_iter().map(|(of, offsets, scale)| (of, tail(offsets, scale))).collect(),
         }
+    }
+
+    /// Whether there is one for everything.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        Kind::ALL.iter().all(|kind| self.kinds.contains_key(kind))
+            && Statistic::ALL.iter().all(|of| self.statistics.contains_key(of))
     }
 
     /// The chance that noise alone shows as much of a statistic; more than 1 for what is usual.

@@ -19,7 +19,7 @@ pub struct Step {
 }
 
 /// A complex kind that stands in for a simple one has to be better by some nats.
-const SIMPLER: [(Kind, Kind, f64); 14] = [
+const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::WarmUp, Kind::RateRamp, 4.0),
     (Kind::BiasStep, Kind::RateRamp, 2.0),
     (Kind::TemperatureBias, Kind::RateRamp, 0.0),
@@ -35,6 +35,9 @@ const SIMPLER: [(Kind, Kind, f64); 14] = [
     (Kind::Slope, Kind::LowPass, 3.0),
     (Kind::TemperatureCurve, Kind::WarmUp, 3.0),
     (Kind::TemperatureCurve, Kind::RateRamp, 3.0),
+    (Kind::TemperatureCurve, Kind::TemperatureBias, 3.0),
+    (Kind::TemperatureCurve, Kind::BiasStep, 3.0),
+    (Kind::TemperatureCurve, Kind::GaussMarkov, 3.0),
 ];
 
 /// Explains a series as far as effects are worth their prices.
@@ -55,7 +58,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
             more_tones(series, prices, &mut steps);
         }
     }
-    other_filter(series, &mut steps);
+    other_filter(series, prices, &mut steps);
     take_back(series, prices, &mut steps);
     tails_back(series, prices, &mut steps);
     steps
@@ -116,7 +119,7 @@ fn kind_of(shape: Shape) -> Kind {
 }
 
 /// Chosen before all else was known, a filter may be of the other kind: what is in front of it shapes the spectrum too.
-fn other_filter(series: &mut Series<'_>, steps: &mut [Step]) {
+fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
     // The last to be chosen knew everything.
@@ -128,13 +131,14 @@ fn other_filter(series: &mut Series<'_>, steps: &mut [Step]) {
     let kept = series.clone();
     series.explanation.law.terms.retain(|term| !term.is_filter());
     series.rebuild(false);
-    let candidates = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
-    let best = candidates.into_iter().flatten().reduce(|a, b| if b.gain > a.gain { b } else { a });
+    let both = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
+    let candidates: Vec<Candidate> = both.into_iter().flatten().collect();
     *series = kept;
-    if let Some(best) = best.filter(|best| best.kind != steps[at].kind) {
+    let Some(step) = choose(&candidates, prices).filter(|step| step.kind != steps[at].kind) else { return };
+    if let Some(best) = candidates.into_iter().find(|candidate| candidate.kind == step.kind) {
         series.explanation = best.explanation;
         series.rebuild(false);
-        steps[at] = Step { kind: best.kind, gain: best.gain, ..steps[at].clone() };
+        steps[at] = step;
     }
 }
 

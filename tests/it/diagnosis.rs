@@ -1,6 +1,6 @@
 //! The diagnosis from the command line: what a model lacks is named, added, and gone; taken out it is back.
 
-use crate::world::{World, vn100d};
+use crate::world::{World, program, vn100d};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -173,4 +173,35 @@ fn what_cannot_be_compared_is_refused_in_one_sentence() {
         assert!(!ended.status.success() && said.contains(part) && said.trim().lines().count() == 1, "{file}: {said}");
         assert!(ended.stdout.is_empty());
     }
+}
+
+#[test]
+fn a_calibration_is_kept_and_found_again_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let told = json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6,
+        "effects": [{"effect": "tone", "frequency_hz": 7.3, "amplitude": 3e-4}]}});
+    let rich = model(folder.path(), "rich", &told);
+    let plain = model(folder.path(), "plain", &json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}}));
+    let real = path("real.csv");
+    done(&["simulate", "--model", &rich, "--duration", "40s", "--seed", "5", "--out", &real]);
+    let cache = path("cache");
+    let calibrated = || {
+        let arguments = ["--json", "diagnose", "--real", &real, "--sim", &plain, "--calibrate"];
+        let ended = program().args(arguments).env("XDG_CACHE_HOME", &cache).output().unwrap();
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+        serde_json::from_slice::<Value>(&ended.stdout).unwrap()
+    };
+    let found = calibrated();
+    assert_eq!(effects(&found), ["tone"], "{found:#}");
+    let files: Vec<_> =
+        std::fs::read_dir(folder.path().join("cache/vn100d")).unwrap().map(|file| file.unwrap()).collect();
+    let [file] = &files[..] else { panic!("{files:?}") };
+    let kept = std::fs::read_to_string(file.path()).unwrap();
+    assert!(serde_json::from_str::<Value>(&kept).unwrap()["kinds"]["tone"]["offset"].as_f64().unwrap() > 4.0);
+    assert_eq!(calibrated(), found, "from the cache");
+    // What is broken is made anew, and the same.
+    std::fs::write(file.path(), &kept[..kept.len() / 2]).unwrap();
+    assert_eq!(calibrated(), found, "made anew");
+    assert_eq!(std::fs::read_to_string(file.path()).unwrap(), kept);
 }

@@ -1,7 +1,7 @@
 //! Level: a ramp, a temperature's influence, a warm-up, steps.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::course::Course;
+use crate::diagnosis::course::{Course, Follow};
 use crate::diagnosis::series::{Drift, Series};
 
 fn candidate(series: &Series<'_>, kind: Kind, courses: &[Course], drift: Drift) -> Candidate {
@@ -39,16 +39,21 @@ pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
 #[must_use]
 pub fn curve(series: &Series<'_>) -> Option<Candidate> {
     let known = |course: &Course| matches!(course, Course::Follows(_));
-    if has(series, known) || !has(series, |course| *course == Course::Temperature) {
+    if has(series, known) {
         return None;
     }
-    curve_alone(series)
+    // With play it follows a straight line as well: that comes first.
+    of_ways(series, |way| way == Follow::Square || has(series, |course| *course == Course::Temperature))
 }
 
 /// The same without asking whether the straight line was found.
 pub(super) fn curve_alone(series: &Series<'_>) -> Option<Candidate> {
-    let ways = series.setting().courses.ways();
-    let drifts = ways.into_iter().map(|way| (Course::Follows(way), series.with_courses(&[Course::Follows(way)])));
+    of_ways(series, |_| true)
+}
+
+fn of_ways(series: &Series<'_>, wanted: impl Fn(Follow) -> bool) -> Option<Candidate> {
+    let ways = series.setting().courses.ways().into_iter().filter(|way| wanted(*way));
+    let drifts = ways.map(|way| (Course::Follows(way), series.with_courses(&[Course::Follows(way)])));
     let (course, drift) = drifts.reduce(|a, b| if b.1.gain > a.1.gain { b } else { a })?;
     Some(candidate(series, Kind::TemperatureCurve, &[course], drift))
 }

@@ -1,7 +1,7 @@
 //! Spectral effects: more terms in the law.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::law::{Fitted, Law, Shape, Term};
+use crate::diagnosis::law::{Data, Fitted, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 
 /// The best law with another term, from several starts of its numbers.
@@ -139,6 +139,11 @@ pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     let fits = Shape::SLOPES.into_iter().enumerate().filter_map(|(which, (low, high))| {
         with_term(series, Shape::Slope(which), [vec![white(series) - 1.5, 0.5 * (low + high)]])
     });
-    let best = fits.reduce(|a, b| if b.0 > a.0 { b } else { a })?;
-    Some(candidate(series, Kind::Slope, best))
+    let (gain, best) = fits.reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    // A B or K that is far off is no other slope: what it gives where these may be anything counts.
+    let free = Data { beliefs: &[None, None, None], ..series.data() };
+    let mut without = best.law.clone();
+    without.terms.pop();
+    let unbelieved = best.law.fit(free).log_likelihood - without.fit_from_several(free).log_likelihood;
+    Some(candidate(series, Kind::Slope, (gain.min(unbelieved), best)))
 }

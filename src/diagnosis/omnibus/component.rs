@@ -4,6 +4,7 @@
 //! probable course shows two levels, or one amplitude, where a normal process shows neither.
 
 use super::half_square;
+use crate::diagnosis::law::Shape;
 use crate::diagnosis::plans;
 use crate::diagnosis::series::Series;
 
@@ -15,12 +16,17 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
     let terms = series.explanation.law.terms.clone();
     let (rate_hz, n) = (series.setting().rate_hz, series.len());
     let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
+    // Filters act behind it.
+    let mut gain = series.data().base.gain.clone();
+    for filter in terms.iter().filter(|term| term.is_filter()) {
+        gain.iter_mut().zip(filter.gains(&hz, rate_hz)).for_each(|(all, one)| *all *= one);
+    }
     let mut found = 0.0f64;
     for term in terms.iter().filter(|term| term.adds()) {
-        let logarithms: Vec<f64> =
-            term.added(&hz, rate_hz).into_iter().map(|power| power.max(f64::MIN_POSITIVE).ln()).collect();
+        let added = term.added(&hz, rate_hz).into_iter().zip(&gain);
+        let logarithms: Vec<f64> = added.map(|(power, gain)| (power * gain).max(f64::MIN_POSITIVE).ln()).collect();
         let own = series.grid.fill(&logarithms);
-        // Share of the term in each coefficient's power; a filter behind it would change both alike.
+        // Share of the term in each coefficient's power.
         let share: Vec<f64> = own.iter().zip(&series.spectrum).map(|(own, all)| (own / all).min(1.0)).collect();
         let mut course: Vec<f64> = series.coefficients.iter().zip(&share).map(|(c, share)| c * share).collect();
         let mut power: Vec<f64> = own.iter().zip(&share).map(|(own, share)| own * share).collect();
@@ -34,9 +40,11 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
         if variance <= 0.0 || count / fourth < FEWEST {
             continue;
         }
-        let skewed = moment(3) / (6.0 * third / count).sqrt();
-        let tails = kurtosis_score(moment(4), count / fourth);
-        found = found.max(half_square(skewed)).max(half_square(tails));
+        found = found.max(half_square(kurtosis_score(moment(4), count / fourth)));
+        // A narrow band's third moment is next to nothing, whatever it is.
+        if term.shape == Shape::GaussMarkov && third > 0.0 {
+            found = found.max(half_square(moment(3) / (6.0 * third / count).sqrt()));
+        }
     }
     found
 }

@@ -5,13 +5,14 @@ use realfft::num_complex::Complex;
 
 /// Longest lag, samples.
 const LONGEST: usize = 20_000;
-/// Shorter lags are those of noise that channels share at once, seen through two whitening filters.
+/// Shorter lags are told from noise that channels share at once by [`super::super::shared`].
 const SHORTEST: usize = 3;
 
 /// For each channel half the greatest squared correlation with any other at a lag times the samples: about −ln of its chance,
-/// how many lags there are not counted. The residuals are white.
+/// how many lags there are not counted. The residuals are white. Pairs that are `linked` share noise at once, which two
+/// whitening filters spread over lags: they are left out.
 #[must_use]
-pub fn greatest(residuals: &[&[f64]]) -> Vec<f64> {
+pub fn greatest(residuals: &[&[f64]], linked: &dyn Fn(usize, usize) -> bool) -> Vec<f64> {
     let mut found = vec![0.0; residuals.len()];
     let n = residuals.first().map_or(0, |of| of.len());
     if residuals.len() < 2 || n < 8 * SHORTEST {
@@ -31,7 +32,7 @@ pub fn greatest(residuals: &[&[f64]]) -> Vec<f64> {
     let power = |of: &[f64]| of.iter().map(|e| e * e).sum::<f64>();
     let longest = LONGEST.min(n / 4);
     for i in 0..spectra.len() {
-        for j in 0..i {
+        for j in (0..i).filter(|j| !linked(i, *j)) {
             let mut product: Vec<Complex<f64>> =
                 spectra[i].iter().zip(&spectra[j]).map(|(a, b)| a * b.conj()).collect();
             // The first and, of an even number, the last are real.
@@ -44,7 +45,7 @@ pub fn greatest(residuals: &[&[f64]]) -> Vec<f64> {
             if backward.process(&mut product, &mut input).is_err() {
                 continue;
             }
-            let lags = input[SHORTEST..longest].iter().chain(&input[n - longest..n - SHORTEST]);
+            let lags = input[SHORTEST..longest].iter().chain(&input[n - longest + 1..=n - SHORTEST]);
             let most = lags.map(|sum| sum.abs()).fold(0.0, f64::max) / n as f64;
             let square = most * most / (power(residuals[i]) * power(residuals[j])).max(f64::MIN_POSITIVE);
             let value = 0.5 * n as f64 * square;
@@ -71,9 +72,10 @@ mod tests {
         for t in 37..n {
             copy[t] -= 0.15 * source[t - 37];
         }
-        let found = greatest(&[&source, &copy, &other]);
+        let found = greatest(&[&source, &copy, &other], &|_, _| false);
         // n·r²/2 = 66.
         assert!(found[0] > 40.0 && found[0] == found[1] && found[2] < 18.0, "{found:?}");
-        assert_eq!(greatest(&[&source]), [0.0]);
+        assert_eq!(greatest(&[&source], &|_, _| false), [0.0]);
+        assert_eq!(greatest(&[&source, &copy], &|_, _| true), [0.0, 0.0]);
     }
 }

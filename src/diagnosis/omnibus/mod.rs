@@ -146,7 +146,7 @@ fn half_square(z: f64) -> f64 {
 
 /// −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
 pub(super) fn surprise(square: f64, count: f64) -> f64 {
-    if square <= 0.0 { 0.0 } else { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() }
+    if square > 0.0 && square.is_finite() { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() } else { 0.0 }
 }
 
 /// Whether values on one side of 0 are larger than on the other, at any symmetric distribution: the sum of a cubic that is
