@@ -4,6 +4,7 @@ use super::diagnose::{Findings, Found, Options, Outcome};
 use super::evidence::Kind;
 use super::facts;
 use super::holdout::BLOCKS;
+use super::law::{FLOOR_MATTERS, Term};
 use super::omnibus::Statistic;
 use super::pairs;
 use super::recording::Recording;
@@ -75,6 +76,12 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let alternatives = alternatives(found, &named);
     let places = places(found, &named, verdict);
     notes.extend(foreign);
+    for of in found.channels.iter().filter(|of| !open_filters(of).is_empty()) {
+        notes.push(format!(
+            "{}: there is white noise behind the filter, which no effect describes; the corrected model leaves the filter out",
+            of.prepared.channel
+        ));
+    }
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
     }
@@ -605,6 +612,14 @@ fn spread(of: &Findings, level: usize) -> Option<f64> {
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
+/// The filters of a channel if there is so much white noise behind them that a model, which cannot have that, is better
+/// without them.
+fn open_filters(of: &Findings) -> Vec<Box<dyn Effect>> {
+    let filters = of.explanation.law.terms.iter().filter(|term| term.is_filter());
+    let open = filters.clone().filter_map(Term::floor).any(|floor| floor.ln() > FLOOR_MATTERS);
+    filters.filter(|_| open).filter_map(Term::effect).collect()
+}
+
 /// The model with what was found.
 fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
     let mut model = sim.clone();
@@ -625,7 +640,18 @@ fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
                 channel.set_interval(parameter, [value / factor, value * factor]);
             }
         }
-        for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
+        let open = open_filters(of);
+        if !open.is_empty() {
+            // White noise as loud as what passes the filters and what is behind them, on average over the band.
+            let passed = |f: f64| open.iter().map(|effect| effect.power_gain(f, sim.rate_hz)).product::<f64>();
+            let bins = 500;
+            let at = |bin: i32| passed((f64::from(bin) + 0.5) / f64::from(2 * bins) * sim.rate_hz);
+            let gain = (0..bins).map(at).sum::<f64>() / f64::from(bins);
+            let floor: f64 = of.explanation.law.terms.iter().filter_map(Term::floor).sum();
+            channel.n *= (gain + floor).sqrt();
+        }
+        let left_out = |one: &&Named| open.iter().any(|effect| effect.name() == one.effect.name());
+        for one in named.iter().filter(|one| one.channel == of.prepared.channel && !left_out(one)) {
             if one.effect.name() == "common_mode" {
                 // The first of all channels have one source, the second another: earlier sources are not this channel's.
                 let with = |shared: &Shared| {

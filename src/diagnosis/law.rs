@@ -45,7 +45,7 @@ impl Term {
     }
 
     /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of what is outside the library.
-    fn effect(&self) -> Option<Box<dyn Effect>> {
+    pub(super) fn effect(&self) -> Option<Box<dyn Effect>> {
         let at = |index: usize| self.at(index);
         Some(match self.shape {
             Shape::QuantizationNoise => Box::new(QuantizationNoise { q: (0.5 * at(0)).exp() }),
@@ -89,6 +89,11 @@ impl Term {
             Shape::LowPass(_) => 1,
             _ => 0,
         }
+    }
+
+    /// Of a filter: power of the white noise behind it over that of the white noise before it.
+    pub(super) fn floor(&self) -> Option<f64> {
+        self.is_filter().then(|| self.at(self.level()).exp())
     }
 
     pub(super) fn is_filter(&self) -> bool {
@@ -168,9 +173,10 @@ pub struct Data<'a> {
     pub beliefs: &'a Beliefs,
 }
 
-/// Bounds of ln of the white noise's power behind a filter over that before it: an effect has no such noise, so that what is
-/// not small is no filter's (at most 6 % of N).
-const FLOOR: (f64, f64) = (-18.0, -5.6);
+/// Bounds of ln of the white noise's power behind a filter over that before it.
+const FLOOR: (f64, f64) = (-18.0, 0.0);
+/// Above this (6 % of N) a model whose filter has no noise behind it is no better than one without the filter.
+pub(super) const FLOOR_MATTERS: f64 = -5.6;
 
 /// Bounds of a level, ln of power per sample.
 pub(super) const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
