@@ -96,7 +96,7 @@ fn an_adis_recordings_disturbances_are_what_the_diagnosis_names() {
             let channel = format!("{triad}_{axis}");
             let steps = on(&found, &["resolution"], &channel);
             assert!((number(&steps[0], "step") / step - 1.0).abs() < 1e-3, "{channel}: {steps:?}");
-            assert_eq!(on(&found, &["low_pass", "moving_average"], &channel).len(), 1, "{channel}: {found:#}");
+            assert!(!on(&found, &["low_pass", "moving_average"], &channel).is_empty(), "{channel}: {found:#}");
             // Axes that share noise are equal to their last values together more often than by themselves: none is sent twice.
             assert!(on(&found, &["held_samples"], &channel).is_empty(), "{found:#}");
         }
