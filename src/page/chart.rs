@@ -1,6 +1,7 @@
 //! Charts: spectra of one channel as SVG, both axes logarithmic.
 
 use super::escaped;
+use super::figure::{numbers, numbers_or_none};
 use serde::Deserialize;
 use std::fmt::Write as _;
 
@@ -13,9 +14,13 @@ const MARGIN: [f64; 4] = [78.0, 14.0, 10.0, 40.0];
 pub(super) struct Spectra {
     pub(super) channel: String,
     unit: String,
+    #[serde(deserialize_with = "numbers")]
     frequency_hz: Vec<f64>,
+    #[serde(deserialize_with = "numbers")]
     real: Vec<f64>,
+    #[serde(default, deserialize_with = "numbers_or_none")]
     before: Option<Vec<f64>>,
+    #[serde(default, deserialize_with = "numbers_or_none")]
     after: Option<Vec<f64>>,
 }
 
@@ -134,7 +139,8 @@ impl Picture<'_> {
             let width = if *class == "real" { 1.0 } else { 2.0 };
             let dashes = if *class == "before" { " stroke-dasharray=\"6 4\"" } else { "" };
             let _ = write!(out, "<polyline class=\"{class}\" fill=\"none\" stroke-width=\"{width}\"{dashes} points=\"");
-            for (hz, value) in self.frequency_hz.iter().zip(*values) {
+            let points = self.frequency_hz.iter().zip(*values);
+            for (hz, value) in points.filter(|(hz, value)| hz.is_finite() && value.is_finite()) {
                 let _ = write!(out, "{:.1},{:.1} ", x.place(*hz), y.place(*value));
             }
             out.push_str("\"/>");

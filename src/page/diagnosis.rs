@@ -1,7 +1,7 @@
 //! The page of a diagnosis: the sentence, how large the gap is and what closes it, where it lies, what the model lacks.
 
 use super::chart::{self, Spectra};
-use super::figure::{percent, plain, with_interval};
+use super::figure::{percent, plain, second, with_interval};
 use super::{escaped, framed};
 use crate::sample::Channel;
 use serde::Deserialize;
@@ -46,9 +46,13 @@ struct Report {
 #[derive(Debug, Deserialize)]
 struct Discrepancy {
     unit: String,
+    #[serde(deserialize_with = "super::figure::number")]
     before: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     after_parameters: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     after: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     floor: f64,
     p_value_after: Option<f64>,
     closed: Option<f64>,
@@ -60,10 +64,14 @@ struct Discrepancy {
 #[derive(Debug, Deserialize)]
 struct Place {
     channel: String,
+    #[serde(deserialize_with = "super::figure::pair")]
     band_hz: [f64; 2],
+    #[serde(deserialize_with = "super::figure::number")]
     from_s: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     to_s: f64,
     temperature_c: Option<[f64; 2]>,
+    #[serde(deserialize_with = "super::figure::number")]
     share: f64,
     sign: String,
 }
@@ -72,7 +80,9 @@ struct Place {
 struct Parameter {
     channel: String,
     parameter: String,
+    #[serde(deserialize_with = "super::figure::number")]
     model: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     capture: f64,
     ratio: Option<f64>,
     ci95: Option<[f64; 2]>,
@@ -82,6 +92,7 @@ struct Parameter {
 struct Cause {
     effect: String,
     channels: Vec<String>,
+    #[serde(deserialize_with = "super::figure::number")]
     confidence: f64,
     closes: Option<f64>,
     #[serde(default)]
@@ -101,8 +112,11 @@ struct Alternative {
 
 #[derive(Debug, Deserialize)]
 struct Gap {
+    #[serde(deserialize_with = "super::figure::number")]
     before: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     after: f64,
+    #[serde(deserialize_with = "super::figure::number")]
     floor: f64,
 }
 
@@ -149,7 +163,8 @@ fn head(out: &mut String, report: &Report) {
 
 /// A bar of a length between 0 and 1, one of at least a hair's breadth.
 fn bar(share: f64, class: &str) -> String {
-    let width = (100.0 * share).clamp(0.3, 100.0);
+    // Of what is no number the breadth of a hair.
+    let width = (100.0 * share).max(0.3).min(100.0);
     format!(
         "<svg viewBox=\"0 0 100 10\" preserveAspectRatio=\"none\" aria-hidden=\"true\">\
          <rect class=\"fill-{class}\" width=\"{width:.2}\" height=\"10\"/></svg>"
@@ -192,7 +207,7 @@ fn causes(out: &mut String, report: &Report) {
              <th>parameters, with 95&nbsp;% intervals</th><th class=\"number\">sure</th><th class=\"number\">closes</th></tr>";
     for cause in &report.causes {
         // Never more sure than it is.
-        let sure = format!("{:.0} %", (100.0 * cause.confidence).floor());
+        let sure = percent((100.0 * cause.confidence).floor() / 100.0);
         let _ = write!(
             out,
             "<tr><td><b>{}</b></td><td>{}</td><td>{}</td><td class=\"number\">{sure}</td><td class=\"number\">{}</td></tr>",
@@ -301,10 +316,10 @@ fn places(out: &mut String, report: &Report) {
             .map_or_else(String::new, |[low, high]| format!(", at {} to {} °C", plain(low), plain(high)));
         let _ = write!(
             out,
-            "<tr><td>{}</td><td>{from_hz} to {to_hz}</td><td>{:.0} to {:.0}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
+            "<tr><td>{}</td><td>{from_hz} to {to_hz}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
             escaped(&of.channel),
-            of.from_s,
-            of.to_s,
+            second(of.from_s),
+            second(of.to_s),
             percent(of.share),
             escaped(of.sign.trim_start_matches("real "))
         );
@@ -470,5 +485,23 @@ mod tests {
         let page = diagnosis(&little.to_string(), "[]", &[]).unwrap();
         assert!(!page.contains("What the model lacks") && !page.contains("is closed"), "{page}");
         assert!(diagnosis("{}", "[]", &[]).is_err());
+    }
+
+    #[test]
+    fn what_was_not_finite_is_a_dash_and_loses_nothing_else() {
+        let mut report = report();
+        report["discrepancy"]["after"] = Value::Null;
+        report["where"][0]["band_hz"] = json!([null, 11.6]);
+        report["where"][0]["to_s"] = Value::Null;
+        report["causes"][1]["confidence"] = Value::Null;
+        report["per_channel"]["accel_z"]["after"] = Value::Null;
+        let mut spectra = spectra();
+        spectra[0]["real"][1] = Value::Null;
+        let page = diagnosis(&report.to_string(), &spectra.to_string(), &[]).unwrap();
+        assert!(!page.contains("NaN") && !page.contains("inf"), "{page}");
+        for part in ["– to 11.6", "0 to –", "<td class=\"number\">–</td>", "0.001 → – (1·10⁻⁶)", "11.4"]
+        {
+            assert!(page.contains(part), "{part} is not in {page}");
+        }
     }
 }

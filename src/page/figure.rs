@@ -1,5 +1,30 @@
 //! Figures: numbers as a person reads them.
 
+use serde::{Deserialize, Deserializer};
+
+/// A number; what was not finite and was therefore written as null is none, and shown as a dash.
+pub(super) fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+/// The same for two.
+pub(super) fn pair<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 2], D::Error> {
+    let pair: [Option<f64>; 2] = Deserialize::deserialize(from)?;
+    Ok(pair.map(|value| value.unwrap_or(f64::NAN)))
+}
+
+/// The same for a list.
+pub(super) fn numbers<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
+    let list: Vec<Option<f64>> = Vec::deserialize(from)?;
+    Ok(list.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect())
+}
+
+/// The same for a list that may be absent.
+pub(super) fn numbers_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Vec<f64>>, D::Error> {
+    let list: Option<Vec<Option<f64>>> = Option::deserialize(from)?;
+    Ok(list.map(|list| list.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect()))
+}
+
 /// A number with four digits: plain where it is neither small nor large, else times a power of ten.
 pub(super) fn plain(value: f64) -> String {
     rounded(value, 4)
@@ -15,10 +40,18 @@ pub(super) fn with_interval(value: f64, [low, high]: [f64; 2]) -> String {
 
 /// A share in percent; small differences from 0 and 100 are none of a reader's.
 pub(super) fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
+    if share.is_finite() { format!("{:.0} %", 100.0 * share) } else { "–".to_owned() }
+}
+
+/// A time to the second.
+pub(super) fn second(time_s: f64) -> String {
+    if time_s.is_finite() { format!("{time_s:.0}") } else { "–".to_owned() }
 }
 
 fn rounded(value: f64, digits: usize) -> String {
+    if !value.is_finite() {
+        return "–".to_owned();
+    }
     if value == 0.0 {
         return "0".to_owned();
     }
