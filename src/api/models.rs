@@ -6,7 +6,7 @@ use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::jobs::JobError;
 use crate::simulator::SensorModel;
-use crate::store::{ModelRow, StoreError, UtcNs};
+use crate::store::{ModelHead, ModelRow, StoreError, UtcNs};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, Uri, header};
@@ -14,9 +14,9 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use serde_json::Value;
 
-/// A sensor model and what is known of it.
+/// What is known of a sensor model.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
-pub(super) struct Model {
+pub(super) struct ModelEntry {
     /// Its id: `model-1`, `model-2`…
     id: String,
     /// Its name.
@@ -25,6 +25,20 @@ pub(super) struct Model {
     rate_hz: f64,
     /// When it was left here.
     created_at: UtcNs,
+}
+
+impl From<ModelHead> for ModelEntry {
+    fn from(head: ModelHead) -> Self {
+        let ModelHead { id, name, rate_hz, created_at } = head;
+        Self { id: format!("model-{id}"), name, rate_hz, created_at }
+    }
+}
+
+/// A sensor model and what is known of it.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub(super) struct Model {
+    #[serde(flatten)]
+    entry: ModelEntry,
     /// The model, `vn100d-sensor-model-1`.
     #[schema(value_type = Object)]
     model: Value,
@@ -33,16 +47,14 @@ pub(super) struct Model {
 impl TryFrom<ModelRow> for Model {
     type Error = JobError;
     fn try_from(row: ModelRow) -> Result<Self, JobError> {
-        let model = serde_json::from_str(&row.body)?;
-        let id = format!("model-{}", row.id);
-        Ok(Self { id, name: row.name, rate_hz: row.rate_hz, created_at: row.created_at, model })
+        Ok(Self { model: serde_json::from_str(&row.body)?, entry: row.head.into() })
     }
 }
 
 /// A page of models, the latest first.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Models {
-    models: Vec<Model>,
+    models: Vec<ModelEntry>,
     /// Cursor of the next page; null on the last.
     next: Option<String>,
 }
@@ -58,23 +70,24 @@ pub(super) async fn list(
 ) -> Result<Response, ApiError> {
     let request = query.request()?;
     let found = state.read(move |reader| reader.models(&request)).await?;
-    let models = found.rows.into_iter().map(Model::try_from).collect::<Result<Vec<_>, _>>()?;
-    let found = crate::store::Page { rows: models, next: found.next };
-    Ok(page::answer(&uri, found, |models, next| Models { models, next }))
+    let entries =
+        |rows: Vec<ModelHead>, next| Models { models: rows.into_iter().map(ModelEntry::from).collect(), next };
+    Ok(page::answer(&uri, found, entries))
 }
 
 /// Keeps a sensor model. The same again is the same model.
 #[utoipa::path(post, path = "/v1/models", tag = "diagnoses", request_body = Object, responses(
     (status = 201, body = Model, headers(("Location" = String, description = "The model"))),
     (status = 200, body = Model, description = "It was here before"),
-    (status = 400, body = Problem, content_type = "application/problem+json", description = "It is no sensor model")))]
+    (status = 400, body = Problem, content_type = "application/problem+json", description = "It is no sensor model"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "There are as many as are kept")))]
 pub(super) async fn keep(State(state): State<ApiState>, J(body): J<Value>) -> Result<Response, ApiError> {
     let body = body.ok_or_else(|| ApiError::bad_request("the body is empty: expected a sensor model"))?;
     let model = SensorModel::from_value(&body, "the body").map_err(JobError::from)?;
     let text = serde_json::to_string(&model).map_err(JobError::from)?;
     let (row, is_new) = state.change(move |parts| parts.store.keep_model(&model.name, model.rate_hz, text)).await?;
     let model = Model::try_from(row)?;
-    let location = HeaderValue::from_str(&format!("/v1/models/{}", model.id));
+    let location = HeaderValue::from_str(&format!("/v1/models/{}", model.entry.id));
     let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
     let mut response = (status, Json(model)).into_response();
     if let Ok(location) = location {

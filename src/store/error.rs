@@ -197,6 +197,12 @@ pub enum StoreError {
         /// What was asked for.
         asked: String,
     },
+    /// There are as many sensor models as are kept.
+    #[error("there are {most} sensor models, as many as are kept: delete one first (DELETE /v1/models/model-…)")]
+    TooManyModels {
+        /// How many that is.
+        most: u64,
+    },
     /// No diagnosis has that id.
     #[error("there is no diagnosis `{asked}`: GET /v1/diagnoses lists them")]
     NoSuchDiagnosis {
@@ -314,7 +320,9 @@ impl StoreError {
             | Self::NoSuchJob { .. }
             | Self::NoSuchModel { .. }
             | Self::NoSuchDiagnosis { .. } => StoreErrorKind::NotFound,
-            Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } => StoreErrorKind::Conflict,
+            Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels { .. } => {
+                StoreErrorKind::Conflict
+            }
             Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
             Self::Closed | Self::QueueFull { .. } | Self::Refusing { .. } | Self::Lost { .. } => {
                 StoreErrorKind::Unavailable

@@ -57,7 +57,7 @@ pub use diagnoses::DiagnosisRow;
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};
 pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
-pub use models::ModelRow;
+pub use models::{ModelHead, ModelRow};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
 pub use queue::{RecordSender, Refused};

@@ -3,9 +3,12 @@
 use super::{Page, PageRequest, Reader, Store, StoreError, UtcNs};
 use rusqlite::{OptionalExtension, Row, params};
 
-/// A sensor model.
+/// Models that are kept at most.
+pub const MODELS_MAX: u64 = 1000;
+
+/// What is known of a sensor model.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ModelRow {
+pub struct ModelHead {
     /// Its number: the interface says `model-` before it.
     pub id: i64,
     /// Its name.
@@ -14,20 +17,25 @@ pub struct ModelRow {
     pub rate_hz: f64,
     /// When it was left here.
     pub created_at: UtcNs,
+}
+
+/// A sensor model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelRow {
+    /// What is known of it.
+    pub head: ModelHead,
     /// The model, JSON text.
     pub body: String,
 }
 
-const COLUMNS: &str = "model_id, name, rate_hz, created_utc_ns, body";
+const HEAD: &str = "model_id, name, rate_hz, created_utc_ns";
+
+fn head_of(row: &Row<'_>) -> rusqlite::Result<ModelHead> {
+    Ok(ModelHead { id: row.get(0)?, name: row.get(1)?, rate_hz: row.get(2)?, created_at: UtcNs(row.get(3)?) })
+}
 
 fn model_of(row: &Row<'_>) -> rusqlite::Result<ModelRow> {
-    Ok(ModelRow {
-        id: row.get(0)?,
-        name: row.get(1)?,
-        rate_hz: row.get(2)?,
-        created_at: UtcNs(row.get(3)?),
-        body: row.get(4)?,
-    })
+    Ok(ModelRow { head: head_of(row)?, body: row.get(4)? })
 }
 
 fn unknown(id: i64) -> StoreError {
@@ -38,20 +46,24 @@ impl Store {
     /// Keeps a model; answers it, and whether it is new: the same text is the same model.
     ///
     /// # Errors
-    /// What the database says.
+    /// [`StoreError::TooManyModels`], or what the database says.
     pub fn keep_model(&self, name: &str, rate_hz: f64, body: String) -> Result<(ModelRow, bool), StoreError> {
         let (name, utc_ns) = (name.to_owned(), self.utc_ns());
         self.execute(move |transaction| {
-            let sql = format!("SELECT {COLUMNS} FROM model WHERE body = ?1");
+            let sql = format!("SELECT {HEAD}, body FROM model WHERE body = ?1");
             if let Some(known) = transaction.query_row(&sql, [&body], model_of).optional()? {
                 return Ok((known, false));
+            }
+            let kept: i64 = transaction.query_row("SELECT count(*) FROM model", [], |row| row.get(0))?;
+            if kept as u64 >= MODELS_MAX {
+                return Err(StoreError::TooManyModels { most: MODELS_MAX });
             }
             transaction.execute(
                 "INSERT INTO model (name, rate_hz, created_utc_ns, body) VALUES (?1, ?2, ?3, ?4)",
                 params![name, rate_hz, utc_ns, body],
             )?;
             let id = transaction.last_insert_rowid();
-            Ok((ModelRow { id, name, rate_hz, created_at: UtcNs(utc_ns), body }, true))
+            Ok((ModelRow { head: ModelHead { id, name, rate_hz, created_at: UtcNs(utc_ns) }, body }, true))
         })
     }
 
@@ -73,19 +85,19 @@ impl Reader {
     /// # Errors
     /// [`StoreError::NoSuchModel`], or what the database says.
     pub fn model(&self, id: i64) -> Result<ModelRow, StoreError> {
-        let sql = format!("SELECT {COLUMNS} FROM model WHERE model_id = ?1");
+        let sql = format!("SELECT {HEAD}, body FROM model WHERE model_id = ?1");
         self.connection.prepare_cached(&sql)?.query_row([id], model_of).optional()?.ok_or_else(|| unknown(id))
     }
 
-    /// Models, the latest first.
+    /// What is known of the models, the latest first.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or what the database says.
-    pub fn models(&self, page: &PageRequest) -> Result<Page<ModelRow>, StoreError> {
-        let sql = format!("SELECT {COLUMNS} FROM model WHERE model_id < ?1 ORDER BY model_id DESC LIMIT ?2");
+    pub fn models(&self, page: &PageRequest) -> Result<Page<ModelHead>, StoreError> {
+        let sql = format!("SELECT {HEAD} FROM model WHERE model_id < ?1 ORDER BY model_id DESC LIMIT ?2");
         let before = page.after("models")?.unwrap_or(i64::MAX);
         let mut statement = self.connection.prepare_cached(&sql)?;
-        let rows = statement.query_map(params![before, page.limit() as i64 + 1], model_of)?;
+        let rows = statement.query_map(params![before, page.limit() as i64 + 1], head_of)?;
         let rows = rows.map(|row| row.map(|row| (row.id, row))).collect::<Result<Vec<_>, _>>()?;
         Ok(Page::cut(rows, page.limit(), "models"))
     }
@@ -93,6 +105,7 @@ impl Reader {
 
 #[cfg(test)]
 mod tests {
+    use super::MODELS_MAX;
     use crate::store::tests::World;
     use crate::store::{PageRequest, StoreError};
 
@@ -101,16 +114,30 @@ mod tests {
         let world = World::new();
         let keep = |text: &str| world.store.keep_model("unit 7", 40.0, text.to_owned()).unwrap();
         let (one, other, again) = (keep("{}"), keep("[]"), keep("{}"));
-        assert_eq!((one.0.id, one.1, other.0.id, other.1), (1, true, 2, true));
+        assert_eq!((one.0.head.id, one.1, other.0.head.id, other.1), (1, true, 2, true));
         assert_eq!((again.0, again.1), (one.0.clone(), false));
         world.store.delete_model(2).unwrap();
         assert!(matches!(world.store.delete_model(2), Err(StoreError::NoSuchModel { .. })));
-        assert_eq!(keep("[]").0.id, 3);
+        assert_eq!(keep("[]").0.head.id, 3);
         let reader = world.reader();
         assert_eq!(reader.model(1).unwrap(), one.0);
         let page = reader.models(&PageRequest { limit: Some(1), cursor: None }).unwrap();
         assert_eq!(page.rows[0].id, 3);
         let rest = reader.models(&PageRequest { limit: None, cursor: page.next }).unwrap();
         assert_eq!((rest.rows.len(), rest.rows[0].id, rest.next), (1, 1, None));
+    }
+
+    #[test]
+    fn one_too_many_is_refused_and_what_is_there_is_still_the_same() {
+        let world = World::new();
+        let keep = |number: u64| world.store.keep_model("unit", 40.0, number.to_string());
+        for number in 0..MODELS_MAX {
+            keep(number).unwrap();
+        }
+        let refused = keep(MODELS_MAX).unwrap_err();
+        assert!(matches!(refused, StoreError::TooManyModels { most: MODELS_MAX }), "{refused}");
+        assert!(!keep(7).unwrap().1);
+        world.store.delete_model(1).unwrap();
+        assert!(keep(MODELS_MAX).unwrap().1);
     }
 }
