@@ -28,7 +28,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
     let html = args.html.as_ref().map(create).transpose()?;
     let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
-    let gridded = gridded(&together.source, &together.plan)?;
+    let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let sim = simulator(context, args)?;
     let real_name = together.name();
     let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;

@@ -78,7 +78,7 @@ pub(super) fn fitted(
     let together = analysis::open(context, captures, rate_hz)?;
     let rejected = together.rejected();
     let name = name.unwrap_or_else(|| together.name());
-    let model = jobs::fitted(&together.source, together.plan, wanted, &name, &TwoThreads)?;
+    let model = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
     Ok(Fit { model, name, rejected })
 }
 

@@ -8,7 +8,7 @@ use super::omnibus::{self, Statistic};
 use super::prepare;
 use super::prices::{Tail, Tails};
 use super::recording::Recording;
-use super::series::{Series, Setting};
+use super::series::Series;
 use crate::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
 use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
@@ -67,7 +67,7 @@ impl Nulls {
             ..Recording::default()
         };
         for (place, channel) in [Channel::GyroX, Channel::GyroY].into_iter().enumerate() {
-            let [n, b, k] = self.levels[(2 * index + place) % self.levels.len().max(1)];
+            let [n, b, k] = self.levels[(2 * index + place) % self.levels.len()];
             let stream = |effect| {
                 let id = StreamId { owner: place as u32, effect, instance: 0 };
                 Stream::new(self.seed.wrapping_add(index as u64), id)
@@ -93,19 +93,16 @@ impl Nulls {
     /// # Errors
     /// [`DiagnosisError`] for a length or levels of which nothing can be said.
     pub fn chance(&self, index: usize) -> Result<Chance, DiagnosisError> {
+        if self.levels.is_empty() {
+            return Err(DiagnosisError::Model("no channel has an N, so that there is no noise to simulate".to_owned()));
+        }
         let (real, model) = self.record(index);
         let ready = prepare::prepare(&real, &model)?;
         let mut found = Chance::default();
         let mut residuals: Vec<Vec<f64>> = Vec::new();
         for prepared in &ready.channels {
             let base = |grid: &super::grid::Grid| prepare::base_of(&model, prepared, grid);
-            let setting = Setting {
-                courses: &ready.courses,
-                base: &base,
-                beliefs: prepared.beliefs,
-                rate_hz: ready.rate_hz,
-                owner: prepared.channel as u32,
-            };
+            let setting = ready.setting(prepared, &base);
             let start = Explanation::noise(prepared.declared.clone());
             let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), start);
             // What is not even looked at closely gives nothing.
@@ -121,8 +118,7 @@ impl Nulls {
             residuals.push(series.residual.clone());
             found.statistics.extend(omnibus::statistics(&mut series));
         }
-        let residuals: Vec<&[f64]> = residuals.iter().map(Vec::as_slice).collect();
-        let crosstalk = omnibus::crosstalk::greatest(&residuals, &|_, _| false);
+        let crosstalk = omnibus::crosstalk::greatest(residuals, &|_, _| false);
         found.statistics.extend(crosstalk.first().map(|value| (Statistic::Crosstalk, *value)));
         Ok(found)
     }
@@ -150,9 +146,6 @@ impl Nulls {
         workers: &dyn Workers,
         each: &(dyn Fn(usize) -> bool + Sync),
     ) -> Result<Option<Vec<Chance>>, DiagnosisError> {
-        if self.levels.is_empty() {
-            return Err(DiagnosisError::Model("no channel has an N, so that there is no noise to simulate".to_owned()));
-        }
         let places: Vec<Mutex<Option<Result<Chance, DiagnosisError>>>> =
             (0..records).map(|_| Mutex::new(None)).collect();
         let done = Mutex::new((0, true));

@@ -11,7 +11,7 @@ use super::prices::{Prices, Tails};
 use super::recording::Recording;
 use super::report::Diagnosis;
 use super::search::{self, Step};
-use super::series::{Series, Setting};
+use super::series::Series;
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
@@ -162,8 +162,8 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         let has = |of: &Shared, at: usize| of.parts.iter().any(|(own, _)| *own == at);
         shared.iter().any(|of| has(of, i) && has(of, j))
     };
-    let residuals: Vec<&[f64]> = whitened.iter().map(|of| of.residual.as_slice()).collect();
-    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(&residuals, &linked)) {
+    let residuals: Vec<Vec<f64>> = whitened.into_iter().map(|of| of.residual).collect();
+    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(residuals, &linked)) {
         of.statistics.push((Statistic::Crosstalk, value));
     }
     let shared = if options.wants("common_mode") { shared } else { Vec::new() };
@@ -194,13 +194,7 @@ fn explain(
         prepared.beliefs = FREE;
     }
     let base = |grid: &super::grid::Grid| prepare::base_of(sim, &prepared, grid);
-    let setting = Setting {
-        courses: &ready.courses,
-        base: &base,
-        beliefs: prepared.beliefs,
-        rate_hz: ready.rate_hz,
-        owner: prepared.channel as u32,
-    };
+    let setting = ready.setting(&prepared, &base);
     let known = Explanation {
         sines: prepared.sines.clone(),
         outliers: prepared.outliers.clone(),

@@ -43,7 +43,7 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
     let lines = with(&["tone", "comb", "resonance"]);
     if !lines.is_empty() {
         notes.push(format!(
-            "tone or folded tone: at {:.6} Hz alone a line of higher frequency that folds down to one named here looks the same; \
+            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one named here looks the same; \
              a record at another output rate tells: a true one stays, a folded one moves",
             (real.rate_hz * 1e4).round() / 1e4
         ));

@@ -7,6 +7,7 @@ use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law};
 use super::recording::Recording;
+use super::series::Setting;
 use super::transform::Cosines;
 use crate::effects::{At, Effect, Flicker, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
@@ -72,6 +73,19 @@ pub struct Ready {
     pub rate_hz: f64,
     /// Mean temperature, °C, that effects refer to.
     pub reference_c: f64,
+}
+
+impl Ready {
+    /// What belongs to the record, for one of its channels.
+    pub(super) fn setting<'a>(&'a self, prepared: &Prepared, base: &'a (dyn Fn(&Grid) -> Base + Sync)) -> Setting<'a> {
+        Setting {
+            courses: &self.courses,
+            base,
+            beliefs: prepared.beliefs,
+            rate_hz: self.rate_hz,
+            owner: prepared.channel as u32,
+        }
+    }
 }
 
 /// Looks at a recording and a model together.

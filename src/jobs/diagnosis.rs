@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
-/// Samples times (channels + [`BESIDES`]) at most, about 35 bytes each: five hours of nine channels at 40 Hz.
+/// Places of the grid, missing samples counted, times (channels + [`BESIDES`]) at most, about 35 bytes each: five hours of nine channels at 40 Hz.
 const ROOM: u64 = 14_000_000;
 /// What the work on one channel takes besides what stays of all, in channels.
 const BESIDES: u64 = 10;
@@ -239,26 +239,23 @@ fn document_of(
     parameters: &DiagnosisParameters,
     wire: &Wire,
 ) -> Result<String, JobError> {
-    let mut notes = Vec::new();
     let (sim, begun) = match &parameters.sim {
         Simulator::Model(value) => (SensorModel::from_value(value, "sim")?, 0.0),
         Simulator::Capture(id) => {
             let capture = reader.capture(*id)?;
-            let (plan, cut) = plan(reader, *id, capture.samples)?;
-            notes.extend(cut.map(|cut| format!("{}, the simulator's capture: {cut}", capture.name)));
-            let workers = OneByOne { wire, from: 0.05, to: 0.5 };
-            (fitted(reader, plan, &diagnosis::effect_names(), &capture.name, &workers)?, 0.5)
+            let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
+            let (workers, room) = (OneByOne { wire, from: 0.05, to: 0.5 }, room(&plan));
+            (fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?, 0.5)
         }
     };
-    let (plan, cut) = plan(reader, job.capture, job.end_seq)?;
-    let gridded = gridded(reader, &plan)?;
+    let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
+    let gridded = gridded(reader, &plan, room(&plan))?;
     let from = begun + 0.05;
     wire.is_at(from);
     let name = reader.capture(job.capture)?.name;
     let workers = OneByOne { wire, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
     let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options)?;
-    outcome.diagnosis.notes.extend(cut.into_iter().chain(notes));
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
     let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);
@@ -266,15 +263,7 @@ fn document_of(
     Ok(serde_json::to_string(&written)?)
 }
 
-/// The plan for as many of the samples as there is room for, and a sentence where these are not all.
-fn plan(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<(Plan, Option<String>), JobError> {
-    let whole = Plan::read(reader, capture_id, end_seq, &Channel::ANALYSED)?;
-    let most = ROOM / (whole.channels.len() as u64 + BESIDES);
-    if end_seq <= most {
-        return Ok((whole, None));
-    }
-    let note = format!(
-        "compared are the first {most} of {end_seq} samples, as many as the daemon has room for; `vn100d diagnose` takes all"
-    );
-    Ok((Plan::read(reader, capture_id, most, &Channel::ANALYSED)?, Some(note)))
+/// Places that there is room for with a plan's channels.
+fn room(plan: &Plan) -> u64 {
+    ROOM / (plan.channels.len() as u64 + BESIDES)
 }

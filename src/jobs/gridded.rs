@@ -18,14 +18,21 @@ pub struct Gridded {
     pub from_s: f64,
     /// Samples of the plan that are not in it.
     pub left_out: u64,
+    /// Whether it ends where there is no more room.
+    pub full: bool,
 }
 
 impl Gridded {
     /// Tells a diagnosis of it which part of the plan's samples it is of: its times become the plan's.
     pub fn tell(&self, diagnosis: &mut Diagnosis) {
         if self.left_out > 0 {
+            let why = if self.full {
+                "as many as the daemon has room for (`vn100d diagnose` takes all)"
+            } else {
+                "the longest part without a gap of a minute"
+            };
             diagnosis.notes.push(format!(
-                "compared are {:.0} s from {:.0} s on, the longest part without a gap of a minute; {} samples are outside it",
+                "compared are {:.0} s from {:.0} s on, {why}; {} samples are outside it",
                 self.recording.length_s(),
                 self.from_s,
                 self.left_out
@@ -42,11 +49,12 @@ impl Gridded {
     }
 }
 
-/// Reads a plan's samples; of several captures the first one's.
+/// Reads a plan's samples; of several captures the first one's. The grid has at most `room` places, missing samples counted:
+/// what is longer is told in parts of that length, of which the first is taken.
 ///
 /// # Errors
 /// [`JobError::InsufficientData`] where there are none; what `source` says.
-pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobError> {
+pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Gridded, JobError> {
     let Some(slice) = plan.slices.first() else {
         return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
     };
@@ -57,7 +65,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
     // Stretches of consecutive samples: first place, columns.
     let longest_gap = (LONGEST_GAP_S * plan.rate_hz) as u64;
     let (mut best, mut total): (Option<Part>, u64) = (None, 0);
-    let mut open: Option<Part> = None;
+    let (mut open, mut full): (Option<Part>, bool) = (None, false);
     let mut seq = slice.samples.start;
     while seq < slice.samples.end {
         let limit = CHUNK.min(usize::try_from(slice.samples.end - seq).unwrap_or(CHUNK));
@@ -68,26 +76,40 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan) -> Result<Gridded, JobErr
                 continue;
             }
             total += rows.len() as u64;
+            if full {
+                continue;
+            }
             let first = place(chunk.first_seq + rows.start as u64);
             let goes_on = open.as_ref().is_some_and(|part| first >= part.end() && first - part.end() <= longest_gap);
             if !goes_on {
                 best = longer(best, open.take());
                 open = Some(Part::new(first, channels.len()));
             }
-            let Some(part) = &mut open else { continue };
             for row in rows {
-                part.push(place(chunk.first_seq + row as u64), chunk.columns.iter().map(|column| column[row]));
+                let at = place(chunk.first_seq + row as u64);
+                if open.as_ref().is_some_and(|part| at - part.first >= room) {
+                    full = true;
+                    break;
+                }
+                let Some(part) = &mut open else { break };
+                part.push(at, chunk.columns.iter().map(|column| column[row]));
                 part.stamps.push(stamps.get(row).copied().flatten());
             }
         }
         seq = chunk.next_seq();
+        if full {
+            // None is longer.
+            total += slice.samples.end.saturating_sub(seq);
+            break;
+        }
     }
-    let Some(part) = longer(best, open) else {
+    // What is full goes on beyond the room: it is the one.
+    let Some(part) = (if full { open } else { longer(best, open) }) else {
         return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
     };
     let left_out = total - part.there;
     let from_s = part.first as f64 / plan.rate_hz;
-    Ok(Gridded { recording: part.recording(plan.rate_hz, &channels), from_s, left_out })
+    Ok(Gridded { recording: part.recording(plan.rate_hz, &channels), from_s, left_out, full })
 }
 
 fn longer(one: Option<Part>, other: Option<Part>) -> Option<Part> {

@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 /// Samples read at a time.
 const CHUNK: usize = 65_536;
 
-/// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found.
+/// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found in the part that
+/// there is `room` for ([`gridded`]).
 ///
 /// # Errors
 /// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
@@ -21,10 +22,11 @@ pub fn fitted(
     plan: Plan,
     wanted: &[&'static str],
     name: &str,
+    room: u64,
     workers: &dyn Workers,
 ) -> Result<SensorModel, JobError> {
     let levels = levels(source, &plan)?;
-    let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan)).transpose()?;
+    let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan, room)).transpose()?;
     let report = direct::noise(source, plan)?;
     let plain = model_of(&report, &levels, name, SOFTWARE);
     let Some(gridded) = gridded else { return Ok(plain) };

@@ -12,24 +12,24 @@ const SHORTEST: usize = 3;
 /// how many lags there are not counted. The residuals are white. Pairs that are `linked` share noise at once, which two
 /// whitening filters spread over lags: they are left out.
 #[must_use]
-pub fn greatest(residuals: &[&[f64]], linked: &dyn Fn(usize, usize) -> bool) -> Vec<f64> {
+pub fn greatest(residuals: Vec<Vec<f64>>, linked: &dyn Fn(usize, usize) -> bool) -> Vec<f64> {
     let mut found = vec![0.0; residuals.len()];
-    let n = residuals.first().map_or(0, |of| of.len());
+    let n = residuals.first().map_or(0, Vec::len);
     if residuals.len() < 2 || n < 8 * SHORTEST {
         return found;
     }
     let (forward, backward) = (plans::forward(n), plans::backward(n));
-    let mut input = forward.make_input_vec();
+    let mut sums = forward.make_input_vec();
+    let power: Vec<f64> = residuals.iter().map(|of| of.iter().map(|e| e * e).sum()).collect();
     let mut spectra: Vec<Vec<Complex<f64>>> = Vec::with_capacity(residuals.len());
-    for of in residuals {
+    // A residual goes as its transform comes: of many long channels both would take much room.
+    for mut of in residuals {
         let mut spectrum = forward.make_output_vec();
-        input.copy_from_slice(of);
-        if forward.process(&mut input, &mut spectrum).is_err() {
+        if forward.process(&mut of, &mut spectrum).is_err() {
             return found;
         }
         spectra.push(spectrum);
     }
-    let power = |of: &[f64]| of.iter().map(|e| e * e).sum::<f64>();
     let longest = LONGEST.min(n / 4);
     for i in 0..spectra.len() {
         for j in (0..i).filter(|j| !linked(i, *j)) {
@@ -42,12 +42,12 @@ pub fn greatest(residuals: &[&[f64]], linked: &dyn Fn(usize, usize) -> bool) -> 
             {
                 last.im = 0.0;
             }
-            if backward.process(&mut product, &mut input).is_err() {
+            if backward.process(&mut product, &mut sums).is_err() {
                 continue;
             }
-            let lags = input[SHORTEST..longest].iter().chain(&input[n - longest + 1..=n - SHORTEST]);
+            let lags = sums[SHORTEST..longest].iter().chain(&sums[n - longest + 1..=n - SHORTEST]);
             let most = lags.map(|sum| sum.abs()).fold(0.0, f64::max) / n as f64;
-            let square = most * most / (power(residuals[i]) * power(residuals[j])).max(f64::MIN_POSITIVE);
+            let square = most * most / (power[i] * power[j]).max(f64::MIN_POSITIVE);
             let value = 0.5 * n as f64 * square;
             found[i] = found[i].max(value);
             found[j] = found[j].max(value);
@@ -72,10 +72,10 @@ mod tests {
         for t in 37..n {
             copy[t] -= 0.15 * source[t - 37];
         }
-        let found = greatest(&[&source, &copy, &other], &|_, _| false);
+        let found = greatest(vec![source.clone(), copy.clone(), other], &|_, _| false);
         // n·r²/2 = 66.
         assert!(found[0] > 40.0 && found[0] == found[1] && found[2] < 18.0, "{found:?}");
-        assert_eq!(greatest(&[&source], &|_, _| false), [0.0]);
-        assert_eq!(greatest(&[&source, &copy], &|_, _| true), [0.0, 0.0]);
+        assert_eq!(greatest(vec![source.clone()], &|_, _| false), [0.0]);
+        assert_eq!(greatest(vec![source, copy], &|_, _| true), [0.0, 0.0]);
     }
 }

@@ -41,7 +41,7 @@ pub enum Statistic {
     Modulation,
     /// The greatest autocorrelation.
     Echo,
-    /// Variance in the most conspicuous rectangle of time and frequency, whatever its size.
+    /// Variance in the most conspicuous rectangle of time and frequency, of many sizes.
     Rectangle,
     /// Third and fourth moments of what a spectral term of the law is told to have made.
     Component,

@@ -45,7 +45,7 @@ fn greatest(picture: &[f64], bands: usize) -> f64 {
     let mut sums = picture.to_vec();
     let mut high = 1;
     while high < rows {
-        let mut next = Vec::with_capacity(sums.len() * 2);
+        let mut next = Vec::with_capacity(sums.len());
         for strips in sums.chunks_exact(2 * high * bands) {
             let (first, second) = strips.split_at(high * bands);
             for rise in 0..2 * high {
