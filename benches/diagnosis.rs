@@ -1,0 +1,102 @@
+//! What a diagnosis costs: nine channels of five hours at 40 Hz with one effect, two channels of 27 minutes, and the exact
+//! calibration at that size; time, processor time and peak of the heap, beside cosine transforms of the same samples, of which
+//! whitening takes at least one. `cargo bench --bench diagnosis`.
+
+#![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
+
+use peak_alloc::PeakAlloc;
+use std::sync::Arc;
+use std::time::Instant;
+use vn100d::diagnosis::calibration::{Nulls, RECORDS};
+use vn100d::diagnosis::transform::Cosines;
+use vn100d::diagnosis::{Options, Recording, diagnose};
+use vn100d::effects::Tone;
+use vn100d::jobs::TwoThreads;
+use vn100d::sample::Channel;
+use vn100d::simulator::{SensorModel, Simulator, default_model};
+
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+const RATE_HZ: f64 = 40.0;
+
+/// Processor time of all threads so far, s: what other work on the machine does not lengthen.
+fn processor_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// A record of some channels of the demonstration's sensor at rest, on whose first there is a tone, and the model without it.
+fn record(channels: &[Channel], samples: usize) -> (Recording, SensorModel) {
+    let mut model = default_model();
+    model.channels.retain(|channel, _| channels.contains(channel));
+    model.rate_hz = RATE_HZ;
+    let mut truth = model.clone();
+    let first = truth.channels.get_mut(&channels[0]).expect("a channel of the model");
+    let amplitude = 0.2 * first.n * RATE_HZ.sqrt();
+    first.push_effect(Arc::new(Tone { frequency_hz: 13.38, amplitude }), &[]);
+    let mut simulator =
+        Simulator::new(&truth, 1, RATE_HZ, samples as f64 / RATE_HZ).expect("a model that can be simulated");
+    let mut real = Recording { rate_hz: RATE_HZ, ..Recording::default() };
+    real.channels = channels.iter().map(|channel| (*channel, Vec::with_capacity(samples))).collect();
+    while real.len() < samples {
+        let block = simulator.next_block().expect("there is no end at rest");
+        for (channel, values) in &mut real.channels {
+            let new = block.values(*channel).expect("the channel");
+            values.extend_from_slice(&new[..new.len().min(samples - values.len())]);
+        }
+    }
+    real.missing = vec![false; samples];
+    (real, model)
+}
+
+fn measure(what: &str, channels: &[Channel], samples: usize, rounds: usize) {
+    let (real, model) = record(channels, samples);
+    let options = Options { workers: &TwoThreads, ..Options::default() };
+    let (mut took, mut worked, mut transforms, mut peak) = (Vec::new(), Vec::new(), Vec::new(), 0.0f64);
+    for _ in 0..rounds {
+        let begun_s = processor_s();
+        let mut transform = Cosines::new(samples);
+        for (_, values) in &real.channels {
+            transform.forward(&mut values.clone());
+        }
+        transforms.push(processor_s() - begun_s);
+        ALLOCATOR.reset_peak_usage();
+        let before = ALLOCATOR.current_usage_as_mb();
+        let (begun, begun_s) = (Instant::now(), processor_s());
+        let outcome = diagnose(&real, &model, &options).expect("a record that can be compared");
+        took.push(begun.elapsed().as_secs_f64());
+        worked.push(processor_s() - begun_s);
+        peak = peak.max(f64::from(ALLOCATOR.peak_usage_as_mb() - before));
+        assert_eq!(outcome.diagnosis.causes.first().map(|cause| cause.effect), Some("tone"));
+    }
+    let median = |of: &mut Vec<f64>| {
+        of.sort_unstable_by(f64::total_cmp);
+        of[of.len() / 2]
+    };
+    let (took, worked, transforms) = (median(&mut took), median(&mut worked), median(&mut transforms));
+    println!(
+        "{what}: {took:.2} s on two threads, {worked:.2} s of processor, {:.0} times one cosine transform of each channel, {peak:.0} MB of heap beside the record",
+        worked / transforms
+    );
+}
+
+fn main() {
+    // `cargo test --benches` only wants to know that it runs.
+    let quick = !std::env::args().any(|argument| argument == "--bench");
+    if quick {
+        return measure("two channels", &[Channel::AccelZ, Channel::GyroX], 20_000, 1);
+    }
+    measure("5 h at 40 Hz, nine channels", &Channel::ANALYSED, 720_000, 3);
+    let two = [Channel::AccelZ, Channel::GyroX];
+    measure("27 min at 40 Hz, two channels", &two, 65_536, 15);
+    let (real, model) = record(&two, 65_536);
+    let (begun, begun_s) = (Instant::now(), processor_s());
+    let tails = Nulls::of(&real, &model).tails(RECORDS, &TwoThreads, &|_| true).expect("levels of noise");
+    assert!(tails.expect("nobody stops it").is_whole());
+    println!(
+        "calibration at 27 min, {RECORDS} records of two channels: {:.0} s, {:.0} s of processor",
+        begun.elapsed().as_secs_f64(),
+        processor_s() - begun_s
+    );
+}
