@@ -272,7 +272,7 @@ pub(super) fn eventually<T>(what: &str, mut ask: impl FnMut() -> T, done: impl F
         if done(&answer) {
             return answer;
         }
-        assert!(begun.elapsed() < Duration::from_secs(20), "{what}");
+        assert!(begun.elapsed() < Duration::from_secs(120), "{what}");
         std::thread::sleep(Duration::from_millis(20));
     }
 }
