@@ -245,6 +245,7 @@ fn explain(
         base: &base,
         beliefs: prepared.beliefs,
         rate_hz: ready.rate_hz,
+        reach: prepared.reach,
         owner: prepared.channel as u32,
         known: &known,
         found: &series.explanation,

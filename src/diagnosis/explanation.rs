@@ -2,6 +2,7 @@
 
 use super::course::Course;
 use super::law::{Law, Shape};
+use std::borrow::Cow;
 
 /// A sine in a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,6 +74,8 @@ pub struct SpikeLaw {
     pub variance: f64,
     /// Standard error of the size, as a part of it.
     pub relative_error: f64,
+    /// Samples that each spoils.
+    pub samples: usize,
 }
 
 /// How the variance of the white part depends on something.
@@ -117,6 +120,28 @@ impl Explanation {
             && self.outliers == other.outliers
             && self.scedasticity == other.scedasticity
             && (self.tails.is_some(), self.spikes.is_some()) == (other.tails.is_some(), other.spikes.is_some())
+    }
+
+    /// Leaves out more samples.
+    pub fn leave_out(&mut self, places: impl IntoIterator<Item = usize>) {
+        self.outliers.extend(places);
+        self.outliers.sort_unstable();
+        self.outliers.dedup();
+    }
+
+    /// The outliers of a record of `samples`, in order, and its first and last samples as far as filters reach: a filter
+    /// begins from something, and the transform reflects what is not even there.
+    #[must_use]
+    pub fn left_out(&self, samples: usize, reach: usize) -> Cow<'_, [usize]> {
+        let reach = reach.min(samples);
+        if reach == 0 {
+            return Cow::Borrowed(&self.outliers);
+        }
+        let mut places: Vec<usize> = (0..reach).chain(samples - reach..samples).collect();
+        places.extend(&self.outliers);
+        places.sort_unstable();
+        places.dedup();
+        Cow::Owned(places)
     }
 
     /// Without what no effect of the library is.

@@ -6,20 +6,19 @@ use crate::effects::{Stream, StreamId};
 
 /// Random streams of what is filled in: one a purpose, so that no two look alike.
 const SIMPLE: u16 = 0;
-const BEYOND: u16 = 1;
 const DRAWN: u16 = 3;
 
 /// `owner`: the channel's, so that what is filled in at the same places of several channels is not the same.
-fn stream(samples: usize, owner: u32, effect: u16) -> Stream {
+pub(super) fn stream(samples: usize, owner: u32, effect: u16) -> Stream {
     Stream::new(samples as u64, StreamId { owner, effect, instance: 0 })
 }
 
 impl Series<'_> {
-    /// The samples that are no noise, in order: outliers, and stretches that are much louder than the rest.
+    /// The samples that are no noise, in order: what is left out, and stretches that are much louder than the rest.
     pub(super) fn excluded(&self) -> Vec<usize> {
-        let mut places = self.explanation.outliers.clone();
+        let mut places = self.explanation.left_out(self.len(), self.reach()).into_owned();
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
-            places.extend(loud.from..loud.to);
+            places.extend(self.spoilt(loud));
         }
         places.sort_unstable();
         places.dedup();
@@ -30,12 +29,15 @@ impl Series<'_> {
     /// conditional distribution, so that they look like nothing in particular.
     ///
     /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
-    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Limits are left to the simple way.
+    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Of samples at a limit is
+    /// known besides that they lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
-        const ROUNDS: usize = 40;
+        const ROUNDS: usize = 200;
+        /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
         const ENOUGH: f64 = 1e-3;
+        const IN_A_ROW: usize = 4;
         let places = self.excluded();
-        if places.is_empty() || self.explanation.limits != [None, None] || places.len() * 3 > self.len() {
+        if places.is_empty() || places.len() * 3 > self.len() {
             return;
         }
         let n = self.len();
@@ -59,10 +61,10 @@ impl Series<'_> {
         let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
         let mut direction = residual.clone();
         let mut square: f64 = residual.iter().map(|r| r * r).sum();
-        let first = square;
         let mut spread = vec![0.0; n];
+        let mut idle = 0;
         for _ in 0..ROUNDS {
-            if square <= ENOUGH * ENOUGH * first || square == 0.0 {
+            if idle >= IN_A_ROW || square == 0.0 {
                 break;
             }
             for (place, value) in places.iter().zip(&direction) {
@@ -74,6 +76,7 @@ impl Series<'_> {
                 break;
             }
             let step = square / curvature;
+            idle = if 0.5 * step * square < ENOUGH { idle + 1 } else { 0 };
             for (at, place) in places.iter().enumerate() {
                 difference[*place] += step * direction[at];
                 residual[at] -= step * image[at];
@@ -86,8 +89,8 @@ impl Series<'_> {
         for place in &places {
             self.rest[*place] = difference[*place] + drawn[*place];
         }
-        let mean = self.rest.iter().sum::<f64>() / n as f64;
-        self.rest.iter_mut().for_each(|value| *value -= mean);
+        self.draw_censored();
+        self.centre();
     }
 
     /// A course between the neighbours.
@@ -96,50 +99,6 @@ impl Series<'_> {
         fill_in(&mut filled, places, 0.0, self.setting().owner);
         places.iter().map(|place| filled[*place]).collect()
     }
-}
-
-/// Lets samples that are cut off lie beyond the limit, as noise about their neighbours' level would.
-pub(super) fn beyond(rest: &mut [f64], samples: &[f64], places: &[usize], limits: [Option<f64>; 2], noise: (f64, u32)) {
-    let (white, owner) = noise;
-    use statrs::distribution::{ContinuousCDF, Normal};
-    const NEAR: usize = 12;
-    if limits == [None, None] {
-        return;
-    }
-    let normal = Normal::standard();
-    let n = rest.len();
-    let mut stream = stream(n, owner, BEYOND);
-    for place in places {
-        let at =
-            |limit: Option<f64>| limit.filter(|limit| (samples[*place] - limit).abs() < 1e-9 * limit.abs().max(1.0));
-        let (limit, sign) = match (at(limits[0]), at(limits[1])) {
-            (Some(limit), _) => (limit, -1.0),
-            (_, Some(limit)) => (limit, 1.0),
-            _ => continue,
-        };
-        let near = place.saturating_sub(NEAR)..(place + NEAR + 1).min(n);
-        let (sum, count) = near
-            .filter(|t| places.binary_search(t).is_err())
-            .fold((0.0, 0.0), |(sum, count), t| (sum + samples[t], count + 1.0));
-        let level = if count > 0.0 { sum / count } else { limit };
-        // The chance of being below the limit, and a place beyond it.
-        let below = normal.cdf(sign * (limit - level) / white);
-        let share = below + (1.0 - below) * stream.uniform();
-        let z = normal.inverse_cdf(share.clamp(1e-12, 1.0 - 1e-12)).clamp(-6.0, 6.0);
-        let value = level + sign * white * z;
-        let value = if sign * (value - limit) < 0.0 { limit } else { value };
-        // What was explained of the sample beside the noise stays so.
-        rest[*place] = value + (rest_of(rest, *place, places, samples));
-    }
-}
-
-/// By how much explained means moved the samples about a place.
-fn rest_of(rest: &[f64], place: usize, places: &[usize], samples: &[f64]) -> f64 {
-    let near = place.saturating_sub(2)..(place + 3).min(rest.len());
-    let (sum, count) = near
-        .filter(|t| places.binary_search(t).is_err())
-        .fold((0.0, 0.0), |(sum, count), t| (sum + rest[t] - samples[t], count + 1.0));
-    if count > 0.0 { sum / count } else { 0.0 }
 }
 
 /// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise

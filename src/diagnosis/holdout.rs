@@ -68,6 +68,8 @@ pub struct Whole<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Samples that the model's filters reach.
+    pub reach: usize,
     /// Number of the channel.
     pub owner: u32,
     /// What the model explains already.
@@ -128,7 +130,7 @@ fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
         sum -= 0.5 * (loud.to - loud.from) as f64 * loud.ratio.ln();
     }
     if let Some(spikes) = explanation.spikes {
-        let flagged = explanation.outliers.len().saturating_sub(carried) as f64;
+        let flagged = explanation.outliers.len().saturating_sub(carried) as f64 / spikes.samples.max(1) as f64;
         // Each costs its place and has the wide density; the value that stands for it was counted as noise.
         let (rate, variance) = (spikes.rate.clamp(1e-9, 0.5), spikes.variance);
         sum += flagged * (rate.ln() - 0.5 * variance.ln()) + (n - flagged) * (-rate).ln_1p();
@@ -137,7 +139,7 @@ fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
         let scale = (degrees - 2.0) / degrees;
         let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
         let of = |e: &f64| constant - 0.5 * (degrees + 1.0) * (e * e / (degrees * scale)).ln_1p() + 0.5 * e * e;
-        sum += series.residual.iter().map(of).sum::<f64>();
+        sum += series.innovations().iter().map(of).sum::<f64>();
     }
     sum
 }
@@ -153,6 +155,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         base: whole.base,
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
+        reach: whole.reach,
         owner: whole.owner,
     };
     let (first, second) = (setting(0), setting(1));

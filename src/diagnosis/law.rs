@@ -100,6 +100,11 @@ impl Term {
         matches!(self.shape, Shape::LowPass(_) | Shape::MovingAverage(_))
     }
 
+    /// Samples that a filter reaches: others none.
+    pub(super) fn reach(&self, rate_hz: f64) -> usize {
+        self.effect().filter(|_| self.is_filter()).map_or(0, |effect| reach(&*effect, rate_hz))
+    }
+
     /// Where its numbers may be, for a record of `samples` at `rate_hz`.
     fn ranges(&self, samples: usize, rate_hz: f64) -> Vec<(f64, f64)> {
         let level = (-16.0, 24.0);
@@ -120,6 +125,15 @@ impl Term {
     }
 }
 
+/// Samples that what comes to a filter lasts behind it.
+pub(super) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
+    let parameters = filter.parameters();
+    let number =
+        |wanted: &str| parameters.iter().find(|(name, _)| *name == wanted).and_then(|(_, value)| value.as_f64());
+    let window = number("window").or(number("cutoff_hz").map(|cutoff_hz| rate_hz / cutoff_hz));
+    window.map_or(0, |samples| samples.ceil() as usize)
+}
+
 /// What N, B and K of 1 (in the channel's scale) and the model's own effects give in each bin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Base {
@@ -131,6 +145,8 @@ pub struct Base {
     pub after: Vec<f64>,
     /// Power gain of the model's own filters.
     pub gain: Vec<f64>,
+    /// The same of those that are in the shapes already.
+    pub passed: Vec<f64>,
 }
 
 /// What is believed of ln N², ln B² and ln K² beforehand: centre and standard deviation; none where anything goes.
@@ -174,7 +190,7 @@ pub struct Data<'a> {
 }
 
 /// Bounds of ln of the white noise's power behind a filter over that before it.
-const FLOOR: (f64, f64) = (-18.0, 0.0);
+const FLOOR: (f64, f64) = (-36.0, 0.0);
 /// Above this (6 % of N) a model whose filter has no noise behind it is no better than one without the filter.
 pub(super) const FLOOR_MATTERS: f64 = -5.6;
 
@@ -466,6 +482,7 @@ mod tests {
             known: vec![0.0; bins],
             after: vec![0.0; bins],
             gain: vec![1.0; bins],
+            passed: vec![1.0; bins],
         }
     }
 

@@ -8,10 +8,13 @@
 //! [`course`]s and sines ([`series`]). What each effect would give is in [`evidence`]; [`search`] adds one after the other as
 //! long as they are worth their price, which is what chance gives in simulated records of the same length.
 
+mod augmented;
 pub mod calibration;
+mod censored;
 mod compose;
 pub mod course;
 pub mod diagnose;
+mod discrepancy;
 pub mod error;
 pub mod evidence;
 pub mod explanation;
@@ -20,8 +23,11 @@ mod filling;
 pub mod grid;
 pub mod holdout;
 pub mod law;
+mod named;
 pub mod omnibus;
 mod pairs;
+mod phase;
+mod places;
 mod plans;
 pub mod prepare;
 pub mod prices;

@@ -1,7 +1,7 @@
 //! Pairs: what one record cannot tell apart, and the measurement that would. Said as notes, and for lines as evidence.
 
-use super::compose::Named;
 use super::diagnose::Found;
+use super::named::Named;
 use super::recording::Recording;
 use crate::effects::Effect;
 use crate::sample::{Channel, Triad};

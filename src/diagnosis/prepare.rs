@@ -5,7 +5,7 @@ use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
-use super::law::{Base, Beliefs, Law};
+use super::law::{Base, Beliefs, Law, reach};
 use super::recording::Recording;
 use super::series::Setting;
 use super::transform::Cosines;
@@ -50,6 +50,8 @@ pub struct Prepared {
     pub loud: Vec<Loud>,
     /// Its variance by temperature or time.
     pub scedasticity: Option<Scedasticity>,
+    /// Samples that its filters reach.
+    pub reach: usize,
     /// Names of the effects that it has.
     pub has: Vec<&'static str>,
     /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
@@ -83,6 +85,7 @@ impl Ready {
             base,
             beliefs: prepared.beliefs,
             rate_hz: self.rate_hz,
+            reach: prepared.reach,
             owner: prepared.channel as u32,
         }
     }
@@ -323,6 +326,7 @@ fn channel_of(
         sines,
         loud,
         scedasticity,
+        reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
         has: model.effects.iter().map(|effect| effect.name()).collect(),
         white_shift,
     })
@@ -465,7 +469,13 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
         }
     }
     let rounding = prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
-    Base { shapes, known, after: vec![rounding; bins], gain: vec![1.0; bins] }
+    // Before samples are decimated filters act at another rate: their phase at this one is small.
+    let passed = |f: &f64| match sim.sampling {
+        None => filters.iter().map(|filter| filter.power_gain(*f, sim.rate_hz)).product(),
+        Some(_) => 1.0,
+    };
+    let passed = grid.frequencies_hz().iter().map(passed).collect();
+    Base { shapes, known, after: vec![rounding; bins], gain: vec![1.0; bins], passed }
 }
 
 #[cfg(test)]

@@ -38,9 +38,42 @@ impl Recording {
         self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
+    /// The lowest and the highest temperature from one time to another, s from the first sample; None where none was measured.
+    #[must_use]
+    pub fn temperatures_between(&self, from_s: f64, to_s: f64) -> Option<[f64; 2]> {
+        let place = |time_s: f64| ((time_s * self.rate_hz).round().max(0.0) as usize).min(self.len());
+        let there = |t: &usize| !self.missing.get(*t).copied().unwrap_or(false);
+        let read = self.temperature_c.as_ref()?;
+        let readings = (place(from_s)..place(to_s)).filter(there).filter_map(|t| read.get(t).copied());
+        let finite = readings.filter(|value| value.is_finite());
+        finite.fold(None, |ends: Option<[f64; 2]>, value| {
+            let [low, high] = ends.unwrap_or([value, value]);
+            Some([low.min(value), high.max(value)])
+        })
+    }
+
     /// Its length in s.
     #[must_use]
     pub fn length_s(&self) -> f64 {
         self.len() as f64 / self.rate_hz
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn temperatures_are_those_of_samples_that_are_there() {
+        let real = Recording {
+            rate_hz: 2.0,
+            channels: vec![(Channel::GyroX, vec![0.0; 6])],
+            missing: vec![false, false, true, false, false, false],
+            temperature_c: Some(vec![20.0, 21.0, 90.0, 23.0, f64::NAN, 22.0]),
+            ..Recording::default()
+        };
+        assert_eq!(real.temperatures_between(0.0, 3.0), Some([20.0, 23.0]));
+        assert_eq!(real.temperatures_between(2.0, 2.4), None);
+        assert_eq!(real.temperatures_between(2.5, 9.0), Some([22.0, 22.0]));
     }
 }

@@ -188,3 +188,38 @@ fn coverage() {
         println!("    {by:?} {:?}", tally.missed.iter().take(2).collect::<Vec<_>>());
     }
 }
+
+fn named(real: &Recording) -> (Vec<&'static str>, super::Verdict) {
+    let diagnosis = diagnose(real, &model(None), &Options::default()).unwrap().diagnosis;
+    (diagnosis.causes.iter().map(|cause| cause.effect).collect(), diagnosis.verdict)
+}
+
+#[test]
+fn a_filter_and_a_limit_behind_it_are_both_named_and_nothing_else() {
+    for filter in
+        [json!({"effect": "moving_average", "window": 5}), json!({"effect": "low_pass", "cutoff_hz": 7.0, "order": 2})]
+    {
+        let mut real = recording(&model(Some(&filter)), 5, 40_000);
+        let name = filter["effect"].as_str().unwrap();
+        // One value in forty is beyond.
+        let values = &mut real.channels[0].1;
+        let mut sorted = values.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let limit = sorted[39_000];
+        values.iter_mut().for_each(|value| *value = value.min(limit));
+        let (mut causes, verdict) = named(&real);
+        causes.sort_unstable();
+        assert_eq!((causes, verdict), (vec![name, "saturation"], super::Verdict::Effects));
+    }
+}
+
+#[test]
+fn a_step_that_takes_its_time_is_a_step_alone() {
+    let mut real = recording(&model(None), 6, 40_000);
+    for (t, value) in real.channels[2].1.iter_mut().enumerate().skip(17_000) {
+        // Ten standard deviations of the white noise in half a second, with an overshoot.
+        let late = (t - 17_000) as f64 / 20.0;
+        *value += 0.126 * (1.0 - (-3.0 * late).exp() * (1.0 + 0.5 * late) * (4.0 * late).cos());
+    }
+    assert_eq!(named(&real), (vec!["bias_step"], super::Verdict::Effects));
+}

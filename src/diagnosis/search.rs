@@ -1,6 +1,7 @@
 //! The search: which effects explain a series, one after the other, each paid for.
 
 use super::evidence::{self, Candidate, Kind};
+use super::explanation::Explanation;
 use super::law::Shape;
 use super::prices::Prices;
 use super::series::Series;
@@ -43,40 +44,68 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
+    let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
-        let mut candidates = evidence::all(series);
-        // What is named is named once: more of the same would be a failure to explain it.
-        candidates.retain(|of| of.kind.repeats() || steps.iter().all(|step| step.kind.effect() != of.kind.effect()));
-        let Some(step) = choose(&candidates, prices) else { break };
-        let Some(chosen) = candidates.into_iter().find(|candidate| candidate.kind == step.kind) else { break };
+        let Some((step, chosen)) = best_of(evidence::all(series), prices, &steps) else { break };
         series.explanation = chosen.explanation;
         series.rebuild(false);
         let kind = step.kind;
         steps.push(step);
-        if kind == Kind::Tone {
-            more_tones(series, prices, &mut steps);
+        match kind {
+            Kind::Tone => more_tones(series, prices, &mut steps),
+            Kind::BiasStep => leave_rises_out(series),
+            _ => {}
         }
     }
     other_filter(series, prices, &mut steps);
+    one_slope(series, prices, &mut steps);
     take_back(series, prices, &mut steps);
-    tails_back(series, prices, &mut steps);
+    samples_again(series, prices, &mut steps, &start);
     steps
 }
 
-/// Takes back tails that were stretches' before these were known.
-fn tails_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    let last = steps.len().saturating_sub(1);
-    let Some(at) = steps.iter().position(|step| step.kind == Kind::HeavyTails).filter(|at| *at < last) else { return };
-    let kept = series.clone();
-    series.explanation.tails = None;
-    series.rebuild(false);
-    let gain = evidence::outlier::heavy_tails(series).map_or(0.0, |candidate| candidate.gain);
-    if gain < prices.of(Kind::HeavyTails) {
-        steps.remove(at);
-    } else {
-        *series = kept;
+/// What a step does until it is over is no other effect.
+fn leave_rises_out(series: &mut Series<'_>) {
+    let rises = evidence::level::rises(series);
+    if !rises.is_empty() {
+        series.explanation.leave_out(rises);
+        series.rebuild(false);
     }
+}
+
+/// Chosen before all else was known, what is the matter of single samples is chosen anew: a spike behind a filter looks like a
+/// burst before the filter is known, and stretches like tails.
+fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
+    let Some(first) = steps.iter().position(|step| step.kind.is_marginal()) else { return };
+    if steps[first..].iter().all(|step| step.kind.is_marginal()) {
+        return;
+    }
+    steps.retain(|step| !step.kind.is_marginal());
+    let samples = series.len();
+    let own = &mut series.explanation;
+    (own.outliers, own.spikes, own.tails) = (start.outliers.clone(), start.spikes, start.tails);
+    let mut at = 0;
+    own.loud.retain(|loud| {
+        at += 1;
+        at <= start.loud.len() || loud.is_interval(samples)
+    });
+    series.rebuild(false);
+    leave_rises_out(series);
+    while let Some((step, chosen)) = best_of(evidence::of_samples(series), prices, steps) {
+        series.explanation = chosen.explanation;
+        series.rebuild(false);
+        steps.push(step);
+    }
+}
+
+/// The candidate to be added next of those that were not named yet, None where nothing is worth its price.
+fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
+    // What is named is named once: more of the same would be a failure to explain it.
+    candidates.retain(|of| of.kind.repeats() || steps.iter().all(|step| step.kind.effect() != of.kind.effect()));
+    let step = choose(&candidates, prices)?;
+    let chosen = candidates.into_iter().find(|candidate| candidate.kind == step.kind)?;
+    Some((step, chosen))
 }
 
 /// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
@@ -126,6 +155,9 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let of_filters: Vec<usize> = (0..steps.len()).filter(|at| filters.contains(&steps[*at].kind)).collect();
     let [at] = of_filters[..] else { return };
     if at == last {
+        if series.is_cut() {
+            swapped_filter(series, prices, &mut steps[at]);
+        }
         return;
     }
     let kept = series.clone();
@@ -139,6 +171,73 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
         series.explanation = best.explanation;
         series.rebuild(false);
         steps[at] = step;
+    }
+}
+
+/// Several processes and filters that were named one after the other may be one density that is none of the library's: where
+/// that does the work of all of them it is what there is.
+fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    /// Nats that what is outside the library has to be better by.
+    const CLEARLY: f64 = 3.0;
+    let replaced = |kind: Kind| {
+        let spectral = [
+            Kind::GaussMarkov,
+            Kind::QuantizationNoise,
+            Kind::LowPass,
+            Kind::MovingAverage,
+            Kind::Resonance,
+            Kind::Slope,
+        ];
+        spectral.contains(&kind)
+    };
+    let (own, price) = steps
+        .iter()
+        .filter(|step| replaced(step.kind))
+        .fold((0, 0.0), |(count, price), step| (count + 1, price + prices.of(step.kind)));
+    if own < 2 {
+        return;
+    }
+    let kept = series.clone();
+    let known = series.explanation.law.terms.len().saturating_sub(own);
+    series.explanation.law.terms.truncate(known);
+    series.rebuild(true);
+    let without = series.fitted.log_posterior;
+    let gain = kept.fitted.log_posterior - without;
+    let slope = evidence::spectral::slope_believed(series);
+    let better = |of: &Candidate| of.gain - prices.of(Kind::Slope) > gain - price + CLEARLY;
+    let Some(slope) = slope.filter(better) else {
+        *series = kept;
+        return;
+    };
+    series.explanation = slope.explanation;
+    series.rebuild(false);
+    steps.retain(|step| !replaced(step.kind));
+    steps.push(Step { kind: Kind::Slope, gain: slope.gain, price: prices.of(Kind::Slope), others: Vec::new() });
+}
+
+/// What was beyond a limit is drawn as if there were no filter until one is known, and that may make it look like the other
+/// kind: each is held against the other with what is drawn by its own law.
+fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
+    /// Nats that the other has to be better by.
+    const CLEARLY: f64 = 3.0;
+    let kept = series.clone();
+    series.explanation.law.terms.retain(|term| !term.is_filter());
+    let other = match step.kind {
+        Kind::LowPass => evidence::spectral::moving_average(series),
+        _ => evidence::spectral::low_pass(series),
+    };
+    let Some(other) = other else {
+        *series = kept;
+        return;
+    };
+    let kind = other.kind;
+    series.explanation = other.explanation;
+    series.rebuild(false);
+    let better = series.fitted.log_posterior - kept.fitted.log_posterior;
+    if better - prices.of(kind) + prices.of(step.kind) > CLEARLY {
+        *step = Step { kind, gain: step.gain + better, price: prices.of(kind), others: step.others.clone() };
+    } else {
+        *series = kept;
     }
 }
 
@@ -167,6 +266,12 @@ fn choose(candidates: &[Candidate], prices: &Prices) -> Option<Step> {
         .collect();
     scores.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut best = *scores.first().filter(|best| best.1 > 0.0)?;
+    // A change of variance and bursts beside it look like tails, and those give at once what they give one by one.
+    let stretches = scores.iter().filter(|of| matches!(of.0, Kind::Bursts | Kind::VarianceInterval) && of.1 > 0.0);
+    let (sum, greatest) = stretches.fold((0.0, None), |(sum, greatest), of| (sum + of.1, greatest.or(Some(*of))));
+    if let Some(stretch) = greatest.filter(|of| best.0 == Kind::HeavyTails && of.1 < best.1 && sum > best.1) {
+        best = stretch;
+    }
     for (complex, simple, margin) in SIMPLER {
         if best.0 == complex
             && let Some(other) = scores.iter().find(|score| score.0 == simple && score.1 > 0.0)

@@ -1,10 +1,12 @@
 //! A series: one channel's samples, what explains them so far, and the residual that ought to be white.
 
+use super::censored::{self, Censored};
 use super::course::{Course, Courses};
-use super::explanation::{Explanation, LOUD, Scedasticity, Sine, profile, turning};
-use super::filling::{beyond, fill_in};
+use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, profile, turning};
+use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Beliefs, Data, Fitted, Law, Shape, Term};
+use super::phase;
 use super::transform::Cosines;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
@@ -19,6 +21,8 @@ pub struct Setting<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Samples that the model's own filters reach.
+    pub reach: usize,
     /// Number of the channel: whose random draws stand for excluded samples.
     pub owner: u32,
 }
@@ -42,6 +46,8 @@ pub struct Series<'a> {
     base: Base,
     /// The samples without what is explained.
     pub rest: Vec<f64>,
+    /// Those of them that stand at a limit.
+    pub(super) censored: Vec<Censored>,
     /// Its transform.
     pub coefficients: Vec<f64>,
     /// Power in bins.
@@ -54,6 +60,8 @@ pub struct Series<'a> {
     pub whitened: Vec<f64>,
     /// Their inverse transform: about white noise of variance 1.
     pub residual: Vec<f64>,
+    /// The same with the filters' phase undone; empty where there are no filters.
+    unfiltered: Vec<f64>,
     /// The variance that the explanation gives the residual at each sample; empty where it is 1.
     pub variance: Vec<f64>,
 }
@@ -85,6 +93,7 @@ impl<'a> Series<'a> {
             grid,
             base,
             rest: samples.clone(),
+            censored: Vec::new(),
             samples,
             coefficients: Vec::new(),
             power,
@@ -92,6 +101,7 @@ impl<'a> Series<'a> {
             spectrum: Vec::new(),
             whitened: Vec::new(),
             residual: Vec::new(),
+            unfiltered: Vec::new(),
             variance: Vec::new(),
         }
     }
@@ -144,8 +154,10 @@ impl<'a> Series<'a> {
         self.fit_means();
         self.refit(several);
         if !self.excluded().is_empty() {
-            // What stands for excluded samples depends on the law, and the law a little on that.
-            for _ in 0..2 {
+            // What stands for excluded samples depends on the law, and the law a little on that; more where a filter shows in
+            // samples alone that are not cut off.
+            let filtered = self.explanation.law.terms.iter().any(Term::is_filter);
+            for _ in 0..if filtered { 5 } else { 2 } {
                 self.fit_means();
                 self.interpolate();
                 self.refit(false);
@@ -162,11 +174,12 @@ impl<'a> Series<'a> {
         }
         let mut there = self.rest.clone();
         let outliers = self.explanation.outliers.clone();
-        let kept = self.rest.clone();
+        let kept = (self.rest.clone(), self.censored.clone());
         self.fit_means_but(false);
-        let own = std::mem::replace(&mut self.rest, kept);
+        let own = std::mem::replace(&mut self.rest, kept.0);
+        self.censored = kept.1;
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
-            for t in loud.from..loud.to {
+            for t in self.spoilt(loud) {
                 if outliers.binary_search(&t).is_err() {
                     there[t] = own[t];
                 }
@@ -292,6 +305,8 @@ impl<'a> Series<'a> {
             Shape::MovingAverage(window) => (1..=window / 2)
                 .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
                 .collect(),
+            // A Butterworth filter made by the bilinear transform has a zero of several orders at half the rate.
+            Shape::LowPass(_) => vec![Narrow { frequency_hz: 0.5 * rate_hz, width_hz: 0.1 * NOTCH * rate_hz }],
             _ => Vec::new(),
         };
         let lines: Vec<Narrow> = self.explanation.law.terms.iter().flat_map(of).collect();
@@ -315,15 +330,23 @@ impl<'a> Series<'a> {
             self.setting.courses.add(*course, -factor, &mut rest);
         }
         let white = self.white().clamp(1e-3, 1e3);
-        fill_in(&mut rest, &explanation.outliers, white, self.setting.owner);
-        beyond(&mut rest, &self.samples, &explanation.outliers, explanation.limits, (white, self.setting.owner));
+        let left_out = explanation.left_out(self.samples.len(), self.reach());
+        self.censored = censored::at_limits(&left_out, &self.samples, &rest, explanation.limits);
+        fill_in(&mut rest, &left_out, white, self.setting.owner);
         for loud in explanation.loud.iter().filter(|loud| quiet && loud.ratio > LOUD) {
-            let inside: Vec<usize> = (loud.from..loud.to).collect();
+            let inside: Vec<usize> = self.spoilt(loud).collect();
             fill_in(&mut rest, &inside, white, self.setting.owner);
         }
-        let mean = rest.iter().sum::<f64>() / rest.len().max(1) as f64;
-        rest.iter_mut().for_each(|value| *value -= mean);
         self.rest = rest;
+        self.guess_censored(white);
+        self.centre();
+    }
+
+    /// Takes the mean off the rest, and off the limits in it.
+    pub(super) fn centre(&mut self) {
+        let mean = self.rest.iter().sum::<f64>() / self.len().max(1) as f64;
+        self.rest.iter_mut().for_each(|value| *value -= mean);
+        self.censored.iter_mut().for_each(|of| of.bound -= mean);
     }
 
     fn whiten(&mut self) {
@@ -332,10 +355,49 @@ impl<'a> Series<'a> {
         let mut residual = self.whitened.clone();
         self.transform.backward(&mut residual);
         self.variance = self.variances();
-        for (value, variance) in residual.iter_mut().zip(&self.variance) {
-            *value /= variance.sqrt();
+        self.unfiltered = self.filters().map_or_else(Vec::new, |gain| {
+            let mut values = residual.clone();
+            phase::undo(&mut values, &gain);
+            values
+        });
+        for values in [&mut residual, &mut self.unfiltered] {
+            values.iter_mut().zip(&self.variance).for_each(|(value, variance)| *value /= variance.sqrt());
         }
         self.residual = residual;
+    }
+
+    /// The residual as it was before the filters: each value what came at its time.
+    #[must_use]
+    pub fn innovations(&self) -> &[f64] {
+        if self.unfiltered.is_empty() { &self.residual } else { &self.unfiltered }
+    }
+
+    /// Samples that the filters reach, the model's and those found.
+    #[must_use]
+    pub fn reach(&self) -> usize {
+        let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
+        found.max().unwrap_or(0).max(self.setting.reach)
+    }
+
+    /// The samples that a stretch spoils: behind filters it lasts longer.
+    pub(super) fn spoilt(&self, loud: &Loud) -> std::ops::Range<usize> {
+        loud.from..(loud.to + self.reach()).min(self.len())
+    }
+
+    /// Power gain of all filters, the model's and those found, at each coefficient; None where there is none.
+    #[must_use]
+    pub fn filters(&self) -> Option<Vec<f64>> {
+        let found = self.explanation.law.terms.iter().filter(|term| term.is_filter());
+        let mut gain: Vec<f64> = self.base.gain.iter().zip(&self.base.passed).map(|(one, other)| one * other).collect();
+        for filter in found {
+            let own = filter.gains(self.grid.frequencies_hz(), self.setting.rate_hz);
+            gain.iter_mut().zip(own).for_each(|(all, one)| *all *= one);
+        }
+        if gain.iter().all(|gain| *gain == 1.0) {
+            return None;
+        }
+        let logarithms: Vec<f64> = gain.into_iter().map(|gain| gain.max(f64::MIN_POSITIVE).ln()).collect();
+        Some(self.grid.fill(&logarithms))
     }
 
     /// By how much the white part's variance is on average above what it is where nothing changes it: the law's level of
@@ -378,14 +440,15 @@ impl<'a> Series<'a> {
     pub fn scores(&self) -> Cow<'_, [f64]> {
         use statrs::distribution::{ContinuousCDF, Normal};
         if self.explanation.tails.is_none() {
-            return Cow::Borrowed(&self.residual);
+            return Cow::Borrowed(self.innovations());
         }
         let normal = Normal::standard();
-        let mut order: Vec<usize> = (0..self.residual.len()).collect();
-        order.sort_unstable_by(|a, b| self.residual[*a].total_cmp(&self.residual[*b]));
-        let mut scores = vec![0.0; self.residual.len()];
+        let values = self.innovations();
+        let mut order: Vec<usize> = (0..values.len()).collect();
+        order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));
+        let mut scores = vec![0.0; values.len()];
         for (rank, place) in order.into_iter().enumerate() {
-            scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / self.residual.len() as f64);
+            scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / values.len() as f64);
         }
         Cow::Owned(scores)
     }

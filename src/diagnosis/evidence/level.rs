@@ -137,6 +137,37 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::BiasStep, &found, drift))
 }
 
+/// Samples about the steps that are not on either level: a real step takes some samples, as it likes.
+#[must_use]
+pub fn rises(series: &Series<'_>) -> Vec<usize> {
+    /// Samples before and after a step that are looked at.
+    const NEAR: usize = 40;
+    /// Nats that another variance has to give about a step.
+    const LEAST: f64 = 8.0;
+    let mut places = Vec::new();
+    for (course, _) in &series.explanation.courses {
+        let Course::Step(at) = *course else { continue };
+        let from = at.saturating_sub(NEAR);
+        let near = &series.residual[from..(at + NEAR).min(series.len())];
+        let mut sums = vec![0.0];
+        sums.extend(near.iter().scan(0.0, |sum, e| {
+            *sum += e * e;
+            Some(*sum)
+        }));
+        let gain = |a: usize, b: usize| {
+            let (count, sum): (f64, f64) = ((b - a) as f64, sums[b] - sums[a]);
+            if sum > count { 0.5 * (sum - count - count * (sum / count).ln()) } else { 0.0 }
+        };
+        let middle = at - from;
+        let stretches = (0..=middle).flat_map(|a| (middle.max(a + 1)..near.len()).map(move |b| (a, b + 1)));
+        let best = stretches.map(|(a, b)| (gain(a, b), a, b)).max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, a, b)) = best.filter(|best| best.0 > LEAST) {
+            places.extend(from + a..from + b);
+        }
+    }
+    places
+}
+
 /// Where a step fits best: the sum of the doubly whitened series from each sample on, over its standard deviation.
 fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     const PLACES: usize = 96;

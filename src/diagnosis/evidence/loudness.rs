@@ -170,21 +170,20 @@ fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     if count > 0 && sum > 0.0 { sum / count as f64 } else { 1.0 }
 }
 
-/// Stretches of another variance: one after the other where they give most.
+/// Stretches of another variance: one after the other where they give most. Bursts and a long stretch are two effects.
 #[must_use]
-pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
+pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     /// Nats of a stretch's two ends and ratio, before the record's length.
     const PRICE: f64 = 3.0;
     const MOST: usize = 40;
     const MOST_OF_RECORD: f64 = 0.2;
     const REFUSED: usize = 6;
     let n = series.len();
-    if n < 8 * SHORTEST || series.explanation.scedasticity.is_some() {
-        return None;
+    if n < 8 * SHORTEST {
+        return Vec::new();
     }
-    let mut explanation = series.explanation.clone();
     let residual = series.scores().into_owned();
-    let mut total = 0.0;
+    let mut gains: Vec<f64> = Vec::new();
     let mut found: Vec<Loud> = Vec::new();
     // Places that look loud by a few values: they do not keep others from being found.
     let mut refused: Vec<(usize, usize)> = Vec::new();
@@ -215,7 +214,9 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
         let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
         if gain < price.max(8.0) || (!genuine && refused.len() >= REFUSED) {
             if found.is_empty() && genuine {
-                total = gain;
+                // What it would give is told though it is not worth it.
+                gains.push(gain);
+                found.push(Loud { from, to, ratio });
             }
             break;
         }
@@ -223,17 +224,23 @@ pub fn intervals(series: &Series<'_>) -> Option<Candidate> {
             refused.push((from, to));
             continue;
         }
-        total += gain - price;
+        gains.push(gain - price);
         found.push(Loud { from, to, ratio });
     }
-    // Where a good part of the record is loud, nothing is quiet enough to be called its noise.
-    let share = found.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
-    if found.len() > 1 && share > MOST_OF_RECORD {
-        return None;
-    }
-    let long = found.iter().all(|loud| loud.is_interval(n));
-    explanation.loud.extend(found);
-    Some(Candidate { kind: if long { Kind::VarianceInterval } else { Kind::Bursts }, gain: total, explanation })
+    let of = |kind: Kind, long: bool| {
+        let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n) == long);
+        let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
+        // Where a good part of the record is loud, nothing is quiet enough to be called its noise.
+        let share = stretches.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
+        let too_many = stretches.len() > 1 && share > MOST_OF_RECORD;
+        let gain = own().map(|(_, gain)| gain).sum::<f64>();
+        let mut explanation = series.explanation.clone();
+        explanation.loud.extend(stretches);
+        (gain > 0.0 && !too_many).then_some(Candidate { kind, gain, explanation })
+    };
+    // A change of variance that is known already is not told twice.
+    let long = series.explanation.scedasticity.is_none().then(|| of(Kind::VarianceInterval, true));
+    long.flatten().into_iter().chain(of(Kind::Bursts, false)).collect()
 }
 
 /// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.

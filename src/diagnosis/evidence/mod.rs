@@ -168,10 +168,19 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
         found.extend(spectral::moving_average(series));
     }
     found.extend(spectral::slope(series));
-    found.extend(outlier::spikes(series));
-    found.extend(outlier::heavy_tails(series));
-    found.extend(loudness::intervals(series));
+    found.extend(samples_and_stretches(series));
     found.extend(loudness::per_degree(series));
     found.extend(loudness::profile(series));
     found
+}
+
+fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate> {
+    let single = outlier::spikes(series).into_iter().chain(outlier::heavy_tails(series));
+    single.chain(loudness::intervals(series))
+}
+
+/// Of those what is the matter of single samples' distribution ([`Kind::is_marginal`]).
+#[must_use]
+pub fn of_samples(series: &Series<'_>) -> Vec<Candidate> {
+    samples_and_stretches(series).filter(|candidate| candidate.kind.is_marginal()).collect()
 }

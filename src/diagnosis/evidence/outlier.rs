@@ -20,7 +20,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     if explanation.tails.is_some() || explanation.spikes.is_some() {
         return None;
     }
-    let squares: Vec<f64> = series.residual.iter().map(|e| e * e).collect();
+    let squares: Vec<f64> = series.innovations().iter().map(|e| e * e).collect();
     let n = squares.len() as f64;
     let plain = squares.iter().sum::<f64>() / n;
     let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
@@ -75,11 +75,12 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     // What is not worth a nat is not looked at more closely.
-    let hopeless = SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5 };
+    let reach = series.reach();
+    let hopeless =
+        SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5, samples: reach.max(1) };
     explanation.spikes = Some(if gain < 1.0 { hopeless } else { spike_law(series, &large, core, wide) });
-    explanation.outliers.extend(flagged);
-    explanation.outliers.sort_unstable();
-    explanation.outliers.dedup();
+    // Behind a filter each spoils as many samples as it reaches.
+    explanation.leave_out(flagged.into_iter().flat_map(|at| at..(at + reach.max(1)).min(series.len())));
     Some(Candidate { kind: Kind::Spikes, gain, explanation })
 }
 
@@ -87,7 +88,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
 /// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance.
 fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeLaw {
     const ROUNDS: usize = 60;
-    let n = series.residual.len() as f64;
+    let n = series.innovations().len() as f64;
     let spread = core.sqrt();
     let values: Vec<f64> = large.iter().map(|square| square.sqrt() / spread).collect();
     let normal = Normal::standard();
@@ -127,10 +128,14 @@ fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeL
     let (best, rate) = at(size);
     let step = 0.03;
     let curvature = (2.0 * best - at(size * (1.0 + step)).0 - at(size * (1.0 - step)).0) / (step * step);
-    // A spike in the samples is as large in the residual as the whitening filter's own value.
-    let kernel = series.spectrum.iter().skip(1).map(|s| 1.0 / s.sqrt()).sum::<f64>() / n;
+    // A spike in the samples is as large in the residual as the whitening filter's own value; before the filters it is what
+    // the spectrum without them gives.
+    let passed = series.filters();
+    let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
+    let kernel = (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / n;
     let relative = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { 0.5 };
-    SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5) }
+    let samples = series.reach().max(1);
+    SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5), samples }
 }
 
 /// Whether places have neighbours far more often than independent ones would.
@@ -160,7 +165,7 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     // A histogram of fine bins stands for the squares: ln(1 + a/νs) is smooth.
     const PER_UNIT: f64 = 24.0;
     let mut histogram: Vec<(f64, f64)> = Vec::new();
-    for e in &series.residual {
+    for e in series.innovations() {
         let square = e * e;
         let bin = ((1.0 + square).ln() * PER_UNIT) as usize;
         if bin >= histogram.len() {
@@ -172,7 +177,7 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     // Count and mean of each bin.
     let squares: Vec<(f64, f64)> =
         histogram.into_iter().filter(|(count, _)| *count > 0.0).map(|(count, sum)| (count, sum / count)).collect();
-    let n = series.residual.len() as f64;
+    let n = series.innovations().len() as f64;
     let plain = squares.iter().map(|(count, a)| count * a).sum::<f64>() / n;
     let reference: f64 = -0.5 * n * (1.0 + plain.ln());
     let of = |degrees: f64| -> f64 {

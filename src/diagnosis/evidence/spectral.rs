@@ -88,19 +88,7 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
         }
         best = other;
     }
-    let mut candidate = candidate(series, Kind::LowPass, best);
-    let cutoff_hz = candidate.explanation.law.terms.last().map_or(rate_hz, |term| term.numbers[0].exp());
-    without_ends(&mut candidate, (rate_hz / cutoff_hz).ceil() as usize, series.len());
-    Some(candidate)
-}
-
-/// Leaves out the first and last samples: a filter begins from something, and the transform reflects what is not even there.
-fn without_ends(candidate: &mut Candidate, reach: usize, samples: usize) {
-    let outliers = &mut candidate.explanation.outliers;
-    outliers.extend(0..reach.min(samples));
-    outliers.extend(samples.saturating_sub(reach)..samples);
-    outliers.sort_unstable();
-    outliers.dedup();
+    Some(candidate(series, Kind::LowPass, best))
 }
 
 /// A boxcar of the window that fits best.
@@ -118,32 +106,34 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     // Each to its end: a window's notches do not show before the levels are right.
     let fits = (2..=LONGEST).map(|window| started(window).fit(series.data()));
     let best = fits.reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
-    let window = match best.law.terms.last().map(|term| term.shape) {
-        Some(Shape::MovingAverage(window)) => window,
-        _ => return None,
-    };
     let mut without = best.law.clone();
     without.terms.pop();
     let without = without.fit(series.data()).log_posterior.max(series.fitted.log_posterior);
-    let mut candidate = candidate(series, Kind::MovingAverage, (best.log_posterior - without, best));
-    without_ends(&mut candidate, window as usize, series.len());
-    Some(candidate)
+    Some(candidate(series, Kind::MovingAverage, (best.log_posterior - without, best)))
 }
 
 /// A density that falls otherwise than white noise, flicker and random walk do.
 #[must_use]
 pub fn slope(series: &Series<'_>) -> Option<Candidate> {
+    let mut candidate = slope_believed(series)?;
+    // A B or K that is far off is no other slope: what it gives where these may be anything counts.
+    let free = Data { beliefs: &[None, None, None], ..series.data() };
+    let law = &candidate.explanation.law;
+    let mut without = law.clone();
+    without.terms.pop();
+    let unbelieved = law.fit(free).log_likelihood - without.fit_from_several(free).log_likelihood;
+    candidate.gain = candidate.gain.min(unbelieved);
+    Some(candidate)
+}
+
+/// The same where B and K are known to be about as the model says.
+pub(in crate::diagnosis) fn slope_believed(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::Slope(_))) {
         return None;
     }
     let fits = Shape::SLOPES.into_iter().enumerate().filter_map(|(which, (low, high))| {
         with_term(series, Shape::Slope(which), [vec![white(series) - 1.5, 0.5 * (low + high)]])
     });
-    let (gain, best) = fits.reduce(|a, b| if b.0 > a.0 { b } else { a })?;
-    // A B or K that is far off is no other slope: what it gives where these may be anything counts.
-    let free = Data { beliefs: &[None, None, None], ..series.data() };
-    let mut without = best.law.clone();
-    without.terms.pop();
-    let unbelieved = best.law.fit(free).log_likelihood - without.fit_from_several(free).log_likelihood;
-    Some(candidate(series, Kind::Slope, (gain.min(unbelieved), best)))
+    let best = fits.reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    Some(candidate(series, Kind::Slope, best))
 }

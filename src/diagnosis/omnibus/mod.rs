@@ -116,7 +116,7 @@ impl Statistic {
 #[must_use]
 pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
     let mut found = Vec::with_capacity(Statistic::ALL.len());
-    found.push((Statistic::Skewness, skewness(&series.residual)));
+    found.push((Statistic::Skewness, skewness(series.innovations())));
     found.push((Statistic::Component, component::worst(series)));
     found.push((Statistic::Atom, atom(series.samples(), &series.explanation.outliers)));
     series.residual = series.scores().into_owned();
