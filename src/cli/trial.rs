@@ -9,7 +9,7 @@ use super::{CliError, Context, Failure, Outcome, print_json, table};
 use crate::clock::{Clock as _, SystemClock};
 use crate::diagnosis::{self, Options};
 use crate::store::SOFTWARE;
-use crate::trial::page::{page, percent};
+use crate::trial::page::{limit, page, percent, size};
 use crate::trial::{Answer, Case, Class, Key, Kind, Manifest, Report, Score, Wanted, case, judge, parcel, plan};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -311,6 +311,7 @@ fn show(score: &Score) -> std::io::Result<()> {
         ]);
     }
     writeln!(stdout, "{rows}")?;
+    show_detection(&mut stdout, score)?;
     for miss in score.misses.iter().take(MISSES_SHOWN) {
         let kinds: Vec<&str> = miss.kinds.iter().map(|kind| kind.name()).collect();
         let kinds = if kinds.is_empty() { "none".to_owned() } else { kinds.join(" and ") };
@@ -323,4 +324,28 @@ fn show(score: &Score) -> std::io::Result<()> {
     }
     let more = score.misses.len().saturating_sub(MISSES_SHOWN);
     if more > 0 { writeln!(stdout, "and {more} more: --json, --html or --out has them") } else { Ok(()) }
+}
+
+/// How many of each size were named first, and from which size on.
+fn show_detection(out: &mut impl std::io::Write, score: &Score) -> std::io::Result<()> {
+    let library = || score.kinds.iter().filter_map(|of| Some((of, of.detection.as_ref()?)));
+    let Some((first, _)) = library().next() else { return Ok(()) };
+    let mut head = vec!["size over limit".to_owned()];
+    head.extend(first.curve.iter().map(|bin| format!("to {}", bin.to)));
+    let mut rows = table(&head.iter().map(String::as_str).collect::<Vec<_>>());
+    for (of, _) in library() {
+        let mut row = vec![of.kind.name().to_owned()];
+        row.extend(of.curve.iter().map(|bin| match bin.right.of {
+            0 => "–".to_owned(),
+            all => format!("{}/{all}", bin.right.count),
+        }));
+        rows.add_row(row);
+    }
+    writeln!(out, "{rows}")?;
+    let mut rows = table(&["named first", "50 % at (95 %)", "90 % at (95 %)", "bound", "size"]);
+    for (of, at) in library() {
+        let bound = at.bound_90.map_or_else(|| "–".to_owned(), size);
+        rows.add_row([of.kind.name().to_owned(), limit(at.size_50), limit(at.size_90), bound, at.unit.to_owned()]);
+    }
+    writeln!(out, "{rows}")
 }

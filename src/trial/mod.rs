@@ -5,14 +5,17 @@
 //!
 //! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not
 //! those that the diagnosis fits ([`impose`]); how large they are follows from the limits of a feasibility study ([`limit`]).
-//! Which cases there are is in [`plan`]. Whether a cause that was named is right is decided by the rules of [`mod@fit`].
+//! Below which size no test at all finds one is in [`bound`], from which on this one does in [`detection`]. Which cases there are
+//! is in [`plan`]. Whether a cause that was named is right is decided by the rules of [`mod@fit`].
 //! Effects act on columns of samples ([`columns`]), made here or recorded: one can be imposed on a real recording.
 //!
 //! Order, which the shell keeps: cases are made by another process than the one that diagnoses them and cross over as
 //! parcels ([`parcel`]), which say nothing of the key; the manifest comes first, the keys last.
 
+pub mod bound;
 pub mod case;
 pub mod columns;
+pub mod detection;
 pub mod draw;
 pub mod fit;
 pub mod ground;

@@ -1,6 +1,8 @@
 //! Pages: a trial's score as one HTML file without scripts or anything from elsewhere.
 
+use super::detection::Limit;
 use super::interval::Rate;
+use super::limit::STUDY;
 use super::score::{Bin, Miss, Score};
 use std::fmt::Write as _;
 
@@ -91,14 +93,30 @@ fn curves(out: &mut String, score: &Score) {
         .unwrap_or_default();
     let mut head = vec!["effect"];
     head.extend(edges.iter().map(String::as_str));
-    head.extend(["50 %", "90 %"]);
     let rows = library().map(|of| {
         let mut row = vec![of.kind.name().to_owned()];
-        row.extend(of.curve.iter().map(|bin| count(bin.right)));
-        row.extend([number(of.size_50), number(of.size_90)]);
+        row.extend(of.curve.iter().map(|bin| format!("{}<br>{}", count(bin.right), percent(bin.right))));
         row
     });
     table(out, &head, rows);
+    let _ = write!(
+        out,
+        "<h2>Detection limits</h2><p>Sizes at {STUDY} samples, σ the white part's standard deviation per sample, with intervals \
+         by profile likelihood where they are determined. The bound: what nobody who knows the effect's form, place and noise \
+         can be below at the same rate of false alarms.</p>"
+    );
+    let rows = library().filter_map(|of| Some((of.kind, of.detection.as_ref()?))).map(|(kind, of)| {
+        let bound = of.bound_90.map_or_else(|| of.no_bound.unwrap_or_default().to_owned(), size);
+        vec![
+            kind.name().to_owned(),
+            of.unit.to_owned(),
+            limit(of.size_50),
+            limit(of.size_90),
+            escaped(&bound),
+            size(of.limit),
+        ]
+    });
+    table(out, &["effect", "size", "50 %", "90 %", "bound of 90 %", "study's 90 %"], rows);
 }
 
 fn confusion(out: &mut String, score: &Score) {
@@ -179,6 +197,27 @@ pub fn percent(rate: Rate) -> String {
             format!("{:.1} % ({:.1}–{:.1})", 100.0 * share, 100.0 * low, 100.0 * high)
         }
         _ => "–".to_owned(),
+    }
+}
+
+/// A size with its interval, for people.
+#[must_use]
+pub fn limit(of: Option<Limit>) -> String {
+    match of {
+        Some(Limit { size: at, ci95: Some([low, high]) }) => format!("{} ({}–{})", size(at), size(low), size(high)),
+        Some(of) => size(of.size),
+        None => "–".to_owned(),
+    }
+}
+
+/// Three digits.
+#[must_use]
+pub fn size(value: f64) -> String {
+    if (1e-3..1e4).contains(&value) {
+        let digits = (2 - value.log10().floor() as i32).max(0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.2e}")
     }
 }
 

@@ -1,5 +1,6 @@
 //! Scores: what the judgements of a trial come to.
 
+use super::detection::{Detection, limits};
 use super::interval::Rate;
 use super::judge::{Found, Judgement, Named};
 use super::kind::{Class, Kind};
@@ -105,6 +106,9 @@ pub struct OfKind {
     pub size_50: Option<f64>,
     /// And 90 %.
     pub size_90: Option<f64>,
+    /// The same in the kind's own unit, with intervals, beside what no test can be below.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detection: Option<Detection>,
 }
 
 /// A case that went wrong.
@@ -273,7 +277,7 @@ fn of_kind(kind: Kind, all: &[Judgement]) -> Option<OfKind> {
     let sizes: Vec<(f64, bool)> =
         every.iter().filter_map(|one| Some((one.effects.first()?.over_limit, one.right_first()))).collect();
     let library = kind.effect().is_some();
-    let logistic = if library { logistic(&sizes) } else { None };
+    let limits = if library { limits(&sizes) } else { None };
     let of_truth = |one: &&Judgement| Some(one.closed? / one.closed_by_truth.filter(|truth| *truth > 0.0)?);
     Some(OfKind {
         kind,
@@ -288,8 +292,9 @@ fn of_kind(kind: Kind, all: &[Judgement]) -> Option<OfKind> {
         location: spreads(found().flat_map(|effect: &Found| &effect.location)),
         parameters: spreads(found().flat_map(|effect: &Found| &effect.parameters)),
         curve: if library { bins(&CURVE, &sizes) } else { Vec::new() },
-        size_50: logistic.map(|(middle, _)| middle),
-        size_90: logistic.map(|(_, high)| high),
+        size_50: limits.map(|[half, _]| half.size),
+        size_90: limits.map(|[_, most]| most.size),
+        detection: library.then(|| Detection::of(kind, &sizes)),
     })
 }
 
@@ -320,42 +325,6 @@ fn bins(edges: &[f64], values: &[(f64, bool)]) -> Vec<Bin> {
         Bin { from, to, mean: mean.is_finite().then_some(mean), right: Rate::of(held.iter().map(|(_, right)| *right)) }
     };
     edges.windows(2).enumerate().map(bin).collect()
-}
-
-/// Sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` where few are right, or few wrong.
-fn logistic(sizes: &[(f64, bool)]) -> Option<(f64, f64)> {
-    let right = sizes.iter().filter(|(_, right)| *right).count();
-    if right < 3 || sizes.len() - right < 3 {
-        return None;
-    }
-    let (mut level, mut slope) = (0.0, 1.0);
-    // Newton's steps, damped by a weak belief that the slope is a few: separated data would send it to infinity.
-    let (belief, weight) = (3.0, 0.02);
-    for _ in 0..100 {
-        let (mut gradient, mut curvature) = ([0.0, -weight * (slope - belief)], [1e-9, 0.0, weight]);
-        for (size, right) in sizes {
-            let x = size.ln();
-            let p = 1.0 / (1.0 + (-(level + slope * x)).exp());
-            let off = f64::from(u8::from(*right)) - p;
-            gradient[0] += off;
-            gradient[1] += off * x;
-            let w = p * (1.0 - p);
-            curvature[0] += w;
-            curvature[1] += w * x;
-            curvature[2] += w * x * x;
-        }
-        let det = curvature[0] * curvature[2] - curvature[1] * curvature[1];
-        let step = [
-            (curvature[2] * gradient[0] - curvature[1] * gradient[1]) / det,
-            (curvature[0] * gradient[1] - curvature[1] * gradient[0]) / det,
-        ];
-        level += step[0].clamp(-2.0, 2.0);
-        slope += step[1].clamp(-2.0, 2.0);
-    }
-    let at = |log_odds: f64| ((log_odds - level) / slope).exp();
-    let found = (at(0.0), at(9.0_f64.ln()));
-    // A curve that falls, or passes ½ far outside the sizes that there were, tells nothing.
-    (slope > 0.0 && found.0 > 0.05 && found.1 < 100.0).then_some(found)
 }
 
 fn confusion(all: &[Judgement]) -> BTreeMap<String, BTreeMap<String, usize>> {
@@ -455,20 +424,5 @@ mod tests {
         let tone = score.kinds.iter().find(|of| of.kind == Kind::Tone).unwrap();
         assert_eq!((tone.closed, tone.right_first.of), (Some(0.9), 3));
         assert!((tone.closed_of_truth.unwrap() - 0.9 / 0.92).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_detection_curve_gives_its_limits_back() {
-        // 1/(1 + exp(-4 ln(x/1.2))): ½ at 1.2, 0.9 at 1.2·9^(1/4).
-        let mut draw = crate::trial::draw::Draw::device(1, 1, "curve");
-        let sizes: Vec<(f64, bool)> = (0..20_000)
-            .map(|_| {
-                let size = draw.log_uniform(0.5, 10.0);
-                (size, draw.chance(1.0 / (1.0 + (size / 1.2_f64).powf(-4.0))))
-            })
-            .collect();
-        let (half, most) = logistic(&sizes).unwrap();
-        assert!((half / 1.2 - 1.0).abs() < 0.03 && (most / (1.2 * 9.0_f64.powf(0.25)) - 1.0).abs() < 0.04);
-        assert_eq!(logistic(&sizes.iter().map(|(size, _)| (*size, true)).collect::<Vec<_>>()), None);
     }
 }

@@ -48,6 +48,9 @@ const SIX: f64 = 0.3;
 const WARM: f64 = 0.8;
 /// How far a model's N, B and K are off at most.
 const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+/// The study's B, and step of its walk, in units of the white part per sample.
+const FLICKER: f64 = 0.063;
+const WALK: f64 = 8e-4;
 
 /// A number between two whose density falls as its cube: most are near the lower one, so that thousands of cases can be run.
 fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
@@ -76,9 +79,8 @@ impl Part {
         };
         let n = density * draw.log_uniform(0.25, 6.0);
         let white = n * rate_hz.sqrt();
-        // As in the study, in units of the white part per sample.
-        let b = 0.063 * white * draw.log_uniform(0.5, 2.0);
-        let k = 8e-4 * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
+        let b = FLICKER * white * draw.log_uniform(0.5, 2.0);
+        let k = WALK * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
         let true_nbk = [n, b, k];
         let mut told_nbk = true_nbk;
         for (told, off) in told_nbk.iter_mut().zip(OFF) {
