@@ -177,19 +177,19 @@ mod tests {
     #[test]
     fn intervals_hold_the_truth_in_nineteen_of_twenty() {
         let [truth_50, truth_90] = [1.2, 1.2 * 9.0_f64.powf(0.25)];
-        let (mut held, mut told) = ([0, 0], [0, 0]);
+        let (mut held, mut told) = ([0_u32; 2], [0_u32; 2]);
         for seed in 0..150 {
             let Some(found) = limits(&drawn(seed, 80)) else { continue };
             for (at, (of, truth)) in found.iter().zip([truth_50, truth_90]).enumerate() {
                 if let Some([low, high]) = of.ci95 {
                     told[at] += 1;
-                    held[at] += usize::from(low <= truth && truth <= high);
+                    held[at] += u32::from(low <= truth && truth <= high);
                 }
             }
         }
-        for at in 0..2 {
-            let share = held[at] as f64 / told[at] as f64;
-            assert!(told[at] > 130 && (0.89..=1.0).contains(&share), "{at}: {held:?} of {told:?}");
+        for (held, told) in held.into_iter().zip(told) {
+            let share = f64::from(held) / f64::from(told);
+            assert!(told > 130 && (0.89..=1.0).contains(&share), "{held} of {told}");
         }
     }
 

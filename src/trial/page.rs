@@ -27,6 +27,17 @@ pub fn page(score: &Score) -> String {
         escaped(&score.software),
         escaped(&score.manifest_sha256)
     );
+    if let Some(on) = &score.on {
+        let _ = write!(
+            out,
+            "<p>Imposed on {} in {} stretches. {} causes are its own and set aside; {} cases are called unknown as they are, \
+             and verdicts on these do not count.</p>",
+            escaped(&on.recording),
+            on.stretches,
+            on.own_causes,
+            count(on.own_unknown)
+        );
+    }
     out += "<h2>In short</h2><p>Effects of 1.5 times the study's 90&nbsp;% limit or above; intervals are Clopper and Pearson's, \
             95&nbsp;%.</p>";
     let rows =
@@ -37,6 +48,14 @@ pub fn page(score: &Score) -> String {
     confusion(&mut out, score);
     out += "<h2>Stated confidence</h2>";
     table(&mut out, &["confidence", "mean", "causes", "right"], score.reliability.iter().map(bin));
+    let of = &score.calibration;
+    let _ = write!(
+        out,
+        "<p>All: {} right, stated {} on average, expected calibration error {}.</p>",
+        percent(of.right),
+        number(of.mean_confidence),
+        number(of.expected_error)
+    );
     out += "<h2>Cases that went wrong</h2>";
     table(&mut out, &["case", "has", "size/limit", "verdict", "named"], score.misses.iter().map(miss));
     out + "</html>\n"
@@ -238,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_page_has_every_part_and_nothing_from_elsewhere() {
-        let refused = Answer { report: Err("<b>no</b>".to_owned()), closed_by_truth: None };
+        let refused = Answer { report: Err("<b>no</b>".to_owned()), own: None, closed_by_truth: None };
         let judged: Vec<_> = [&[Kind::Tone][..], &[], &[Kind::Echo]]
             .into_iter()
             .enumerate()

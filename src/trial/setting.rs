@@ -3,6 +3,7 @@
 use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::kind::Kind;
+use super::recorded::Own;
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeMap;
@@ -37,17 +38,19 @@ pub struct Setting {
     pub temperature: Option<TemperatureCourse>,
     /// Whether samples have stamps, and the first one, s.
     pub first_stamp_s: Option<f64>,
+    /// What the device has of itself, where it is a recorded one: nothing like it is imposed on these channels.
+    pub own: Own,
 }
 
 /// Lengths in s and rates in Hz between which cases lie.
 const LENGTH_S: [f64; 2] = [27.0 * 60.0, 5.0 * 3600.0];
 const RATE_HZ: [f64; 2] = [40.0, 200.0];
 /// Share of the cases with six channels instead of two.
-const SIX: f64 = 0.3;
+pub(super) const SIX: f64 = 0.3;
 /// Share of the cases with a measured temperature, where none is needed.
 const WARM: f64 = 0.8;
 /// How far a model's N, B and K are off at most.
-const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+pub(super) const OFF: [f64; 3] = [0.05, 0.25, 0.4];
 /// The study's B, and step of its walk, in units of the white part per sample.
 const FLICKER: f64 = 0.063;
 const WALK: f64 = 8e-4;
@@ -113,7 +116,14 @@ impl Setting {
             parts,
             temperature: measured.then_some(temperature),
             first_stamp_s: stamped.then_some(first_stamp_s),
+            own: Own::new(),
         }
+    }
+
+    /// Whether a channel has nothing of itself that is like a kind.
+    #[must_use]
+    pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
+        self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(*effect)))
     }
 
     /// The record's length, s.

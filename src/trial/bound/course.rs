@@ -44,7 +44,6 @@ pub(super) fn step(into: &mut [f64], at: f64, size: f64) {
 ///
 /// # Source
 /// The contract's section 5: B²/(2πf), (K/2πf)², per sample; a walk's 1/(4 sin² πf) is exact in the DCT-II.
-#[must_use]
 pub(super) fn ground(b: f64, k: f64) -> impl Fn(f64) -> f64 {
     move |cycles: f64| 1.0 + b * b / (2.0 * PI * cycles) + k * k / (4.0 * (PI * cycles).sin().powi(2))
 }
