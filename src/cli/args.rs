@@ -385,6 +385,15 @@ pub struct TrialArgs {
     /// Only these, with commas between: none, single, pair, outside, or names of effects (docs/trial.md)
     #[arg(long, value_name = "NAMES", default_value = "")]
     pub kinds: String,
+    /// Impose the effects on this recording instead of on made-up noise: id, name, `latest`, or a file's path
+    #[arg(long, value_name = "CAPTURE|FILE")]
+    pub on: Option<String>,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate, requires = "on")]
+    pub rate: Option<f64>,
+    /// Samples of a case, 10000 or more (default: drawn, 27 min to 5 h; of a recording 65536, or all if it is shorter)
+    #[arg(long, value_name = "N")]
+    pub samples: Option<usize>,
     /// Cases diagnosed at a time
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub threads: usize,
@@ -420,6 +429,12 @@ pub struct TrialPartArgs {
     /// Only these
     #[arg(long, default_value = "")]
     pub kinds: String,
+    /// Samples of a case
+    #[arg(long)]
+    pub samples: Option<usize>,
+    /// Folder with the stretches of a recording
+    #[arg(long)]
+    pub ground: Option<PathBuf>,
     /// Which case, from 0
     #[arg(long, default_value_t = 0)]
     pub case: usize,
@@ -432,6 +447,8 @@ pub enum TrialPart {
     Manifest,
     /// A case's recording and model
     Case,
+    /// The recording of a case with nothing imposed, and the model as it was fitted to it
+    Own,
     /// The diagnosis of a recording and a model from standard input
     Diagnose,
     /// All keys
@@ -447,6 +464,7 @@ impl TrialPart {
         match self {
             Self::Manifest => "manifest",
             Self::Case => "case",
+            Self::Own => "own",
             Self::Diagnose => "diagnose",
             Self::Key => "key",
             Self::Truth => "truth",

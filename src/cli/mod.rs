@@ -26,6 +26,7 @@ mod show;
 mod simulate;
 mod status;
 mod trial;
+mod trial_on;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;

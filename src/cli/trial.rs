@@ -5,11 +5,13 @@
 //! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
-use super::{CliError, Context, Failure, Outcome, print_json, table};
+use super::trial_on::Ground;
+use super::{CliError, Context, Failure, Outcome, print_json, table, trial_on};
 use crate::clock::{Clock as _, SystemClock};
 use crate::diagnosis::{self, Options};
 use crate::store::SOFTWARE;
-use crate::trial::page::{page, percent};
+use crate::trial::impose::SAMPLES_MIN;
+use crate::trial::page::{limit, page, percent, size};
 use crate::trial::{Answer, Case, Class, Key, Kind, Manifest, Report, Score, Wanted, case, judge, parcel, plan};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -30,14 +32,21 @@ struct Sealed {
     seed: u64,
     cases: usize,
     kinds: String,
+    samples: Option<usize>,
+    /// The recording that effects are imposed on.
+    ground: Option<Ground>,
 }
 
 /// Runs a trial and says what it came to.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
     Wanted::from_words(words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
     let thresholds = thresholds(args)?;
+    if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
+        return Err(usage(format!("--samples: a case takes {SAMPLES_MIN} or more")));
+    }
     let seed = args.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
-    let sealed = Sealed { seed, cases: args.cases, kinds: args.kinds.clone() };
+    let ground = args.on.as_ref().map(|named| Ground::of(context, args, named)).transpose()?;
+    let sealed = Sealed { seed, cases: args.cases, kinds: args.kinds.clone(), samples: args.samples, ground };
     if let Some(folder) = &args.out {
         let reports = folder.join("reports");
         std::fs::create_dir_all(&reports).with_context(|| format!("{} cannot be made", reports.display()))?;
@@ -49,17 +58,29 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     keep(args, "manifest.json", &manifest_text)?;
     let cases = manifest.digests.len();
     if cases == 0 {
-        return Err(usage("--kinds and --cases: there is no such case".to_owned()));
+        let possible = sealed.ground.as_ref().map_or_else(String::new, |ground| {
+            let kinds: Vec<&str> = ground.survey.kinds.iter().map(|kind| kind.name()).collect();
+            format!("; what can be imposed on every stretch of {} is {}", ground.name, kinds.join(", "))
+        });
+        return Err(usage(format!("--kinds and --cases: there is no such case{possible}")));
     }
     eprintln!("{cases} cases of seed {seed}; their keys are sealed: the manifest's SHA-256 is {manifest_sha256}");
 
-    let reports = each(cases, args.threads, "diagnosed", |index| {
-        let text = sealed.diagnosed(index)?;
+    let reports = each(cases, args.threads, "cases diagnosed", |index| {
+        let text = sealed.diagnosed(TrialPart::Case, index)?;
         if let Ok(text) = &text {
             keep(args, &format!("reports/{index:05}.json"), text)?;
         }
         Ok(text.and_then(|text| serde_json::from_slice::<Value>(&text).map_err(|error| error.to_string())))
     })?;
+    let owns = match &sealed.ground {
+        None => vec![None; cases],
+        Some(_) => each(cases, args.threads, "cases diagnosed as they are", |index| {
+            let Ok(text) = sealed.diagnosed(TrialPart::Own, index)? else { return Ok(None) };
+            keep(args, &format!("reports/{index:05}-own.json"), &text)?;
+            Ok(Some(Report::of(&read(&text, "diagnosis")?)?))
+        })?,
+    };
 
     let keys_text = sealed.ask(TrialPart::Key, None)?;
     let keys: Vec<Key> = read(&keys_text, "keys")?;
@@ -67,13 +88,17 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     keep(args, "key.json", &keys_text)?;
 
     let truths = if args.truth { sealed.truths(&keys, &reports, args.threads)? } else { vec![None; cases] };
-    let answer = |(report, closed_by_truth): (Result<Value, String>, Option<f64>)| Answer {
-        report: report.and_then(|value| Report::of(&value).map_err(|error| error.to_string())),
-        closed_by_truth,
-    };
-    let answers: Vec<Answer> = reports.into_iter().zip(truths).map(answer).collect();
+    let mut answers = Vec::with_capacity(cases);
+    for ((report, own), closed_by_truth) in reports.into_iter().zip(owns).zip(truths) {
+        let report = report.and_then(|value| Report::of(&value).map_err(|error| error.to_string()));
+        answers.push(Answer { report, own, closed_by_truth });
+    }
     let judgements: Vec<_> = keys.iter().zip(&answers).map(|(key, answer)| judge(key, answer)).collect();
     let score = Score::of(SOFTWARE, seed, &manifest_sha256, &judgements);
+    let score = match &sealed.ground {
+        Some(ground) => score.on(&ground.name, ground.survey.stretches, &judgements),
+        None => score,
+    };
     keep(args, "judgements.json", &serde_json::to_vec_pretty(&judgements)?)?;
     keep(args, "score.json", &serde_json::to_vec_pretty(&score)?)?;
     if let Some(path) = &args.html {
@@ -107,10 +132,21 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
         return Ok(Outcome::Done);
     }
-    let kinds = plan(args.seed, args.cases, &Wanted::from_words(words(&args.kinds))?);
+    let survey = args.ground.as_deref().map(trial_on::survey).transpose()?;
+    let mut wanted = Wanted::from_words(words(&args.kinds))?;
+    if let Some(survey) = &survey {
+        wanted.kinds.retain(|kind| survey.kinds.contains(kind));
+    }
+    let kinds = plan(args.seed, args.cases, &wanted);
     let draw = |index: usize| -> anyhow::Result<Case> {
         let kinds: &[Kind] = kinds.get(index).with_context(|| format!("there is no case {index}"))?;
-        Ok(Case::draw(args.seed, index, kinds, 1)?)
+        Ok(match (&args.ground, &survey) {
+            (Some(folder), Some(survey)) => {
+                let stretch = trial_on::stretch(folder, index % survey.stretches.max(1))?;
+                Case::draw_on(args.seed, index, kinds, 1, stretch)?
+            }
+            _ => Case::draw_of_length(args.seed, index, kinds, 1, args.samples)?,
+        })
     };
     let keys = || (0..kinds.len()).map(|index| Ok(draw(index)?.key())).collect::<anyhow::Result<Vec<Key>>>();
     match args.part {
@@ -119,6 +155,10 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         TrialPart::Case => {
             let case = draw(args.case)?;
             stdout.write_all(&parcel::pack(&case.record(), &case.model())?)?;
+        }
+        TrialPart::Own => {
+            let (recording, model) = draw(args.case)?.as_it_is().context("nobody recorded the case")?;
+            stdout.write_all(&parcel::pack(&recording, &model)?)?;
         }
         TrialPart::Truth => {
             let case = draw(args.case)?;
@@ -139,6 +179,12 @@ impl Sealed {
         if part != TrialPart::Diagnose {
             command.args(["--seed", &self.seed.to_string(), "--cases", &self.cases.to_string()]);
             command.args(["--kinds", &self.kinds]);
+            if let Some(samples) = self.samples {
+                command.args(["--samples", &samples.to_string()]);
+            }
+            if let Some(ground) = &self.ground {
+                command.arg("--ground").arg(ground.folder());
+            }
         }
         if let Some(case) = case {
             command.args(["--case", &case.to_string()]);
@@ -155,9 +201,8 @@ impl Sealed {
     }
 
     /// The diagnosis of a case, or why there is none: a program that dies on one case has failed that one.
-    fn diagnosed(&self, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
-        let mut maker =
-            self.command(TrialPart::Case, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
+    fn diagnosed(&self, part: TrialPart, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
+        let mut maker = self.command(part, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let parcel = maker.stdout.take().context("the maker has no output")?;
         let output = self.command(TrialPart::Diagnose, None)?.stdin(parcel).output()?;
         let made = maker.wait()?;
@@ -176,7 +221,7 @@ impl Sealed {
         reports: &[Result<Value, String>],
         threads: usize,
     ) -> anyhow::Result<Vec<Option<f64>>> {
-        each(keys.len(), threads, "scored with the truth", |index| {
+        each(keys.len(), threads, "cases scored with the truth", |index| {
             let of_library = matches!(keys[index].class, Class::Single | Class::Pair);
             let Some(report) = reports[index].as_ref().ok().filter(|_| of_library) else { return Ok(None) };
             let Ok(truth) = self.ask(TrialPart::Truth, Some(index)) else { return Ok(None) };
@@ -195,7 +240,7 @@ impl Sealed {
 }
 
 /// Does something with every case on several threads, in any order.
-fn each<T: Send>(
+pub(super) fn each<T: Send>(
     cases: usize,
     threads: usize,
     what: &'static str,
@@ -231,7 +276,7 @@ fn bar(cases: usize, what: &'static str) -> ProgressBar {
     let target =
         if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
     let bar = ProgressBar::with_draw_target(Some(cases as u64), target).with_message(what);
-    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} cases {msg} · {eta} left");
+    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} {msg} · {eta} left");
     if let Ok(style) = style { bar.with_style(style) } else { bar }
 }
 
@@ -292,6 +337,13 @@ fn show(score: &Score) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     let classes: Vec<String> = score.classes.iter().map(|(name, count)| format!("{count} {name}")).collect();
     writeln!(stdout, "{} cases of seed {}: {}", score.cases, score.seed, classes.join(", "))?;
+    if let Some(on) = &score.on {
+        writeln!(
+            stdout,
+            "imposed on {} in {} stretches; {} causes are its own and set aside, {} of {} cases are called unknown as they are",
+            on.recording, on.stretches, on.own_causes, on.own_unknown.count, on.own_unknown.of
+        )?;
+    }
     let mut rows = table(&["", "cases", "share (95 %)"]);
     for (_, meaning, rate) in score.named_rates() {
         rows.add_row([meaning.to_owned(), format!("{} of {}", rate.count, rate.of), percent(rate)]);
@@ -311,6 +363,8 @@ fn show(score: &Score) -> std::io::Result<()> {
         ]);
     }
     writeln!(stdout, "{rows}")?;
+    show_detection(&mut stdout, score)?;
+    show_confidence(&mut stdout, score)?;
     for miss in score.misses.iter().take(MISSES_SHOWN) {
         let kinds: Vec<&str> = miss.kinds.iter().map(|kind| kind.name()).collect();
         let kinds = if kinds.is_empty() { "none".to_owned() } else { kinds.join(" and ") };
@@ -323,4 +377,41 @@ fn show(score: &Score) -> std::io::Result<()> {
     }
     let more = score.misses.len().saturating_sub(MISSES_SHOWN);
     if more > 0 { writeln!(stdout, "and {more} more: --json, --html or --out has them") } else { Ok(()) }
+}
+
+/// How many of each size were named first, and from which size on.
+fn show_detection(out: &mut impl std::io::Write, score: &Score) -> std::io::Result<()> {
+    let library = || score.kinds.iter().filter_map(|of| Some((of, of.detection.as_ref()?)));
+    let Some((first, _)) = library().next() else { return Ok(()) };
+    let mut head = vec!["size over limit".to_owned()];
+    head.extend(first.curve.iter().map(|bin| format!("to {}", bin.to)));
+    let mut rows = table(&head.iter().map(String::as_str).collect::<Vec<_>>());
+    for (of, _) in library() {
+        let mut row = vec![of.kind.name().to_owned()];
+        row.extend(of.curve.iter().map(|bin| match bin.right.of {
+            0 => "–".to_owned(),
+            all => format!("{}/{all}", bin.right.count),
+        }));
+        rows.add_row(row);
+    }
+    writeln!(out, "{rows}")?;
+    let mut rows = table(&["named first", "50 % at (95 %)", "90 % at (95 %)", "bound", "size"]);
+    for (of, at) in library() {
+        let bound = at.bound_90.map_or_else(|| "–".to_owned(), size);
+        rows.add_row([of.kind.name().to_owned(), limit(at.size_50), limit(at.size_90), bound, at.unit.to_owned()]);
+    }
+    writeln!(out, "{rows}")
+}
+
+/// Which part of the causes with a confidence was right.
+fn show_confidence(out: &mut impl std::io::Write, score: &Score) -> std::io::Result<()> {
+    let mut rows = table(&["stated confidence", "mean", "causes", "right (95 %)"]);
+    for bin in score.reliability.iter().filter(|bin| bin.right.of > 0) {
+        let mean = bin.mean.map_or_else(|| "–".to_owned(), |mean| format!("{mean:.3}"));
+        rows.add_row([format!("{} to {}", bin.from, bin.to), mean, bin.right.of.to_string(), percent(bin.right)]);
+    }
+    let of = &score.calibration;
+    let (Some(stated), Some(error)) = (of.mean_confidence, of.expected_error) else { return Ok(()) };
+    writeln!(out, "{rows}")?;
+    writeln!(out, "stated {stated:.3} on average, right {}; expected calibration error {error:.3}", percent(of.right))
 }

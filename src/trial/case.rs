@@ -6,6 +6,7 @@ use super::ground::{as_read, flicker};
 use super::impose::{Effect, ImposeError};
 use super::key::{Key, TrueEffect};
 use super::kind::{Class, Kind};
+use super::recorded::Stretch;
 use super::setting::{Part, Setting};
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
@@ -20,6 +21,8 @@ pub struct Case {
     capture: u32,
     setting: Setting,
     effects: Vec<Effect>,
+    /// What it is made of, where somebody recorded it.
+    stretch: Option<Stretch>,
 }
 
 impl Case {
@@ -29,8 +32,49 @@ impl Case {
     /// [`ImposeError`]: kinds that its device cannot have; a setting is drawn for the kinds, so that there is none for those
     /// of [`Kind::LIBRARY`] and [`Kind::OUTSIDE`].
     pub fn draw(seed: u64, number: usize, kinds: &[Kind], capture: u32) -> Result<Self, ImposeError> {
+        Self::draw_of_length(seed, number, kinds, capture, None)
+    }
+
+    /// The same with so many samples instead of a drawn number.
+    ///
+    /// # Errors
+    /// As [`Self::draw`], and [`ImposeError::TooShort`].
+    pub fn draw_of_length(
+        seed: u64,
+        number: usize,
+        kinds: &[Kind],
+        capture: u32,
+        samples: Option<usize>,
+    ) -> Result<Self, ImposeError> {
+        let mut setting = Setting::draw(kinds, &mut Draw::device(seed, number as u64, "setting"));
+        setting.samples = samples.unwrap_or(setting.samples);
+        Self::with(seed, number, kinds, capture, setting, None)
+    }
+
+    /// A case of a stretch that somebody recorded: the effects act on it.
+    ///
+    /// # Errors
+    /// [`ImposeError`]: kinds that are not of [`Stretch::kinds`].
+    pub fn draw_on(
+        seed: u64,
+        number: usize,
+        kinds: &[Kind],
+        capture: u32,
+        stretch: Stretch,
+    ) -> Result<Self, ImposeError> {
+        let setting = stretch.setting(kinds, &mut Draw::device(seed, number as u64, "setting"));
+        Self::with(seed, number, kinds, capture, setting, Some(stretch))
+    }
+
+    fn with(
+        seed: u64,
+        number: usize,
+        kinds: &[Kind],
+        capture: u32,
+        setting: Setting,
+        stretch: Option<Stretch>,
+    ) -> Result<Self, ImposeError> {
         let case = number as u64;
-        let setting = Setting::draw(kinds, &mut Draw::device(seed, case, "setting"));
         let mut kinds = kinds.to_vec();
         kinds.sort_by_key(|kind| kind.place());
         let effect = |(index, kind): (usize, &Kind)| {
@@ -39,7 +83,7 @@ impl Case {
             Effect::draw(*kind, &setting, device, Draw::capture(seed, case, capture, &format!("events {index}")))
         };
         let effects = kinds.iter().enumerate().map(effect).collect::<Result<_, _>>()?;
-        Ok(Self { seed, number, capture, setting, effects })
+        Ok(Self { seed, number, capture, setting, effects, stretch })
     }
 
     /// The device and its record's shape.
@@ -57,7 +101,17 @@ impl Case {
     /// The model that the diagnosis is given.
     #[must_use]
     pub fn model(&self) -> SensorModel {
-        self.setting.model()
+        match &self.stretch {
+            Some(stretch) => stretch.model_of(&self.setting, true),
+            None => self.setting.model(),
+        }
+    }
+
+    /// Where somebody recorded it: its channels with nothing imposed, and the model as it was fitted to them.
+    #[must_use]
+    pub fn as_it_is(&self) -> Option<(Recording, SensorModel)> {
+        let stretch = self.stretch.as_ref()?;
+        Some((stretch.as_it_is(&self.setting), stretch.model_of(&self.setting, false)))
     }
 
     /// The key; cheap, no sample is made.
@@ -88,6 +142,9 @@ impl Case {
     /// The recording.
     #[must_use]
     pub fn record(&self) -> Recording {
+        if let Some(stretch) = &self.stretch {
+            return stretch.with(&self.setting, &self.effects, |purpose| self.stream(purpose));
+        }
         let (samples, rate_hz) = (self.setting.samples, self.setting.rate_hz);
         let mut warmth = self.stream("temperature");
         let temperature_c =
@@ -140,7 +197,8 @@ pub fn true_model(key: &Key, told: &SensorModel) -> Option<SensorModel> {
         for (name, parameter) in ["N", "B", "K"].into_iter().zip(nbk) {
             entry.insert(name.to_owned(), (*parameter).into());
         }
-        let mut effects = Vec::new();
+        // A recording's own effects are told, and are true.
+        let mut effects = entry.get("effects").and_then(Value::as_array).cloned().unwrap_or_default();
         for effect in &key.effects {
             if !can_be_said(effect.kind) {
                 return None;

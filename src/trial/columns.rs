@@ -81,7 +81,7 @@ impl Columns {
 }
 
 /// Means over `window` samples around each, fewer at the ends.
-fn around(values: &[f64], window: usize) -> Vec<f64> {
+pub(super) fn around(values: &[f64], window: usize) -> Vec<f64> {
     // Sums from the first value on keep their digits beside a large level.
     let level = values.first().copied().unwrap_or(0.0);
     let mut sums = vec![0.0];
@@ -99,7 +99,7 @@ fn around(values: &[f64], window: usize) -> Vec<f64> {
 }
 
 /// Standard deviation of white noise with these differences between neighbours.
-fn scale(values: &[f64]) -> f64 {
+pub(super) fn scale(values: &[f64]) -> f64 {
     let mut steps: Vec<f64> = values.windows(2).map(|two| (two[1] - two[0]).abs()).collect();
     if steps.is_empty() {
         return 0.0;

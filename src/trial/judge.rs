@@ -15,6 +15,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Answer {
     /// The diagnosis, or the refusal's sentence.
     pub report: Result<Report, String>,
+    /// Of a case that somebody recorded: the diagnosis of the same channels as they are.
+    pub own: Option<Report>,
     /// What the model with the true effects closes, scored as `closed` is.
     pub closed_by_truth: Option<f64>,
 }
@@ -68,8 +70,12 @@ pub struct Judgement {
     /// Why it was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refusal: Option<String>,
-    /// What was named, strongest first.
+    /// What was named, strongest first, without what the recording has of itself.
     pub causes: Vec<Named>,
+    /// How many causes are the recording's own, named also of it as it is.
+    pub own: usize,
+    /// Whether the recording as it is is called unknown: then that verdict tells nothing of the case.
+    pub own_unknown: bool,
     /// The case's effects.
     pub effects: Vec<Found>,
     /// Part of the gap that was closed.
@@ -108,17 +114,25 @@ impl Judgement {
     /// Every effect, nothing else, and nothing left.
     #[must_use]
     pub fn exactly(&self) -> bool {
-        self.all_found() && !self.spurious() && self.verdict == "effects"
+        self.all_found() && !self.spurious() && (self.verdict == "effects" || self.own_unknown)
     }
 }
 
 /// Judges an answer.
+///
+/// Of a recording that somebody made only what the imposed effects change is judged: a cause that is named of the same channels as
+/// they are, by its effect's name, is its own on these channels, unless an effect of the case is on them; one that is left with
+/// no channel is neither right nor spurious.
 #[must_use]
 pub fn judge(key: &Key, answer: &Answer) -> Judgement {
-    let none = Vec::new();
-    let (causes, verdict, refusal) = match &answer.report {
-        Ok(report) => (&report.causes, report.verdict.clone(), None),
-        Err(refusal) => (&none, "refused".to_owned(), Some(refusal.clone())),
+    let (all, verdict, refusal) = match &answer.report {
+        Ok(report) => (report.causes.clone(), report.verdict.clone(), None),
+        Err(refusal) => (Vec::new(), "refused".to_owned(), Some(refusal.clone())),
+    };
+    let named_in_all = all.len();
+    let causes: Vec<Cause> = match &answer.own {
+        Some(own) => all.into_iter().filter_map(|cause| beyond(own, cause, key)).collect(),
+        None => all,
     };
     let report = answer.report.as_ref().ok();
     let named = |cause: &Cause| Named {
@@ -133,12 +147,30 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         counts: key.effects.iter().all(|effect| effect.over_limit >= ABOVE),
         verdict,
         refusal,
+        own: named_in_all - causes.len(),
+        own_unknown: answer.own.as_ref().is_some_and(|own| own.verdict == "unknown_effect"),
         causes: causes.iter().map(named).collect(),
-        effects: key.effects.iter().map(|truth| found(truth, causes, key)).collect(),
+        effects: key.effects.iter().map(|truth| found(truth, &causes, key)).collect(),
         closed: report.and_then(|report| report.closed),
         closed_ci95: report.and_then(|report| report.closed_ci95),
         closed_by_truth: answer.closed_by_truth,
     }
+}
+
+/// A cause without the channels on which the recording has it of itself; none where no channel is left.
+fn beyond(own: &Report, mut cause: Cause, key: &Key) -> Option<Cause> {
+    let imposed = |channel: &String| {
+        let on = |truth: &&TrueEffect| truth.channels.contains(channel);
+        let one = Cause { channels: vec![channel.clone()], ..cause.clone() };
+        key.effects.iter().filter(on).any(|truth| fit(truth, &one, key) > Fit::No)
+    };
+    let of_itself = |channel: &String| {
+        own.causes.iter().any(|of| of.effect == cause.effect && of.channels.contains(channel)) && !imposed(channel)
+    };
+    let left: Vec<String> = cause.channels.iter().filter(|channel| !of_itself(channel)).cloned().collect();
+    let was_empty = cause.channels.is_empty();
+    cause.channels = left;
+    (was_empty || !cause.channels.is_empty()).then_some(cause)
 }
 
 fn found(truth: &TrueEffect, causes: &[Cause], key: &Key) -> Found {
@@ -256,7 +288,7 @@ mod tests {
         let report = Report::of(
             &json!({"verdict": verdict, "causes": causes, "discrepancy": {"closed": 0.9, "closed_ci95": [0.8, 0.95]}}),
         );
-        Answer { report: Ok(report.unwrap()), closed_by_truth: Some(0.92) }
+        Answer { report: Ok(report.unwrap()), own: None, closed_by_truth: Some(0.92) }
     }
     fn truth(key: &Key, at: usize) -> Value {
         let effect = &key.effects[at];
@@ -300,8 +332,26 @@ mod tests {
         let extra = json!({"effect": "rate_ramp", "channels": key.channels, "confidence": 0.5, "parameters": {}});
         let more = judge(&key, &report("effects", json!([extra, truth(&key, 0), truth(&key, 1)])));
         assert!(more.all_found() && more.spurious() && !more.right_first() && !more.exactly());
-        let refused = judge(&key, &Answer { report: Err("no".to_owned()), closed_by_truth: None });
+        let refused = judge(&key, &Answer { report: Err("no".to_owned()), own: None, closed_by_truth: None });
         assert!(!refused.right_first() && !refused.all_found() && refused.verdict == "refused");
+    }
+
+    #[test]
+    fn what_a_recording_has_of_itself_is_neither_right_nor_spurious() {
+        let key = key(&[Kind::Spikes]);
+        let imposed = key.effects[0].channels[0].clone();
+        let of = |effect: &str, channels: &[&str]| json!({"effect": effect, "channels": channels, "confidence": 0.9, "parameters": {}});
+        let own = report("unknown_effect", json!([of("tone", &["yaw"]), of("spikes", &["pitch"])])).report.ok();
+        let mut named = truth(&key, 0);
+        named["channels"].as_array_mut().unwrap().push(json!("pitch"));
+        let causes = json!([of("tone", &["yaw"]), named, of("rate_ramp", &["yaw"]), of("tone", &["yaw", &imposed])]);
+        let judged = judge(&key, &Answer { own, ..report("unknown_effect", causes) });
+        // The line on yaw is its own and so are the spikes on pitch; the ramp and the line on the imposed channel are not.
+        assert_eq!((judged.own, judged.own_unknown), (1, true));
+        let left: Vec<(&str, bool)> = judged.causes.iter().map(|of| (of.effect.as_str(), of.right)).collect();
+        assert_eq!(left, [("spikes", true), ("rate_ramp", false), ("tone", false)]);
+        assert!(judged.right_first() && judged.effects[0].channels_exact == Some(true));
+        assert_eq!(judged.causes[2].channels, [imposed]);
     }
 
     #[test]

@@ -207,6 +207,41 @@ impl Kind {
         }
     }
 
+    /// The effects of which nobody could tell it apart on one channel.
+    #[must_use]
+    pub fn like(self) -> &'static [&'static str] {
+        match self {
+            Self::Tone | Self::Comb | Self::Chirp | Self::FmLine => &["tone", "comb"],
+            Self::Spikes | Self::HeavyTails | Self::SkewedNoise => &["spikes", "heavy_tails"],
+            Self::Bursts
+            | Self::VarianceInterval
+            | Self::VarianceProfile
+            | Self::VariancePerC
+            | Self::VibrationBursts
+            | Self::PeriodicGain => &["bursts", "variance_change"],
+            Self::LowPass | Self::MovingAverage => &["low_pass", "moving_average"],
+            Self::RateRamp | Self::WarmUp | Self::TemperatureBias | Self::Hysteresis => {
+                &["rate_ramp", "warm_up", "temperature_bias"]
+            }
+            Self::GaussMarkov | Self::RandomTelegraph | Self::ShotNoise | Self::OddSlope => &["gauss_markov"],
+            Self::Resolution | Self::DeadBand => &["resolution"],
+            Self::QuantizationNoise => &["quantization_noise"],
+            Self::Resonance => &["resonance"],
+            Self::BiasStep => &["bias_step"],
+            Self::Saturation => &["saturation"],
+            Self::HeldSamples => &["held_samples"],
+            Self::CommonMode | Self::DelayedCrosstalk => &["common_mode"],
+            Self::Timing => &["timing"],
+            Self::Echo => &[],
+        }
+    }
+
+    /// Channels that it takes at least.
+    #[must_use]
+    pub fn channels_min(self) -> usize {
+        if matches!(self, Self::CommonMode | Self::DelayedCrosstalk) { 2 } else { 1 }
+    }
+
     /// Whether it cannot be without a measured temperature.
     #[must_use]
     pub fn needs_temperature(self) -> bool {

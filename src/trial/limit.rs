@@ -7,8 +7,8 @@
 
 use super::kind::Kind;
 
-/// Samples of the study's cases.
-const STUDY: f64 = 65_536.0;
+/// Samples of the study's cases: the length at which limits are told.
+pub const STUDY: usize = 65_536;
 /// Log-likelihood that a single burst has to give, nats: the price of an interval at this length, and as much again.
 const BURST_NATS: f64 = 20.0;
 /// The highest corner over the rate at which a low-pass is named always; the study met no limit.
@@ -35,7 +35,7 @@ pub(super) const ABOVE: f64 = 1.5;
 /// 1 for what has no limit: filters, and what is outside the library.
 #[must_use]
 pub fn limit(kind: Kind, samples: usize) -> f64 {
-    let longer = samples as f64 / STUDY;
+    let longer = samples as f64 / STUDY as f64;
     let (variance, slow) = (longer.powf(-0.5), longer.max(1.0).sqrt());
     match kind {
         Kind::Resolution => 0.15,
@@ -56,6 +56,40 @@ pub fn limit(kind: Kind, samples: usize) -> f64 {
         Kind::Saturation => 3e-4 * variance,
         Kind::CommonMode => 0.16 * variance.sqrt(),
         _ => 1.0,
+    }
+}
+
+/// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit where it has one.
+#[must_use]
+pub fn one(kind: Kind) -> f64 {
+    match kind {
+        // A window of 2 counts as far above as the highest corner.
+        Kind::MovingAverage => 2.0 / ABOVE,
+        other => limit(other, STUDY),
+    }
+}
+
+/// What sizes are measured in, in words; σ is the white part's standard deviation per sample.
+#[must_use]
+pub fn unit(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Resolution => "step in σ",
+        Kind::QuantizationNoise => "angle noise in σ",
+        Kind::RateRamp => "over the record in σ",
+        Kind::GaussMarkov | Kind::Resonance => "rms in σ",
+        Kind::Tone => "amplitude in σ",
+        Kind::Comb => "amplitude of the weakest harmonic in σ",
+        Kind::TemperatureBias => "σ per °C",
+        Kind::WarmUp | Kind::BiasStep => "size in σ",
+        Kind::Spikes | Kind::HeldSamples | Kind::Timing | Kind::Saturation => "share of the samples",
+        Kind::HeavyTails => "1/degrees of freedom",
+        Kind::Bursts => "σ over that at which the shortest has 20 nats",
+        Kind::VarianceInterval | Kind::VarianceProfile => "rms log variance × √2",
+        Kind::VariancePerC => "log variance per standard deviation of the temperature",
+        Kind::LowPass => "0.63 × rate over corner",
+        Kind::MovingAverage => "samples",
+        Kind::CommonMode => "share in σ",
+        _ => "",
     }
 }
 

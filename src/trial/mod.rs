@@ -5,14 +5,16 @@
 //!
 //! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not
 //! those that the diagnosis fits ([`impose`]); how large they are follows from the limits of a feasibility study ([`limit`]).
-//! Which cases there are is in [`plan`]. Whether a cause that was named is right is decided by the rules of [`mod@fit`].
-//! Effects act on columns of samples ([`columns`]), made here or recorded: one can be imposed on a real recording.
+//! Below which size no test at all finds one is in [`bound`], from which on this one does in [`detection`]. Which cases there are is in [`plan`]. Whether a cause that was named is right is decided by the rules of [`mod@fit`].
+//! Effects act on columns of samples ([`columns`]), made here or recorded: [`recorded`] imposes them on a recording that somebody made.
 //!
 //! Order, which the shell keeps: cases are made by another process than the one that diagnoses them and cross over as
 //! parcels ([`parcel`]), which say nothing of the key; the manifest comes first, the keys last.
 
+pub mod bound;
 pub mod case;
 pub mod columns;
+pub mod detection;
 pub mod draw;
 pub mod fit;
 pub mod ground;
@@ -25,6 +27,7 @@ pub mod limit;
 pub mod page;
 pub mod parcel;
 pub mod plan;
+pub mod recorded;
 pub mod report;
 pub mod score;
 pub mod setting;
@@ -35,5 +38,6 @@ pub use judge::{Answer, judge};
 pub use key::{Key, Manifest};
 pub use kind::{Class, Kind};
 pub use plan::{Wanted, plan};
+pub use recorded::{Stretch, Survey};
 pub use report::Report;
 pub use score::Score;

@@ -1,6 +1,8 @@
 //! Pages: a trial's score as one HTML file without scripts or anything from elsewhere.
 
+use super::detection::Limit;
 use super::interval::Rate;
+use super::limit::STUDY;
 use super::score::{Bin, Miss, Score};
 use std::fmt::Write as _;
 
@@ -25,6 +27,17 @@ pub fn page(score: &Score) -> String {
         escaped(&score.software),
         escaped(&score.manifest_sha256)
     );
+    if let Some(on) = &score.on {
+        let _ = write!(
+            out,
+            "<p>Imposed on {} in {} stretches. {} causes are its own and set aside; {} cases are called unknown as they are, \
+             and verdicts on these do not count.</p>",
+            escaped(&on.recording),
+            on.stretches,
+            on.own_causes,
+            count(on.own_unknown)
+        );
+    }
     out += "<h2>In short</h2><p>Effects of 1.5 times the study's 90&nbsp;% limit or above; intervals are Clopper and Pearson's, \
             95&nbsp;%.</p>";
     let rows =
@@ -35,6 +48,14 @@ pub fn page(score: &Score) -> String {
     confusion(&mut out, score);
     out += "<h2>Stated confidence</h2>";
     table(&mut out, &["confidence", "mean", "causes", "right"], score.reliability.iter().map(bin));
+    let of = &score.calibration;
+    let _ = write!(
+        out,
+        "<p>All: {} right, stated {} on average, expected calibration error {}.</p>",
+        percent(of.right),
+        number(of.mean_confidence),
+        number(of.expected_error)
+    );
     out += "<h2>Cases that went wrong</h2>";
     table(&mut out, &["case", "has", "size/limit", "verdict", "named"], score.misses.iter().map(miss));
     out + "</html>\n"
@@ -91,14 +112,30 @@ fn curves(out: &mut String, score: &Score) {
         .unwrap_or_default();
     let mut head = vec!["effect"];
     head.extend(edges.iter().map(String::as_str));
-    head.extend(["50 %", "90 %"]);
     let rows = library().map(|of| {
         let mut row = vec![of.kind.name().to_owned()];
-        row.extend(of.curve.iter().map(|bin| count(bin.right)));
-        row.extend([number(of.size_50), number(of.size_90)]);
+        row.extend(of.curve.iter().map(|bin| format!("{}<br>{}", count(bin.right), percent(bin.right))));
         row
     });
     table(out, &head, rows);
+    let _ = write!(
+        out,
+        "<h2>Detection limits</h2><p>Sizes at {STUDY} samples, σ the white part's standard deviation per sample, with intervals \
+         by profile likelihood where they are determined. The bound: what nobody who knows the effect's form, place and noise \
+         can be below at the same rate of false alarms.</p>"
+    );
+    let rows = library().filter_map(|of| Some((of.kind, of.detection.as_ref()?))).map(|(kind, of)| {
+        let bound = of.bound_90.map_or_else(|| of.no_bound.unwrap_or_default().to_owned(), size);
+        vec![
+            kind.name().to_owned(),
+            of.unit.to_owned(),
+            limit(of.size_50),
+            limit(of.size_90),
+            escaped(&bound),
+            size(of.limit),
+        ]
+    });
+    table(out, &["effect", "size", "50 %", "90 %", "bound of 90 %", "study's 90 %"], rows);
 }
 
 fn confusion(out: &mut String, score: &Score) {
@@ -182,6 +219,27 @@ pub fn percent(rate: Rate) -> String {
     }
 }
 
+/// A size with its interval, for people.
+#[must_use]
+pub fn limit(of: Option<Limit>) -> String {
+    match of {
+        Some(Limit { size: at, ci95: Some([low, high]) }) => format!("{} ({}–{})", size(at), size(low), size(high)),
+        Some(of) => size(of.size),
+        None => "–".to_owned(),
+    }
+}
+
+/// Three digits.
+#[must_use]
+pub fn size(value: f64) -> String {
+    if (1e-3..1e4).contains(&value) {
+        let digits = (2 - value.log10().floor() as i32).max(0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
 fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"))
 }
@@ -199,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_page_has_every_part_and_nothing_from_elsewhere() {
-        let refused = Answer { report: Err("<b>no</b>".to_owned()), closed_by_truth: None };
+        let refused = Answer { report: Err("<b>no</b>".to_owned()), own: None, closed_by_truth: None };
         let judged: Vec<_> = [&[Kind::Tone][..], &[], &[Kind::Echo]]
             .into_iter()
             .enumerate()

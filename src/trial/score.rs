@@ -1,5 +1,6 @@
 //! Scores: what the judgements of a trial come to.
 
+use super::detection::{Detection, limits};
 use super::interval::Rate;
 use super::judge::{Found, Judgement, Named};
 use super::kind::{Class, Kind};
@@ -105,6 +106,9 @@ pub struct OfKind {
     pub size_50: Option<f64>,
     /// And 90 %.
     pub size_90: Option<f64>,
+    /// The same in the kind's own unit, with intervals, beside what no test can be below.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detection: Option<Detection>,
 }
 
 /// A case that went wrong.
@@ -126,6 +130,48 @@ pub struct Miss {
     pub refusal: Option<String>,
 }
 
+/// How far stated confidences are to be believed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
+pub struct Calibration {
+    /// Causes with a stated confidence that were right.
+    pub right: Rate,
+    /// Mean of the stated confidences.
+    pub mean_confidence: Option<f64>,
+    /// Expected calibration error: mean of |mean confidence − share right| over the classes of `reliability`, by how many each
+    /// holds (M. Naeini et al., AAAI 2015, equation 2); none where nothing was stated.
+    pub expected_error: Option<f64>,
+}
+
+impl Calibration {
+    fn of(bins: &[Bin]) -> Self {
+        let (count, of) = bins.iter().fold((0, 0), |(count, of), bin| (count + bin.right.count, of + bin.right.of));
+        let mean_of = |value: &dyn Fn(f64, f64) -> f64| {
+            let part = |bin: &Bin| Some(bin.right.of as f64 * value(bin.mean?, bin.right.share?));
+            (of > 0).then(|| bins.iter().filter_map(part).sum::<f64>() / of as f64)
+        };
+        Self {
+            right: Rate::new(count, of),
+            mean_confidence: mean_of(&|mean, _| mean),
+            expected_error: mean_of(&|mean, share| (mean - share).abs()),
+        }
+    }
+}
+
+/// The recording that a trial's effects were imposed on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
+pub struct On {
+    /// What it is called.
+    pub recording: String,
+    /// Stretches that cases were made of.
+    pub stretches: usize,
+    /// Cases whose channels are called unknown as they are: their verdicts do not count.
+    pub own_unknown: Rate,
+    /// Causes that were set aside as the recording's own.
+    pub own_causes: usize,
+}
+
 /// The score of a trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the format's keys")]
@@ -140,6 +186,9 @@ pub struct Score {
     pub cases: usize,
     /// By class.
     pub classes: BTreeMap<&'static str, usize>,
+    /// The recording, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub on: Option<On>,
     /// SHA-256 of the manifest that was written first.
     pub manifest_sha256: String,
     /// In short.
@@ -151,6 +200,8 @@ pub struct Score {
     /// Stated confidence of the causes named and how many were right; without the cases outside the library, where what is
     /// named is a look-alike.
     pub reliability: Vec<Bin>,
+    /// The same in short.
+    pub calibration: Calibration,
     /// Cases that count and went wrong.
     pub misses: Vec<Miss>,
 }
@@ -164,7 +215,10 @@ impl Score {
             *classes.entry(judgement.class.name()).or_default() += 1;
         }
         let kinds = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE);
+        let reliability = reliability(all);
         Self {
+            on: None,
+            calibration: Calibration::of(&reliability),
             format: FORMAT,
             software: software.to_owned(),
             seed,
@@ -174,9 +228,21 @@ impl Score {
             rates: rates(all),
             kinds: kinds.filter_map(|kind| of_kind(kind, all)).collect(),
             confusion: confusion(all),
-            reliability: reliability(all),
+            reliability,
             misses: all.iter().filter(|one| missed(one)).map(miss).collect(),
         }
+    }
+
+    /// Says which recording the effects were imposed on.
+    #[must_use]
+    pub fn on(self, recording: &str, stretches: usize, all: &[Judgement]) -> Self {
+        let on = On {
+            recording: recording.to_owned(),
+            stretches,
+            own_unknown: Rate::of(all.iter().map(|one| one.own_unknown)),
+            own_causes: all.iter().map(|one| one.own).sum(),
+        };
+        Self { on: Some(on), ..self }
     }
 
     /// A rate of [`Rates`] by its name.
@@ -215,7 +281,7 @@ fn in_library(judgement: &Judgement) -> bool {
 fn missed(one: &Judgement) -> bool {
     one.verdict == "refused"
         || match one.class {
-            Class::None => !one.causes.is_empty() || one.unknown(),
+            Class::None => !one.causes.is_empty() || (one.unknown() && !one.own_unknown),
             Class::Outside => !one.unknown(),
             Class::Single => one.counts && !(one.right_first() && one.exactly()),
             Class::Pair => one.counts && !one.exactly(),
@@ -239,6 +305,7 @@ fn rates(all: &[Judgement]) -> Rates {
     let of = |class: Class| all.iter().filter(move |one| one.class == class);
     let counting = |class: Class| of(class).filter(|one| one.counts);
     let library = || all.iter().filter(|one| in_library(one) && one.counts);
+    let telling = |one: &&Judgement| !one.own_unknown;
     let silent = |one: &Judgement| one.causes.is_empty() && one.verdict != "refused";
     Rates {
         right_first: Rate::of(counting(Class::Single).map(Judgement::right_first)),
@@ -246,13 +313,13 @@ fn rates(all: &[Judgement]) -> Rates {
             counting(Class::Single).map(Judgement::right_first).chain(of(Class::None).map(silent)),
         ),
         none_named: Rate::of(of(Class::None).map(|one| !one.causes.is_empty())),
-        none_unknown: Rate::of(of(Class::None).map(Judgement::unknown)),
-        library_unknown: Rate::of(library().map(Judgement::unknown)),
+        none_unknown: Rate::of(of(Class::None).filter(telling).map(Judgement::unknown)),
+        library_unknown: Rate::of(library().filter(telling).map(Judgement::unknown)),
         spurious: Rate::of(library().map(Judgement::spurious)),
         both_found: Rate::of(counting(Class::Pair).map(Judgement::all_found)),
         both_exactly: Rate::of(counting(Class::Pair).map(Judgement::exactly)),
         pair_first: Rate::of(counting(Class::Pair).map(Judgement::right_first)),
-        outside_unknown: Rate::of(of(Class::Outside).map(Judgement::unknown)),
+        outside_unknown: Rate::of(of(Class::Outside).filter(telling).map(Judgement::unknown)),
         channels_exact: Rate::of(library().flat_map(|one| &one.effects).filter_map(|effect| effect.channels_exact)),
         closed_covers: Rate::of(library().filter_map(|one| {
             let (truth, [low, high]) = (one.closed_by_truth?, one.closed_ci95?);
@@ -273,14 +340,14 @@ fn of_kind(kind: Kind, all: &[Judgement]) -> Option<OfKind> {
     let sizes: Vec<(f64, bool)> =
         every.iter().filter_map(|one| Some((one.effects.first()?.over_limit, one.right_first()))).collect();
     let library = kind.effect().is_some();
-    let logistic = if library { logistic(&sizes) } else { None };
+    let limits = if library { limits(&sizes) } else { None };
     let of_truth = |one: &&Judgement| Some(one.closed? / one.closed_by_truth.filter(|truth| *truth > 0.0)?);
     Some(OfKind {
         kind,
         library,
         right_first: Rate::of(counting.iter().map(|one| one.right_first())),
         equivalent: found().filter(|effect| effect.equivalent).count(),
-        unknown: Rate::of(counting.iter().map(|one| one.unknown())),
+        unknown: Rate::of(counting.iter().filter(|one| !one.own_unknown).map(|one| one.unknown())),
         spurious: Rate::of(counting.iter().map(|one| one.spurious())),
         channels_exact: Rate::of(found().filter_map(|effect| effect.channels_exact)),
         closed: spread(counting.iter().filter_map(|one| one.closed)).map(|spread| spread.median),
@@ -288,8 +355,9 @@ fn of_kind(kind: Kind, all: &[Judgement]) -> Option<OfKind> {
         location: spreads(found().flat_map(|effect: &Found| &effect.location)),
         parameters: spreads(found().flat_map(|effect: &Found| &effect.parameters)),
         curve: if library { bins(&CURVE, &sizes) } else { Vec::new() },
-        size_50: logistic.map(|(middle, _)| middle),
-        size_90: logistic.map(|(_, high)| high),
+        size_50: limits.map(|[half, _]| half.size),
+        size_90: limits.map(|[_, most]| most.size),
+        detection: library.then(|| Detection::of(kind, &sizes)),
     })
 }
 
@@ -320,42 +388,6 @@ fn bins(edges: &[f64], values: &[(f64, bool)]) -> Vec<Bin> {
         Bin { from, to, mean: mean.is_finite().then_some(mean), right: Rate::of(held.iter().map(|(_, right)| *right)) }
     };
     edges.windows(2).enumerate().map(bin).collect()
-}
-
-/// Sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` where few are right, or few wrong.
-fn logistic(sizes: &[(f64, bool)]) -> Option<(f64, f64)> {
-    let right = sizes.iter().filter(|(_, right)| *right).count();
-    if right < 3 || sizes.len() - right < 3 {
-        return None;
-    }
-    let (mut level, mut slope) = (0.0, 1.0);
-    // Newton's steps, damped by a weak belief that the slope is a few: separated data would send it to infinity.
-    let (belief, weight) = (3.0, 0.02);
-    for _ in 0..100 {
-        let (mut gradient, mut curvature) = ([0.0, -weight * (slope - belief)], [1e-9, 0.0, weight]);
-        for (size, right) in sizes {
-            let x = size.ln();
-            let p = 1.0 / (1.0 + (-(level + slope * x)).exp());
-            let off = f64::from(u8::from(*right)) - p;
-            gradient[0] += off;
-            gradient[1] += off * x;
-            let w = p * (1.0 - p);
-            curvature[0] += w;
-            curvature[1] += w * x;
-            curvature[2] += w * x * x;
-        }
-        let det = curvature[0] * curvature[2] - curvature[1] * curvature[1];
-        let step = [
-            (curvature[2] * gradient[0] - curvature[1] * gradient[1]) / det,
-            (curvature[0] * gradient[1] - curvature[1] * gradient[0]) / det,
-        ];
-        level += step[0].clamp(-2.0, 2.0);
-        slope += step[1].clamp(-2.0, 2.0);
-    }
-    let at = |log_odds: f64| ((log_odds - level) / slope).exp();
-    let found = (at(0.0), at(9.0_f64.ln()));
-    // A curve that falls, or passes ½ far outside the sizes that there were, tells nothing.
-    (slope > 0.0 && found.0 > 0.05 && found.1 < 100.0).then_some(found)
 }
 
 fn confusion(all: &[Judgement]) -> BTreeMap<String, BTreeMap<String, usize>> {
@@ -400,6 +432,8 @@ mod tests {
             counts: true,
             verdict: verdict.to_owned(),
             refusal: None,
+            own: 0,
+            own_unknown: false,
             causes: causes.iter().map(named).collect(),
             effects: kinds.iter().map(found).collect(),
             closed: Some(0.9),
@@ -452,23 +486,37 @@ mod tests {
         assert_eq!(score.confusion["none"]["no_gap"], 1);
         let bins: Vec<_> = score.reliability.iter().map(|bin| (bin.right.count, bin.right.of)).collect();
         assert_eq!(bins, [(0, 0), (0, 2), (0, 0), (0, 0), (0, 0), (6, 6), (0, 0)]);
+        // Six of six at 0.96, none of two at 0.6: (6·0.04 + 2·0.6)/8.
+        let of = score.calibration;
+        assert_eq!((of.right.count, of.right.of), (6, 8));
+        assert!(
+            (of.expected_error.unwrap() - 0.18).abs() < 1e-12 && (of.mean_confidence.unwrap() - 0.87).abs() < 1e-12
+        );
+        assert_eq!(Score::of("", 1, "", &[]).calibration.expected_error, None);
         let tone = score.kinds.iter().find(|of| of.kind == Kind::Tone).unwrap();
         assert_eq!((tone.closed, tone.right_first.of), (Some(0.9), 3));
         assert!((tone.closed_of_truth.unwrap() - 0.9 / 0.92).abs() < 1e-12);
     }
 
     #[test]
-    fn a_detection_curve_gives_its_limits_back() {
-        // 1/(1 + exp(-4 ln(x/1.2))): ½ at 1.2, 0.9 at 1.2·9^(1/4).
-        let mut draw = crate::trial::draw::Draw::device(1, 1, "curve");
-        let sizes: Vec<(f64, bool)> = (0..20_000)
-            .map(|_| {
-                let size = draw.log_uniform(0.5, 10.0);
-                (size, draw.chance(1.0 / (1.0 + (size / 1.2_f64).powf(-4.0))))
-            })
-            .collect();
-        let (half, most) = logistic(&sizes).unwrap();
-        assert!((half / 1.2 - 1.0).abs() < 0.03 && (most / (1.2 * 9.0_f64.powf(0.25)) - 1.0).abs() < 0.04);
-        assert_eq!(logistic(&sizes.iter().map(|(size, _)| (*size, true)).collect::<Vec<_>>()), None);
+    fn verdicts_on_a_recording_that_is_unknown_as_it_is_do_not_count() {
+        let mut all = [
+            judgement(0, Class::None, &[], "unknown_effect", &[]),
+            judgement(1, Class::Single, &[Kind::Tone], "unknown_effect", &[("tone", true)]),
+            judgement(2, Class::Outside, &[Kind::Echo], "unknown_effect", &[]),
+        ];
+        for one in &mut all {
+            one.own_unknown = true;
+            one.own = 2;
+        }
+        let score = Score::of("test", 1, "", &all).on("desk", 3, &all);
+        assert_eq!(
+            [score.rates.none_unknown.of, score.rates.library_unknown.of, score.rates.outside_unknown.of],
+            [0; 3]
+        );
+        assert_eq!((score.rates.right_first.count, score.rates.none_named.of), (1, 1));
+        assert!(score.misses.is_empty(), "{:?}", score.misses);
+        let on = score.on.unwrap();
+        assert_eq!((on.stretches, on.own_causes, on.own_unknown.count), (3, 6, 3));
     }
 }

@@ -3,6 +3,7 @@
 use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::kind::Kind;
+use super::recorded::Own;
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeMap;
@@ -37,17 +38,22 @@ pub struct Setting {
     pub temperature: Option<TemperatureCourse>,
     /// Whether samples have stamps, and the first one, s.
     pub first_stamp_s: Option<f64>,
+    /// What the device has of itself, where it is a recorded one: nothing like it is imposed on these channels.
+    pub own: Own,
 }
 
 /// Lengths in s and rates in Hz between which cases lie.
 const LENGTH_S: [f64; 2] = [27.0 * 60.0, 5.0 * 3600.0];
 const RATE_HZ: [f64; 2] = [40.0, 200.0];
 /// Share of the cases with six channels instead of two.
-const SIX: f64 = 0.3;
+pub(super) const SIX: f64 = 0.3;
 /// Share of the cases with a measured temperature, where none is needed.
 const WARM: f64 = 0.8;
 /// How far a model's N, B and K are off at most.
-const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+pub(super) const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+/// The study's B, and step of its walk, in units of the white part per sample.
+const FLICKER: f64 = 0.063;
+const WALK: f64 = 8e-4;
 
 /// A number between two whose density falls as its cube: most are near the lower one, so that thousands of cases can be run.
 fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
@@ -76,9 +82,8 @@ impl Part {
         };
         let n = density * draw.log_uniform(0.25, 6.0);
         let white = n * rate_hz.sqrt();
-        // As in the study, in units of the white part per sample.
-        let b = 0.063 * white * draw.log_uniform(0.5, 2.0);
-        let k = 8e-4 * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
+        let b = FLICKER * white * draw.log_uniform(0.5, 2.0);
+        let k = WALK * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
         let true_nbk = [n, b, k];
         let mut told_nbk = true_nbk;
         for (told, off) in told_nbk.iter_mut().zip(OFF) {
@@ -111,7 +116,14 @@ impl Setting {
             parts,
             temperature: measured.then_some(temperature),
             first_stamp_s: stamped.then_some(first_stamp_s),
+            own: Own::new(),
         }
+    }
+
+    /// Whether a channel has nothing of itself that is like a kind.
+    #[must_use]
+    pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
+        self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(*effect)))
     }
 
     /// The record's length, s.

@@ -1,9 +1,11 @@
-//! The blind check of the diagnosis, from the command line: order, seals, thresholds. How well the diagnosis does is measured by
+//! The blind check of the diagnosis, from the command line: order, seals, thresholds, recordings. How well the diagnosis does is measured by
 //! longer trials (`docs/validation.md`); this short one fails where it no longer works.
 
+use crate::world::skip::real_data;
 use crate::world::vn100d;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
+use std::path::Path;
 
 fn hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
@@ -38,6 +40,100 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     assert!(std::fs::read_to_string(&page).unwrap().contains("Trial of the diagnosis"));
 }
 
+/// Fails if the engine gets clearly worse. Some twenty seconds of one processor.
+#[test]
+fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
+    let least =
+        ["right_first=0.85", "right_first_or_none=0.9", "both_found=0.8", "outside_unknown=0.55", "channels_exact=0.9"];
+    let most = ["none_named=0.1", "none_unknown=0.1", "library_unknown=0.13", "spurious=0.13", "refused=0"];
+    let mut arguments = vec!["trial", "--json", "--cases", "48", "--samples", "16384", "--seed", "41"];
+    arguments.extend(least.iter().flat_map(|one| ["--at-least", one]));
+    arguments.extend(most.iter().flat_map(|one| ["--at-most", one]));
+    let ended = vn100d(&arguments);
+    assert_eq!(ended.status.code(), Some(0), "{}", String::from_utf8_lossy(&ended.stderr));
+    let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
+    let kinds = score["kinds"].as_array().unwrap();
+    let bounded: Vec<&Value> = kinds.iter().filter(|of| of["detection"]["bound_90"].is_f64()).collect();
+    assert!(bounded.len() > 3, "{kinds:?}");
+    for of in bounded {
+        assert_eq!(of["detection"]["samples"], 65_536);
+        assert!(
+            of["detection"]["bound_90"].as_f64() < of["detection"]["limit"].as_f64().map(|limit| 1.05 * limit),
+            "{of}"
+        );
+    }
+    assert!(score["calibration"]["expected_error"].as_f64() < Some(0.1), "{}", score["calibration"]);
+}
+
+/// A recording of two channels that has a line and a resolution of its own.
+fn recording(folder: &Path) -> String {
+    let model = r#"{ "format": "vn100d-sensor-model-1", "name": "desk", "rate_hz": 40, "channels": {
+        "accel_y": { "N": 0.002, "B": 4e-4, "K": 2e-5, "bias": 0.1, "effects": [
+            { "effect": "tone", "frequency_hz": 13.378, "amplitude": 0.004 }, { "effect": "resolution", "step": 0.01 } ] },
+        "accel_z": { "N": 0.002, "B": 4e-4, "K": 2e-5, "bias": -9.8 } } }"#;
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let (model_path, out) = (path("desk.json"), path("desk.csv"));
+    std::fs::write(&model_path, model).unwrap();
+    let made = vn100d(&["simulate", "--model", &model_path, "--duration", "20min", "--seed", "8", "--out", &out]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    out
+}
+
+#[test]
+fn effects_on_a_recording_are_found_and_its_own_are_no_false_alarms() {
+    let folder = tempfile::tempdir().unwrap();
+    let desk = recording(folder.path());
+    let out = folder.path().join("trial");
+    let kinds = ["--cases", "8", "--seed", "5", "--samples", "16000", "--kinds", "none,bursts,tone,low_pass,timing"];
+    let on = ["trial", "--json", "--on", &desk, "--out", out.to_str().unwrap()];
+    let ended = vn100d(&[&on[..], &kinds[..]].concat());
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(0), "{said}");
+    let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
+    // 48,000 samples are three stretches.
+    assert_eq!((&score["on"]["stretches"], &score["on"]["recording"]), (&3.into(), &desk.into()));
+    assert_eq!((&score["cases"], &score["rates"]["refused"]["count"]), (&8.into(), &0.into()), "{score}");
+    let keys: Vec<vn100d::trial::Key> = serde_json::from_slice(&std::fs::read(out.join("key.json")).unwrap()).unwrap();
+    for key in &keys {
+        assert_eq!((key.samples, key.channels.len()), (16_000, 2));
+        for effect in &key.effects {
+            // The line of accel_y could not be told from another.
+            assert!(effect.kind != vn100d::trial::Kind::Tone || effect.channels == ["accel_z"], "{key:?}");
+        }
+        assert!(out.join(format!("reports/{:05}-own.json", key.case)).exists());
+    }
+    assert!(keys.iter().any(|key| !key.effects.is_empty()));
+    assert_eq!(score["rates"]["none_named"]["count"], 0, "{score}");
+    assert!(score["rates"]["right_first"]["share"].as_f64() >= Some(0.7), "{score}");
+}
+
+/// On what a VN-100 on a desk sent: five minutes in a release build.
+#[test]
+#[ignore = "diagnoses the recording and cases of it: cargo test --release --test it trial_on_a_desk -- --ignored"]
+fn a_trial_on_a_desk_recording_finds_what_is_imposed() {
+    let Some(file) = real_data("vn100-desk/live_capture.txt.gz") else { return };
+    let on = ["trial", "--json", "--on", file.to_str().unwrap(), "--rate", "40", "--samples", "15000"];
+    let ended = vn100d(&[&on[..], &["--cases", "30", "--seed", "6", "--kinds", "none,single"]].concat());
+    assert_eq!(ended.status.code(), Some(0), "{}", String::from_utf8_lossy(&ended.stderr));
+    let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
+    assert_eq!((&score["on"]["stretches"], &score["rates"]["refused"]["count"]), (&2.into(), &0.into()), "{score}");
+    assert!(score["rates"]["right_first"]["share"].as_f64() >= Some(0.7), "{:#}", score["rates"]);
+    assert!(score["rates"]["none_named"]["share"].as_f64() <= Some(0.3), "{:#}", score["rates"]);
+}
+
+#[test]
+fn a_recording_that_is_too_short_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("short.csv");
+    let rows: String =
+        (0..500).map(|i| format!("{:.3},{:.6}\n", f64::from(i) * 0.025, f64::from(i * 7919 % 1000) * 1e-6)).collect();
+    std::fs::write(&file, format!("time_s,gyro_x_rad_s\n{rows}")).unwrap();
+    let ended = vn100d(&["trial", "--on", file.to_str().unwrap(), "--cases", "2"]);
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(2), "{said}");
+    assert!(said.contains("500 samples") && said.contains("10000"), "{said}");
+}
+
 #[test]
 fn what_is_asked_for_is_checked_first() {
     for (arguments, part) in [
@@ -45,6 +141,7 @@ fn what_is_asked_for_is_checked_first() {
         (["--at-least", "right=0.9"], "right_first"),
         (["--at-most", "spurious=2"], "NAME=SHARE"),
         (["--cases", "0"], "no such case"),
+        (["--samples", "900"], "10000 or more"),
     ] {
         let ended = vn100d(&[&["trial"], &arguments[..]].concat());
         let said = String::from_utf8_lossy(&ended.stderr).into_owned();

@@ -69,7 +69,7 @@ pub enum ImposeError {
 }
 
 /// Samples below which no effect is drawn: events and bursts would not fit.
-const SAMPLES_MIN: usize = 10_000;
+pub const SAMPLES_MIN: usize = 10_000;
 
 /// What an effect does to columns.
 trait Act: std::fmt::Debug + Send + Sync {
@@ -220,25 +220,29 @@ impl Effect {
     }
 }
 
-/// The channels that a kind acts on: some at random, or what it cannot act on less than.
+/// The channels that a kind acts on: some at random, or what it cannot act on less than; none that has something like it of
+/// itself.
 fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>, ImposeError> {
-    let count = setting.parts.len();
-    let least = if matches!(kind, Kind::CommonMode | Kind::DelayedCrosstalk) { 2 } else { 1 };
+    let free: Vec<usize> =
+        (0..setting.parts.len()).filter(|at| setting.is_free(setting.parts[*at].channel, kind)).collect();
+    let (count, least) = (free.len(), kind.channels_min());
     if count < least {
         return Err(ImposeError::TooFewChannels { kind, needed: least, found: count });
     }
-    match kind {
-        Kind::Timing => Ok((0..count).collect()),
+    let chosen = match kind {
+        Kind::Timing => (0..count).collect(),
         Kind::HeldSamples => {
-            let mut triads: Vec<Option<Triad>> = setting.parts.iter().map(|part| part.channel.triad()).collect();
+            let triad_of = |at: &usize| setting.parts[free[*at]].channel.triad();
+            let mut triads: Vec<Option<Triad>> = (0..count).map(|at| triad_of(&at)).collect();
             triads.dedup();
             let triad = triads[device.whole(0, triads.len() - 1)];
-            Ok((0..count).filter(|at| setting.parts[*at].channel.triad() == triad).collect())
+            (0..count).filter(|at| triad_of(at) == triad).collect()
         }
-        // One that crosses over is heard on the others.
-        Kind::DelayedCrosstalk => Ok(device.some_of(count - 1, 1).into_iter().map(|at| at + 1).collect()),
-        _ => Ok(device.some_of(count, least)),
-    }
+        // One that crosses over, the first, is heard on the others.
+        Kind::DelayedCrosstalk => device.some_of(count - 1, 1).into_iter().map(|at| at + 1).collect(),
+        _ => device.some_of(count, least),
+    };
+    Ok(chosen.into_iter().map(|at| free[at]).collect())
 }
 
 /// An object of one entry per pair.

@@ -73,8 +73,10 @@ impl Act for Stamps {
         let (first, rate_hz) = (on.time_s.first().copied().unwrap_or(0.0), on.rate_hz);
         // A stamp never lies before the one that it follows.
         let bound = 0.45 / rate_hz;
-        let stamp = |i: usize| first + i as f64 / rate_hz + (self.0 * jitter.normal()).clamp(-bound, bound);
-        on.time_s = (0..samples).map(stamp).collect();
+        if on.time_s.len() != samples {
+            on.time_s = (0..samples).map(|i| first + i as f64 / rate_hz).collect();
+        }
+        on.time_s.iter_mut().for_each(|stamp| *stamp += (self.0 * jitter.normal()).clamp(-bound, bound));
         if self.1 == 0.0 {
             return;
         }

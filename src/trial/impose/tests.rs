@@ -23,6 +23,7 @@ fn setting() -> Setting {
         parts: [Channel::AccelX, Channel::AccelY, Channel::GyroZ].map(part).to_vec(),
         temperature: Some(TemperatureCourse { start_c: 20.0, rise_c: 8.0, settles: 0.2, wander_c: 1.0 }),
         first_stamp_s: Some(7.0),
+        own: Default::default(),
     }
 }
 

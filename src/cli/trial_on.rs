@@ -1,0 +1,113 @@
+//! The stretches of a recording that a trial imposes effects on: asked for what they show of themselves, and kept in a folder for the
+//! processes that make cases.
+
+use super::args::TrialArgs;
+use super::trial::each;
+use super::{CliError, Context, Failure, analysis};
+use crate::diagnosis::{self, Options, Recording};
+use crate::jobs::gridded;
+use crate::simulator::SensorModel;
+use crate::trial::limit::STUDY;
+use crate::trial::{Kind, Report, Stretch, Survey, parcel, recorded};
+use anyhow::Context as _;
+use std::path::{Path, PathBuf};
+
+/// How often a stretch is asked what it still shows.
+const ROUNDS: usize = 3;
+
+/// A recording, ready for cases.
+pub(super) struct Ground {
+    /// What it is called.
+    pub name: String,
+    /// Its stretches and what can be imposed on them.
+    pub survey: Survey,
+    folder: tempfile::TempDir,
+}
+
+impl Ground {
+    /// Of a capture or a file, cut, at most `cases` stretches of it.
+    pub(super) fn of(context: &Context, args: &TrialArgs, named: &str) -> anyhow::Result<Self> {
+        let stretches = {
+            let together = analysis::open(context, &[named.to_owned()], args.rate)?;
+            let whole = gridded(&together.source, &together.plan, u64::MAX)?.recording;
+            drop(together);
+            let mut stretches = recorded::cut(&whole, args.samples.unwrap_or(STUDY))
+                .map_err(|error| CliError { failure: Failure::Usage, message: format!("--on {named}: {error}") })?;
+            stretches.truncate(args.cases.max(1));
+            stretches
+        };
+        let folder = tempfile::tempdir().context("no temporary folder can be made")?;
+        let kinds = each(stretches.len(), args.threads, "stretches asked what they show of themselves", |number| {
+            let stretch = of_itself(&stretches[number])?;
+            let text = serde_json::to_vec(&stretch.own)?;
+            std::fs::write(own(folder.path(), number), text)?;
+            std::fs::write(parcel_of(folder.path(), number), parcel::pack(&stretch.recording, &stretch.model)?)?;
+            Ok(stretch.kinds())
+        })?;
+        let all = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE);
+        let survey = Survey {
+            stretches: stretches.len(),
+            kinds: all.filter(|kind| kinds.iter().all(|of| of.contains(kind))).collect(),
+        };
+        std::fs::write(survey_of(folder.path()), serde_json::to_vec(&survey)?)?;
+        Ok(Self { name: named.to_owned(), survey, folder })
+    }
+
+    /// Where it is kept while this lives.
+    pub(super) fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
+/// What is known of the stretches in a folder.
+pub(super) fn survey(folder: &Path) -> anyhow::Result<Survey> {
+    read(&survey_of(folder)).and_then(|text| Ok(serde_json::from_slice(&text)?))
+}
+
+/// One of them.
+pub(super) fn stretch(folder: &Path, number: usize) -> anyhow::Result<Stretch> {
+    let (recording, model) = parcel::unpack(&read(&parcel_of(folder, number))?)?;
+    let own = serde_json::from_slice(&read(&own(folder, number))?)?;
+    Ok(Stretch { recording, model, own })
+}
+
+/// A stretch with the model that has what it shows.
+fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
+    let mut model = recorded::first_model(recording);
+    let mut named = Vec::new();
+    for round in 0..ROUNDS {
+        // Of a device that nobody described nothing is believed; of a model that was fitted it is.
+        let options = Options { believed: round > 0, ..Options::default() };
+        let outcome = diagnosis::diagnose(recording, &model, &options)?;
+        let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
+        named = report.causes.into_iter().map(|cause| (cause.effect, cause.channels)).collect();
+        if named.is_empty() && round > 0 {
+            break;
+        }
+        if round + 1 < ROUNDS {
+            model = read_again(&outcome.augmented)?;
+        }
+    }
+    Ok(Stretch::new(recording.clone(), model, &named))
+}
+
+/// The model as the processes that are told it read it.
+fn read_again(model: &SensorModel) -> anyhow::Result<SensorModel> {
+    Ok(SensorModel::from_value(&serde_json::to_value(model)?, "the corrected model")?)
+}
+
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("{} cannot be read", path.display()))
+}
+
+fn survey_of(folder: &Path) -> PathBuf {
+    folder.join("survey.json")
+}
+
+fn parcel_of(folder: &Path, number: usize) -> PathBuf {
+    folder.join(format!("{number:05}.parcel"))
+}
+
+fn own(folder: &Path, number: usize) -> PathBuf {
+    folder.join(format!("{number:05}.json"))
+}
