@@ -69,6 +69,8 @@ pub struct Accountant {
     rate_hz: f64,
     timebase: Timebase,
     last: Option<Position>,
+    /// Rate of the last sample's segment, Hz: another than `rate_hz` where that was told and nothing came since.
+    last_rate_hz: f64,
     /// A segment is open and the next sample may continue it.
     open: Option<Segment>,
     segments: u32,
@@ -102,6 +104,7 @@ impl Accountant {
             rate_hz,
             timebase,
             last: None,
+            last_rate_hz: rate_hz,
             open: None,
             segments: 0,
             epoch: 1,
@@ -371,6 +374,7 @@ impl Accountant {
             host_mono_ns: sample.host_mono_ns,
             host_utc_ns: sample.host_utc_ns,
         });
+        self.last_rate_hz = self.rate_hz;
         out.push(Record::Sample { seq: self.received, segment: self.segments, sample });
         self.received += 1;
     }

@@ -10,6 +10,13 @@
 //!    behind the last sample only host time tells what is missing, and arrival times tell nothing that could be checked
 //!    against: both enter `expected` as they were recorded, and [`Report::unchecked`] says how many and why.
 //!
+//! First and last tick tell how many samples there should be only if all of them lie on one grid: the last one a whole number
+//! of periods behind the first. Where another rate came and went while nothing arrived, or a reset was not seen, the ticks
+//! go on between two places of that grid, and the distance across is no number of samples: two and a half periods may be
+//! three, two such distances are five periods and may be six. So a distance that is no whole number of periods is rounded by
+//! itself, its gap is checked against it, and the ticks behind it count on a grid of their own. Whole ones are never rounded
+//! apart: a gap that counts one too few is found however many segments lie between first and last.
+//!
 //! The definition is in one place: [`audit_in_order`]. The store feeds it row by row from one snapshot of the database, tests
 //! from memory ([`audit`]).
 
@@ -20,6 +27,9 @@ use std::collections::BTreeMap;
 
 /// A list of stretches in a report has at most this many entries; those that do not hold come first.
 pub const STRETCHES_SHOWN: usize = 100;
+
+/// Two segments whose distance is further than this share of a period from a whole number of periods are on two grids.
+const OFF_GRID: f64 = 0.05;
 
 /// A segment, as far as the audit needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -257,12 +267,23 @@ struct Open {
     first: SegmentFacts,
     last: SegmentFacts,
     samples: u64,
+    /// The first tick of the grid that the last segment stands on.
+    grid_from: Option<u64>,
+    /// Periods from the stretch's first tick to `grid_from`.
+    before_grid: u64,
+}
+
+/// How many periods there are from one tick to a later one of the sensor's clock.
+fn periods(from: u64, to: u64, rate_hz: f64) -> f64 {
+    to.wrapping_sub(from) as f64 / period_ns(rate_hz)
 }
 
 impl Open {
     fn new(segment: &SegmentFacts) -> Self {
         let (first, last) = (segment.clone(), segment.clone());
-        Self { first_seq: segment.first_seq, first, last, samples: segment.samples }
+        // A count of messages has no places in between.
+        let grid_from = segment.ticks.filter(|_| segment.timebase == Timebase::Device).map(|(from, _)| from);
+        Self { first_seq: segment.first_seq, first, last, samples: segment.samples, grid_from, before_grid: 0 }
     }
     fn goes_on_with(&self, next: &SegmentFacts) -> bool {
         let one = &self.last;
@@ -270,13 +291,24 @@ impl Open {
     }
     fn push(&mut self, segment: &SegmentFacts) {
         self.samples += segment.samples;
+        if let (Some(grid_from), Some((_, to)), Some((from, _))) = (self.grid_from, self.last.ticks, segment.ticks) {
+            let step = periods(to, from, segment.rate_hz);
+            if (step - step.round()).abs() > OFF_GRID {
+                let of_grid = periods(grid_from, to, segment.rate_hz).round() as u64;
+                self.before_grid = self.before_grid.saturating_add(of_grid).saturating_add(step.round() as u64);
+                self.grid_from = Some(from);
+            }
+        }
         self.last = segment.clone();
     }
     /// The stretch, without what is missing in it.
     fn stretch(&self) -> Stretch {
         let Self { first, last, .. } = self;
         let expected = first.ticks.zip(last.ticks).and_then(|((from, _), (_, to))| match first.timebase {
-            Timebase::Device => Some((to.wrapping_sub(from) as f64 / period_ns(first.rate_hz)).round() as u64 + 1),
+            Timebase::Device => self.grid_from.map(|grid_from| {
+                let of_grid = periods(grid_from, to, first.rate_hz).round() as u64;
+                self.before_grid.saturating_add(of_grid).saturating_add(1)
+            }),
             // The counter has 32 bits; it steps once for each message.
             Timebase::SyncCounter => Some((to.wrapping_sub(from) & u64::from(u32::MAX)) + 1),
             Timebase::Arrival | Timebase::Stamps | Timebase::Rate => None,
@@ -542,6 +574,35 @@ mod tests {
         let segments = [segment(1, 1, 0, 10, 0), segment(2, 1, 11, 5, 10)];
         let report = audit(&segments, &[], counts(16, 0, 0, 2));
         assert_eq!(report.violations.len(), 3, "{:?}", report.violations);
+    }
+
+    /// The sensor had another rate while nothing arrived, twice: each distance is two and a half periods.
+    #[test]
+    fn a_distance_that_is_no_whole_number_of_periods_is_checked_by_itself() {
+        let half = PERIOD_NS / 2;
+        let shifted = |segment: SegmentFacts, by_ns: u64| SegmentFacts {
+            ticks: segment.ticks.map(|(from, to)| (from + by_ns, to + by_ns)),
+            ..segment
+        };
+        let segments = [
+            segment(1, 1, 0, 10, 100),
+            shifted(segment(2, 1, 10, 10, 111), half),
+            segment(3, 1, 20, 10, 123),
+            // On the same grid: seven are missing.
+            segment(4, 1, 30, 10, 140),
+        ];
+        let report = |missing: [u64; 3]| {
+            let gaps: Vec<GapFacts> =
+                (1..).zip(missing).map(|(index, missing)| GapFacts { before_seq: index * 10, missing }).collect();
+            audit(&segments, &gaps, counts(40, missing.iter().sum(), 3, 4))
+        };
+        let whole = report([2, 2, 7]);
+        assert!(whole.holds, "{:?}", whole.violations);
+        assert_eq!((whole.expected, whole.stretches.len(), whole.unchecked.len()), (51, 1, 0));
+        for (missing, difference) in [([1, 2, 7], 1), ([2, 3, 7], -1), ([2, 2, 6], 1)] {
+            let wrong = report(missing);
+            assert_eq!((wrong.holds, wrong.expected_difference), (false, difference), "{missing:?}");
+        }
     }
 
     #[test]

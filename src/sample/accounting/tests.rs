@@ -90,6 +90,48 @@ fn a_silent_change_of_rate_is_a_new_segment_and_no_loss() {
     }
 }
 
+/// One measurement after another, at these times of the sensor's clock.
+fn observe_at(accountant: &mut Accountant, ticks_ns: impl IntoIterator<Item = u64>, out: &mut Vec<Record>) {
+    for at_ns in ticks_ns {
+        let mut next = sample(0, true, 0);
+        (next.device_time_ns, next.host_mono_ns) = (Some(at_ns), at_ns);
+        accountant.observe(next, out);
+    }
+}
+
+/// 200 → 80 Hz: steps of two and a half periods, which no loss makes, however early the stream is interrupted.
+#[test]
+fn steps_that_are_no_whole_number_of_periods_are_another_rate_and_no_loss() {
+    let (mut accountant, mut out) = (Accountant::new(200.0, Timebase::Device), Vec::new());
+    observe_at(&mut accountant, (0..20).map(|index| 5_000_000_000 + index * 5_000_000), &mut out);
+    observe_at(&mut accountant, (1..5).map(|index| 5_095_000_000 + index * 12_500_000), &mut out);
+    accountant.interrupt(GapCause::StorageBackpressure, &mut out);
+    assert_eq!((accountant.rate_hz(), accountant.received(), accountant.missing()), (80.0, 24, 0));
+}
+
+/// 200 Hz, told to be 40 Hz, and still 200 Hz, with one lost in between: what is missing follows from the ticks alone.
+#[test]
+fn a_rate_that_was_told_and_never_came_hides_no_loss() {
+    let (mut accountant, mut out) = (Accountant::new(200.0, Timebase::Device), Vec::new());
+    observe_at(&mut accountant, (0..20).map(|index| 5_000_000_000 + index * 5_000_000), &mut out);
+    accountant.change(40.0, Timebase::Device, &mut out);
+    observe_at(&mut accountant, (21..60).map(|index| 5_000_000_000 + index * 5_000_000), &mut out);
+    accountant.settle(&mut out);
+    assert_eq!((accountant.rate_hz(), accountant.received(), accountant.missing()), (200.0, 59, 1));
+    assert!(gaps(&out)[0].missing_exact);
+}
+
+/// Samples of one segment stand a period apart; a single step of 0.6 periods is neither a loss nor a repetition.
+#[test]
+fn a_step_that_is_no_period_begins_a_segment() {
+    let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
+    let ticks = (0..10).map(|index| index * PERIOD_NS).chain((0..10).map(|index| (9 + index) * PERIOD_NS + 15_000_000));
+    observe_at(&mut accountant, ticks.map(|at_ns| 5_000_000_000 + at_ns), &mut out);
+    accountant.settle(&mut out);
+    assert_eq!((accountant.received(), accountant.missing()), (20, 0));
+    assert_eq!(seqs(&out)[9..11], [(9, 1), (10, 2)]);
+}
+
 /// A tick that is wrong, by itself, before an interruption or after a trial that was none, is no rate.
 #[test]
 fn a_single_short_step_is_no_change_of_rate() {

@@ -13,9 +13,9 @@ const RATE_SAME: f64 = 0.01;
 /// regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
 const RATE_STEPS_MIN: usize = 12;
 const RATE_TRIAL_NS: f64 = 1e8;
-/// No loss makes a step shorter than a period. So many of one length in succession are another rate although the stream
-/// was interrupted before it was tried for long; one or two may be a tick that is wrong.
-const RATE_STEPS_SHORT: usize = 3;
+/// No loss makes a step that is no whole number of periods. So many of one length in succession are another rate although
+/// the stream was interrupted before it was tried for long; one or two may be a tick that is wrong.
+const RATE_STEPS_UNEVEN: usize = 3;
 /// A longer step is no rate, ns: register 7's lowest is 1 Hz.
 const RATE_STEP_MAX_NS: f64 = 1.5e9;
 /// After an interruption, device and host must agree on its length within this share (and [`EPOCH_SLACK_NS`]);
@@ -83,14 +83,21 @@ impl Accountant {
         Observation::Taken
     }
 
-    /// What was held are losses, not another rate: unless several steps were shorter than a period, which no loss makes.
+    /// What was held are losses, not another rate: unless several steps were no whole number of periods (shorter than one,
+    /// or two and a half), which no loss makes.
     pub(super) fn end_trial(&mut self, out: &mut Vec<Record>) {
-        let short = self.trial.step_ns < (1.0 - RATE_ODD) * period_ns(self.rate_hz);
-        if short && self.trial.held.len() > RATE_STEPS_SHORT {
+        let periods = self.trial.step_ns / period_ns(self.rate_hz);
+        let uneven = (periods - periods.round().max(1.0)).abs() > RATE_ODD;
+        if uneven && self.trial.held.len() > RATE_STEPS_UNEVEN {
             self.adopt_rate(out);
             return;
         }
-        for sample in std::mem::take(&mut self.trial.held) {
+        let held = std::mem::take(&mut self.trial.held);
+        self.observe_held(held, out);
+    }
+
+    fn observe_held(&mut self, held: Vec<Sample>, out: &mut Vec<Record>) {
+        for sample in held {
             let frame = sample.frame;
             match self.observe_step(sample, out) {
                 Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
@@ -109,6 +116,11 @@ impl Accountant {
         let to_hz = if (near_hz / measured_hz - 1.0).abs() < 0.01 { near_hz } else { measured_hz };
         let from_hz = std::mem::replace(&mut self.rate_hz, to_hz);
         self.open = None;
+        if to_hz == self.last_rate_hz {
+            // Another rate was told and never came: steps of one period, from the last sample on, tell what is missing.
+            self.observe_held(held, out);
+            return Observation::RateChanged { from_hz, to_hz };
+        }
         for (index, sample) in held.into_iter().enumerate() {
             if let (0, Some(last)) = (index, self.last) {
                 // Between the two rates: more than one period of the slower is a gap.
@@ -173,13 +185,17 @@ impl Accountant {
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
         }
         self.backward = 0;
-        let steps = (step_ns / period).round() as u64;
+        let periods = step_ns / period;
+        let steps = periods.round() as u64;
         if steps == 0 {
             return Observation::Duplicate;
         }
         if steps > 1 {
             let gap = self.gap(&last, &sample, device_ns, steps - 1, true, self.cause());
             self.push_gap(gap, out);
+        } else if (periods - 1.0).abs() > RATE_ODD {
+            // Nothing is missing, but the samples of one segment stand a period apart.
+            self.open = None;
         }
         self.take(sample, out);
         Observation::Taken
