@@ -164,7 +164,7 @@ fn head(out: &mut String, report: &Report) {
 /// A bar of a length between 0 and 1, one of at least a hair's breadth.
 fn bar(share: f64, class: &str) -> String {
     // Of what is no number the breadth of a hair.
-    let width = (100.0 * share).max(0.3).min(100.0);
+    let width = if share.is_finite() { (100.0 * share).clamp(0.3, 100.0) } else { 0.3 };
     format!(
         "<svg viewBox=\"0 0 100 10\" preserveAspectRatio=\"none\" aria-hidden=\"true\">\
          <rect class=\"fill-{class}\" width=\"{width:.2}\" height=\"10\"/></svg>"
