@@ -85,7 +85,7 @@ impl Series<'_> {
             for own in 0..count {
                 let Censored { place, bound, sign } = self.censored[own];
                 let precision = entry(place, place);
-                if precision <= 0.0 {
+                if precision.is_nan() || precision <= 0.0 {
                     continue;
                 }
                 let now = self.rest[place];
@@ -119,6 +119,9 @@ impl Series<'_> {
 fn truncated(stream: &mut Stream, [mean, spread]: [f64; 2], bound: f64, sign: f64) -> f64 {
     let normal = Normal::standard();
     let from = sign * (bound - mean) / spread;
+    if from.is_nan() {
+        return bound;
+    }
     let below = normal.cdf(from);
     let share = below + (1.0 - below) * stream.uniform();
     let z = normal.inverse_cdf(share.clamp(1e-12, 1.0 - 1e-12)).max(from);

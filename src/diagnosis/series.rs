@@ -376,7 +376,8 @@ impl<'a> Series<'a> {
     #[must_use]
     pub fn reach(&self) -> usize {
         let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
-        found.max().unwrap_or(0).max(self.setting.reach)
+        // Of a filter that is slower than that there is not enough left to say anything.
+        found.max().unwrap_or(0).max(self.setting.reach).min(self.len() / 32)
     }
 
     /// The samples that a stretch spoils: behind filters it lasts longer.

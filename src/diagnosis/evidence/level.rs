@@ -58,7 +58,7 @@ fn of_ways(series: &Series<'_>, wanted: impl Fn(Follow) -> bool) -> Option<Candi
     Some(candidate(series, Kind::TemperatureCurve, &[course], drift))
 }
 
-/// A warm-up: its time constant from a 120th to a quarter of the record.
+/// A warm-up: its time constant from a 200th to a quarter of the record.
 #[must_use]
 pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| matches!(course, Course::WarmUp(_))) {
