@@ -61,6 +61,8 @@ impl Series<'_> {
     pub(super) fn draw_censored(&mut self) {
         const SWEEPS: usize = 12;
         const REACH: usize = 1024;
+        /// Pairs of samples that a sweep looks at, about: where very many are cut off only near ones are.
+        const PAIRS: usize = 40_000_000;
         /// Part of the kernel's sum of absolute values that may be left out.
         const LEFT: f64 = 1e-3;
         let (n, count) = (self.len(), self.censored.len());
@@ -70,7 +72,8 @@ impl Series<'_> {
         let mut kernel = vec![0.0; n];
         kernel[n / 2] = 1.0;
         self.precise(&mut kernel);
-        let mut kernel = kernel[n / 2..(n / 2 + REACH).min(n)].to_vec();
+        let reach = (PAIRS / (2 * count)).clamp(16, REACH);
+        let mut kernel = kernel[n / 2..(n / 2 + reach).min(n)].to_vec();
         let mut left = kernel.iter().map(|value| value.abs()).sum::<f64>() * LEFT;
         while kernel.len() > 1 && left > kernel[kernel.len() - 1].abs() {
             left -= kernel.pop().unwrap_or_default().abs();

@@ -33,6 +33,8 @@ impl Series<'_> {
     /// known besides that they lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
         const ROUNDS: usize = 200;
+        /// Samples that all rounds together transform: of a long record with a steep filter not all that it could do.
+        const WORK: usize = 60_000_000;
         /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
         const ENOUGH: f64 = 1e-3;
         const IN_A_ROW: usize = 4;
@@ -63,7 +65,7 @@ impl Series<'_> {
         let mut square: f64 = residual.iter().map(|r| r * r).sum();
         let mut spread = vec![0.0; n];
         let mut idle = 0;
-        for _ in 0..ROUNDS {
+        for _ in 0..ROUNDS.min(WORK / n) {
             if idle >= IN_A_ROW || square == 0.0 {
                 break;
             }

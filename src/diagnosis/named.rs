@@ -1,9 +1,11 @@
 //! Named: effects on channels, with what they give and how that is known: of the search, the values, the stamps.
 
+use super::censored;
 use super::diagnose::{Findings, Found, Options};
 use super::evidence::Kind;
 use super::facts;
 use super::pairs;
+use super::prepare::Prepared;
 use super::recording::Recording;
 use super::translate::{self, Translated, Units};
 use crate::effects::timing::JITTER_MAX;
@@ -104,7 +106,9 @@ fn of_facts(of: &Findings) -> Vec<Named> {
         );
     }
     if (facts.low.is_some() || facts.high.is_some()) && !of.prepared.has.contains(&"saturation") {
-        let cut = of.prepared.outliers.len() as f64;
+        // Missing and held samples are left out as well, and are not meant.
+        let Prepared { outliers, samples, limits, .. } = &of.prepared;
+        let cut = censored::at_limits(outliers, samples, samples, *limits).len() as f64;
         let far = 1e3 * of.prepared.scale + of.prepared.level.abs();
         add(
             Arc::new(Saturation { low: facts.low.unwrap_or(-far), high: facts.high.unwrap_or(far) }),

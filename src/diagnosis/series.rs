@@ -154,8 +154,8 @@ impl<'a> Series<'a> {
         self.fit_means();
         self.refit(several);
         if !self.excluded().is_empty() {
-            // What stands for excluded samples depends on the law, and the law a little on that; more where a filter shows in
-            // samples alone that are not cut off.
+            // What stands for excluded samples depends on the law, and the law a little on that; behind a filter, whose
+            // spectrum may be next to nothing somewhere, much.
             let filtered = self.explanation.law.terms.iter().any(Term::is_filter);
             for _ in 0..if filtered { 5 } else { 2 } {
                 self.fit_means();
