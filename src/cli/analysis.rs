@@ -238,7 +238,7 @@ fn same_file(one: &str, two: &str) -> bool {
 }
 
 fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::Result<(Material, Plan)> {
-    let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns() };
+    let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() };
     let recording = load_columns(Path::new(named), options)?;
     let info = &recording.info;
     let units = info.channels.iter().map(|channel| {

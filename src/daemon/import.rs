@@ -137,7 +137,7 @@ pub fn import(
         return Err(StoreError::NameTaken { name: name.clone() }.into());
     }
     let input = Input::file(file).while_wanted(keep_on);
-    let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns() })?;
+    let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), ..Options::default() })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     let mut accountant = RecordingAccountant::new(&info);

@@ -46,7 +46,7 @@ fn suffixes(channel: Channel) -> &'static [(&'static str, &'static str, f64)] {
 }
 
 /// The channel and unit that a column's name means.
-fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
+pub(super) fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
     Channel::ALL.into_iter().find_map(|channel| {
         let suffix = name.strip_prefix(channel.name())?;
         let (_, unit, factor) = suffixes(channel).iter().find(|(known, ..)| *known == suffix)?;

@@ -1,9 +1,10 @@
-//! What a file is, by its content: a bag, raw `$VN…` lines or CSV. Names and endings do not count.
+//! What a file is, by its content: a bag of ROS, raw bytes or lines of a VN-100, CSV. Names and endings do not count.
 
 use super::csv::Header;
 use super::error::RecordingError;
 use super::input::Input;
 use super::meter::Refusal;
+use super::{ros, vn_binary};
 use std::io::Read;
 use std::path::Path;
 
@@ -23,25 +24,36 @@ pub enum Kind {
     Csv,
     /// Raw `$VN…` lines.
     VnText,
+    /// Raw bytes of a VN-100 with binary frames.
+    RawBytes,
     /// A ROS 1 bag, format 2.0.
     Bag,
+    /// A ROS 2 bag in SQLite.
+    Db3,
+    /// An MCAP file.
+    Mcap,
 }
 
 impl Kind {
     /// What one entry of it is called.
     #[must_use]
     pub fn entry(self) -> &'static str {
-        if self == Self::Bag { "message" } else { "line" }
+        match self {
+            Self::Csv | Self::VnText => "line",
+            Self::RawBytes => "byte",
+            Self::Bag | Self::Db3 | Self::Mcap => "message",
+        }
     }
 }
 
 /// Formats that are recognised in order to say so.
-const NOT_READ_YET: [(&[u8], &str); 5] = [
+const NOT_READ_YET: [(&[u8], &str); 6] = [
     (b"#ROSBAG V", "a ROS bag of another version than 2.0"),
-    (b"SQLite format 3\0", "an SQLite database (a ROS 2 .db3, or this program's own)"),
-    (b"\x89MCAP0\r\n", "an MCAP file"),
-    (b"\xFA", "raw binary output of a VN-100"),
     (b"PK\x03\x04", "a ZIP archive"),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB file (in MATLAB: writetable(table(time_s, gyro_x_rad_s, …), 'FILE.csv'))"),
+    (b"\x28\xB5\x2F\xFD", "compressed by zstd (undo it with `zstd -d`)"),
+    (b"PAR1", "a Parquet file"),
+    (b"\x89HDF", "an HDF5 file"),
 ];
 
 /// Turns an error of reading into one that says where.
@@ -73,11 +85,19 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     let file = input.path();
     let mut head = Vec::new();
     input.open()?.take(LOOK_AT_BYTES).read_to_end(&mut head).map_err(|source| read_error(file, 0, source))?;
-    if head.starts_with(super::bag::MAGIC) {
-        return Ok(Kind::Bag);
+    for (magic, kind) in [(ros::BAG_MAGIC, Kind::Bag), (ros::MCAP_MAGIC, Kind::Mcap), (ros::SQLITE_MAGIC, Kind::Db3)] {
+        if head.starts_with(magic) {
+            if kind == Kind::Db3 {
+                ros::check_db3(input)?;
+            }
+            return Ok(kind);
+        }
     }
     if let Some((_, found)) = NOT_READ_YET.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(RecordingError::NotReadYet { file: file.to_owned(), found });
+    }
+    if vn_binary::is_binary(&head) {
+        return Ok(Kind::RawBytes);
     }
     let lines = || head.split(|byte| *byte == b'\n').filter(|line| !line.trim_ascii().is_empty());
     if lines().take(LOOK_AT_LINES).any(|line| line.windows(3).any(|window| window == b"$VN")) {

@@ -69,7 +69,7 @@ pub enum RecordingError {
     #[error(
         "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
          a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed), \
-         or a ROS 1 bag",
+         raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file",
         file.display()
     )]
     Unrecognised {
@@ -79,7 +79,7 @@ pub enum RecordingError {
         found: String,
     },
     /// The content is of a known kind that this version does not read.
-    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines, CSV or a ROS 1 bag", file.display())]
+    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines, CSV, raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file", file.display())]
     NotReadYet {
         /// The file.
         file: PathBuf,
@@ -108,7 +108,7 @@ pub enum RecordingError {
         file: PathBuf,
     },
     /// A recording without times, and no rate was told.
-    #[error("{} has no `time_s` column: give its rate with --rate HZ", file.display())]
+    #[error("{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ", file.display())]
     NoRate {
         /// The file.
         file: PathBuf,
@@ -136,6 +136,22 @@ pub enum RecordingError {
         rejected: u64,
         /// The first rejected line, its cause and text.
         first: String,
+    },
+    /// An SQLite database that is no bag.
+    #[error("{} is {found}; expected the tables `topics` and `messages` of a ROS 2 bag", file.display())]
+    NoBag {
+        /// The file.
+        file: PathBuf,
+        /// What it is instead.
+        found: String,
+    },
+    /// An SQLite database that cannot be read.
+    #[error("{} is an SQLite database that cannot be read: {reason}", file.display())]
+    Database {
+        /// The file.
+        file: PathBuf,
+        /// What SQLite said.
+        reason: String,
     },
     /// A bag without a topic that can be read.
     #[error("{} has no topic with IMU data or raw `$VN…` lines; it has {found}", file.display())]

@@ -27,6 +27,8 @@ pub struct Findings {
     pub short_steps: u64,
     /// Samples that repeat the one before in every channel.
     pub repeated_samples: u64,
+    /// How often the sensor's own clock restarted: what was missed there nothing tells.
+    pub restarts: u64,
     /// Samples with a magnetic field above 25 gauss: the unit is not what it was taken for.
     pub strong_fields: u64,
 }
@@ -74,6 +76,12 @@ impl RecordingInfo {
             remarks.push(format!(
                 "{} samples repeat the one before in every channel: the source was frozen or wrote them twice",
                 found.repeated_samples
+            ));
+        }
+        if found.restarts > 0 {
+            remarks.push(format!(
+                "the sensor's clock restarted {} times (a reset): how long it was away nothing tells, no sample is counted missing there",
+                found.restarts
             ));
         }
         if found.strong_fields > 0 {

@@ -53,6 +53,21 @@ impl Input {
         &self.path
     }
 
+    /// Its bytes, where they are in memory.
+    pub(super) fn bytes(&self) -> Option<&[u8]> {
+        self.bytes.as_deref()
+    }
+
+    /// Whether it is still wanted.
+    pub(super) fn keep_on(&self) -> KeepOn {
+        self.keep_on.clone()
+    }
+
+    /// A meter for a reading of its own.
+    pub(super) fn meter(&self) -> Rc<Meter> {
+        Meter::new(self.keep_on.clone(), self.expansion)
+    }
+
     /// Its content from the start, decompressed where it is gzip.
     pub(super) fn open(&self) -> Result<Box<dyn BufRead>, RecordingError> {
         Ok(self.open_metered()?.0)
@@ -64,7 +79,7 @@ impl Input {
             Some(bytes) => Box::new(Cursor::new(Arc::clone(bytes))),
             None => Box::new(BufReader::with_capacity(BUFFER_BYTES, open_regular(&self.path)?)),
         };
-        let meter = Meter::new(self.keep_on.clone(), self.expansion);
+        let meter = self.meter();
         let mut bytes = FileBytes { bytes, meter: Rc::clone(&meter) };
         // Opening a directory succeeds; reading it does not.
         let head = bytes.fill_buf().map_err(|source| super::detect::read_error(&self.path, 0, source))?;

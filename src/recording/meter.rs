@@ -101,7 +101,7 @@ impl Meter {
         self.file_bytes.set(self.file_bytes.get().saturating_add(bytes as u64));
     }
 
-    fn check(&self) -> Result<(), Refusal> {
+    pub(super) fn check(&self) -> Result<(), Refusal> {
         if let Some(refusal) = self.refused.get() {
             return Err(refusal);
         }

@@ -1,6 +1,7 @@
 //! Recordings: files of samples that somebody else wrote, read as if they had been captured.
 //!
-//! In: a path to CSV (contract, section 4), raw `$VN…` lines, either also gzip-compressed, or a ROS 1 bag. Out: a [`RecordingInfo`] from a
+//! In: a path to CSV (contract, section 4), raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1 or
+//! ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a
 //! first pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](crate::sample::Record)s
 //! ([`account`]), or whole columns ([`load_columns`]).
 //!
@@ -25,15 +26,14 @@ pub mod rows;
 #[cfg(test)]
 mod tests;
 
-mod bag;
-mod bag_rows;
 mod between;
 mod csv;
 mod meter;
 mod order;
-mod ros_message;
+mod ros;
 mod stamps;
 mod survey;
+mod vn_binary;
 mod vn_text;
 
 pub use account::RecordingAccountant;
@@ -45,6 +45,7 @@ pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
 pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use meter::KeepOn;
+pub use ros::MessageDefinition;
 pub use rows::Rejected;
 
 use crate::sample::Sample;
@@ -64,12 +65,14 @@ pub const REJECTED_KEPT: usize = 100;
 pub const GAP_PERIODS: f64 = 1.5;
 
 /// What the caller knows about a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
     /// Samples per second of a recording without stamps.
     pub rate_hz: Option<f64>,
     /// UTC of its start, ns since 1970, where it has no stamps since 1970: the time of the import, say.
     pub started_utc_ns: i64,
+    /// Definitions of messages that a bag does not bring along.
+    pub definitions: Vec<MessageDefinition>,
 }
 
 /// One line's outcome.
@@ -107,7 +110,7 @@ impl Recording {
             return Err(RecordingError::Rate { found: rate_hz });
         }
         let file = input.path();
-        let layout = Layout::find(&input)?;
+        let layout = Layout::find(&input, &options.definitions)?;
         let mut source = layout.open(&input)?;
         let survey = Survey::of(source.rows(), &layout.chosen)?;
         if survey.samples == 0 {
@@ -127,8 +130,8 @@ impl Recording {
         } else {
             match (options.rate_hz, layout.kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
-                (None, Kind::VnText | Kind::Bag) => (DEFAULT_VN_RATE_HZ, true),
-                (None, Kind::Csv) => return Err(RecordingError::NoRate { file: file.to_owned() }),
+                (None, Kind::VnText | Kind::Bag | Kind::Db3 | Kind::Mcap) => (DEFAULT_VN_RATE_HZ, true),
+                (None, Kind::Csv | Kind::RawBytes) => return Err(RecordingError::NoRate { file: file.to_owned() }),
             }
         };
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
@@ -143,7 +146,7 @@ impl Recording {
             ignored_columns,
             stamps,
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
-            findings: survey.findings(rate_hz, stamps),
+            findings: Findings { restarts: source.restarts(), ..survey.findings(rate_hz, stamps) },
             rate_hz,
             rate_assumed,
             unused_rate_hz: options.rate_hz.filter(|_| stamped),
@@ -249,29 +252,33 @@ impl Iterator for Items {
 struct Layout {
     kind: Kind,
     chosen: Chosen,
-    /// The topic of a bag.
-    topic: Option<bag_rows::Topic>,
+    /// The topics of a bag.
+    topics: Option<ros::Topics>,
 }
 
 impl Layout {
-    fn find(input: &Input) -> Result<Self, RecordingError> {
+    fn find(input: &Input, definitions: &[MessageDefinition]) -> Result<Self, RecordingError> {
         let kind = detect(input)?;
-        let topic = if kind == Kind::Bag { Some(bag_rows::Topic::find(input)?) } else { None };
-        let chosen = match (kind, &topic) {
-            (Kind::Csv, _) => csv::CsvRows::open(input)?.chosen()?,
-            (Kind::Bag, Some(topic)) => choose(&mut bag_rows::BagRows::open(input, topic)?)?,
-            (Kind::VnText | Kind::Bag, _) => choose(&mut vn_text::VnRows::open(input, None)?)?,
+        let (chosen, topics) = match kind {
+            Kind::Csv => (csv::CsvRows::open(input)?.chosen()?, None),
+            Kind::VnText => (choose(&mut vn_text::VnRows::open(input, None)?)?, None),
+            Kind::RawBytes => (choose(&mut vn_binary::BinaryRows::open(input)?)?, None),
+            Kind::Bag | Kind::Db3 | Kind::Mcap => {
+                let topics = ros::Topics::find(kind, input, definitions)?;
+                (choose(&mut ros::RosRows::open(input, &topics)?)?, Some(topics))
+            }
         };
-        Ok(Self { kind, chosen, topic })
+        Ok(Self { kind, chosen, topics })
     }
 
     fn open(&self, input: &Input) -> Result<Source, RecordingError> {
-        Ok(match (self.kind, &self.topic) {
-            (Kind::Csv, _) => Source::Csv(Box::new(csv::CsvRows::open(input)?)),
-            (Kind::Bag, Some(topic)) => Source::Bag(Box::new(bag_rows::BagRows::open(input, topic)?)),
-            (Kind::VnText | Kind::Bag, _) => {
-                Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?))
-            }
+        if let Some(topics) = &self.topics {
+            return Ok(Source::Ros(Box::new(ros::RosRows::open(input, topics)?), topics.clone()));
+        }
+        Ok(match self.kind {
+            Kind::Csv => Source::Csv(Box::new(csv::CsvRows::open(input)?)),
+            Kind::RawBytes => Source::RawBytes(Box::new(vn_binary::BinaryRows::open(input)?)),
+            _ => Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?)),
         })
     }
 }
@@ -280,7 +287,8 @@ impl Layout {
 enum Source {
     Csv(Box<csv::CsvRows>),
     VnText(Box<vn_text::VnRows>),
-    Bag(Box<bag_rows::BagRows>),
+    RawBytes(Box<vn_binary::BinaryRows>),
+    Ros(Box<ros::RosRows>, ros::Topics),
 }
 
 impl Source {
@@ -288,15 +296,21 @@ impl Source {
         match self {
             Self::Csv(rows) => rows.as_mut(),
             Self::VnText(rows) => rows.as_mut(),
-            Self::Bag(rows) => rows.as_mut(),
+            Self::RawBytes(rows) => rows.as_mut(),
+            Self::Ros(rows, _) => rows.as_mut(),
         }
     }
     fn about(&self) -> (Vec<Conversion>, Vec<String>) {
         match self {
             Self::Csv(rows) => (rows.header.conversions.clone(), rows.header.ignored.clone()),
             Self::VnText(rows) => (Vec::new(), rows.ignored().to_vec()),
-            Self::Bag(rows) => (rows.conversions(), rows.ignored()),
+            Self::RawBytes(_) => (Vec::new(), Vec::new()),
+            Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
         }
+    }
+    /// How often the sensor's clock restarted.
+    fn restarts(&self) -> u64 {
+        if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
     }
     fn stamp_choice(&self, chosen: &Chosen) -> Option<StampChoice> {
         let column = chosen.column?;
@@ -304,7 +318,8 @@ impl Source {
             Self::Csv(_) => "time_s".to_owned(),
             Self::VnText(_) if chosen.count == 1 => "number before $VN".to_owned(),
             Self::VnText(_) => format!("number {} of {} before $VN", column + 1, chosen.count),
-            Self::Bag(_) => bag_rows::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
+            Self::RawBytes(_) => "sensor's time since its start".to_owned(),
+            Self::Ros(..) => ros::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
         };
         Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone() })
     }

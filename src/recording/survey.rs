@@ -118,6 +118,7 @@ impl Survey {
             short_steps: self.steps.count_where(|step| step < SHORT * mean_ns),
             repeated_samples: self.repeated,
             strong_fields: self.strong_fields,
+            ..Findings::default()
         }
     }
 

@@ -35,7 +35,7 @@ fn gzip(content: &[u8]) -> Vec<u8> {
 }
 
 fn at_rate(rate_hz: f64) -> Options {
-    Options { rate_hz: Some(rate_hz), started_utc_ns: 0 }
+    Options { rate_hz: Some(rate_hz), ..Options::default() }
 }
 
 /// A valid `$VNYMR` line whose gyro x is `value`.
@@ -166,10 +166,10 @@ fn stamps_since_1970_give_the_utc_to_the_nanosecond_others_count_from_the_told_s
     let expected = [(Some(0), MARCH_2024_NS + 1), (Some(25_000_001), MARCH_2024_NS + 25_000_002)];
     assert_eq!(times(unix, Options::default()), expected);
     let relative = "time_s,gyro_x_rad_s\n100,1\n100.5,2\n";
-    let started = Options { rate_hz: None, started_utc_ns: 7 };
+    let started = Options { started_utc_ns: 7, ..Options::default() };
     assert_eq!(times(relative, started), [(Some(0), 7), (Some(500_000_000), 500_000_007)]);
     let unstamped = "gyro_x_rad_s\n1\n2\n";
-    let started = Options { rate_hz: Some(8.0), started_utc_ns: 7 };
+    let started = Options { rate_hz: Some(8.0), started_utc_ns: 7, ..Options::default() };
     assert_eq!(times(unstamped, started), [(None, 7), (None, 125_000_007)]);
 }
 

@@ -51,7 +51,7 @@ pub fn bag(input: &[u8]) {
 /// Reads it as the import does and checks what must hold; each item's line, where it was rejected, and whether the
 /// recording is a CSV. `None` where it was refused as a whole.
 fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
-    let options = Options { rate_hz: None, started_utc_ns: 1 };
+    let options = Options { started_utc_ns: 1, ..Options::default() };
     let recording = match Recording::read(Input::memory("fuzz", input), options) {
         Ok(recording) => recording,
         Err(error) => {

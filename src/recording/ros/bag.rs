@@ -5,13 +5,15 @@
 //! was cut (`.bag.active`) is read as far as it goes.
 //!
 //! Promises: any bytes are read without panic; memory is bounded by the limits below and by the bytes that are there,
-//! never by a length that a record claims; what cannot be read is an entry of its own ([`Record::Damaged`]), behind which
+//! never by a length that a record claims; what cannot be read is an entry of its own ([`Entry::Damaged`]), behind which
 //! reading goes on at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
 
-use super::detect::{read_error, refused};
-use super::error::RecordingError;
-use super::input::Input;
-use super::meter::{Expanded, Meter};
+use super::super::detect::{read_error, refused};
+use super::super::error::RecordingError;
+use super::super::input::Input;
+use super::super::meter::{Expanded, Meter};
+use super::layout::{Encoding, time_ns};
+use super::{Connection, Entry, Messages};
 use bzip2::read::BzDecoder;
 use lz4_flex::frame::FrameDecoder;
 use std::io::{BufRead, Read, Take};
@@ -19,7 +21,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 /// The first line.
-pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+pub(in crate::recording) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Longest header of a record: its fields are a topic and some numbers.
 const HEADER_BYTES: u32 = 64 * 1024;
 /// Longest message or definition that is kept; longer ones are passed over. An IMU's message has some 600 bytes.
@@ -30,28 +32,6 @@ const CHUNK_BYTES: u32 = 256 * 1024 * 1024;
 const OP_MESSAGE: u8 = 0x02;
 const OP_CHUNK: u8 = 0x05;
 const OP_CONNECTION: u8 = 0x07;
-
-/// One entry of a bag.
-#[derive(Debug, PartialEq)]
-pub(super) enum Record<'a> {
-    /// A connection: messages with its number follow.
-    Connection(Connection),
-    /// A message of a wanted connection, its time of reception in ns since 1970, and its bytes.
-    Message { connection: u32, received_ns: i64, data: &'a [u8] },
-    /// Something that cannot be read, and at which byte of the file it begins.
-    Damaged { at: u64, what: String },
-}
-
-/// Where messages come from.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Connection {
-    pub(super) number: u32,
-    pub(super) topic: String,
-    /// Name of the message's type.
-    pub(super) message_type: String,
-    /// Text of its definition and those of the types in it.
-    pub(super) definition: String,
-}
 
 /// Where records are read from.
 enum Place {
@@ -145,54 +125,6 @@ impl BagReader {
         Ok(Self { path, meter, place: Place::File(file), header: Vec::new(), data: Vec::new() })
     }
 
-    /// Whether the bag was read as far as it goes: a reading that was called off looks like a damaged one.
-    ///
-    /// # Errors
-    /// [`RecordingError::Unwanted`] and [`RecordingError::Expands`].
-    pub(super) fn check(&self) -> Result<(), RecordingError> {
-        self.meter.refused().map_or(Ok(()), |refusal| Err(refused(&self.path, refusal)))
-    }
-
-    /// The next entry; `None` at the end. Messages of connections that are not wanted are passed over.
-    pub(super) fn next_record(&mut self, wanted: impl Fn(u32) -> bool) -> Option<Record<'_>> {
-        loop {
-            let at = self.at();
-            let step = match &mut self.place {
-                Place::End => return None,
-                Place::File(file) => read_record(file, &mut self.header, &mut self.data, &wanted, true),
-                Place::Chunk(Chunk::Plain(bytes)) => {
-                    read_record(bytes, &mut self.header, &mut self.data, &wanted, false)
-                }
-                Place::Chunk(chunk) => {
-                    let mut bytes = Expanded { bytes: chunk.reader(), meter: Rc::clone(&self.meter) };
-                    read_record(&mut bytes, &mut self.header, &mut self.data, &wanted, false)
-                }
-            };
-            match step {
-                Ok(Step::Passed) => {}
-                Ok(Step::Chunk { compression, size, data_bytes }) => {
-                    if let Err(what) = self.enter(&compression, size, data_bytes) {
-                        return Some(Record::Damaged { at, what });
-                    }
-                }
-                Ok(Step::Connection(connection)) => return Some(Record::Connection(connection)),
-                Ok(Step::Message { connection, received_ns }) => {
-                    return Some(Record::Message { connection, received_ns, data: &self.data });
-                }
-                Ok(Step::TooLong(what)) => return Some(Record::Damaged { at, what }),
-                Err(fault) => {
-                    let left = self.leave();
-                    match (fault, left) {
-                        (Fault::End, Ok(())) => {}
-                        (Fault::Damaged(what), _) | (Fault::End, Err(what)) => {
-                            return Some(Record::Damaged { at, what });
-                        }
-                    }
-                }
-            }
-        }
-    }
-
     fn at(&self) -> u64 {
         match &self.place {
             Place::File(file) => file.at,
@@ -236,6 +168,51 @@ impl BagReader {
     }
 }
 
+impl Messages for BagReader {
+    fn check(&self) -> Result<(), RecordingError> {
+        self.meter.refused().map_or(Ok(()), |refusal| Err(refused(&self.path, refusal)))
+    }
+
+    fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>> {
+        loop {
+            let at = self.at();
+            let step = match &mut self.place {
+                Place::End => return None,
+                Place::File(file) => read_record(file, &mut self.header, &mut self.data, wanted, true),
+                Place::Chunk(Chunk::Plain(bytes)) => {
+                    read_record(bytes, &mut self.header, &mut self.data, wanted, false)
+                }
+                Place::Chunk(chunk) => {
+                    let mut bytes = Expanded { bytes: chunk.reader(), meter: Rc::clone(&self.meter) };
+                    read_record(&mut bytes, &mut self.header, &mut self.data, wanted, false)
+                }
+            };
+            match step {
+                Ok(Step::Passed) => {}
+                Ok(Step::Chunk { compression, size, data_bytes }) => {
+                    if let Err(what) = self.enter(&compression, size, data_bytes) {
+                        return Some(Entry::Damaged { at, what });
+                    }
+                }
+                Ok(Step::Connection(connection)) => return Some(Entry::Connection(connection)),
+                Ok(Step::Message { connection, received_ns }) => {
+                    return Some(Entry::Message { connection, received_ns, data: &self.data });
+                }
+                Ok(Step::TooLong(what)) => return Some(Entry::Damaged { at, what }),
+                Err(fault) => {
+                    let left = self.leave();
+                    match (fault, left) {
+                        (Fault::End, Ok(())) => {}
+                        (Fault::Damaged(what), _) | (Fault::End, Err(what)) => {
+                            return Some(Entry::Damaged { at, what });
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// What became of one record.
 enum Step {
     Passed,
@@ -250,7 +227,7 @@ fn read_record(
     bytes: &mut (impl Read + ?Sized),
     header: &mut Vec<u8>,
     data: &mut Vec<u8>,
-    wanted: &impl Fn(u32) -> bool,
+    wanted: &dyn Fn(u32) -> bool,
     in_file: bool,
 ) -> Result<Step, Fault> {
     let Some(header_bytes) = read_length(bytes)? else { return Err(Fault::End) };
@@ -369,7 +346,7 @@ impl Head {
                 b"size" => head.size = number(value),
                 b"time" => {
                     head.received_ns = value.split_at_checked(4).and_then(|(seconds, nanos)| {
-                        Some(super::ros_message::time_ns(number(seconds)?, number(nanos)?))
+                        Some(time_ns(number(seconds)?, number(nanos)?))
                     });
                 }
                 _ => {}
@@ -380,7 +357,8 @@ impl Head {
 }
 
 fn connection(number: u32, topic: String, data: &[u8]) -> Connection {
-    let mut connection = Connection { number, topic, message_type: String::new(), definition: String::new() };
+    let (message_type, definition) = (String::new(), String::new());
+    let mut connection = Connection { number, topic, message_type, definition, encoding: Ok(Encoding::Ros1) };
     for (name, value) in fields(data).flatten() {
         match name {
             b"type" => connection.message_type = text(value),

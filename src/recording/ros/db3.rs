@@ -1,0 +1,223 @@
+//! The messages of a ROS 2 bag in SQLite (`.db3`), one after another.
+//!
+//! Read in the order of recording, some hundred rows at a time. Bags of ROS 2 Iron and later hold the definitions of their
+//! messages; for older ones they are standard or given ([`super::definition`]).
+//!
+//! The file is not trusted: it is opened for reading alone, without what a schema may run; views and triggers have no rows of
+//! their own to be read by; a value longer than [`MESSAGE_BYTES`] is passed over. A statement ends when the reading is called
+//! off. Format: <https://github.com/ros2/rosbag2>, `rosbag2_storage_sqlite3`.
+
+use super::super::detect::refused;
+use super::super::error::RecordingError;
+use super::super::input::Input;
+use super::super::meter::Meter;
+use super::layout::Encoding;
+use super::{Connection, Entry, Messages};
+use rusqlite::config::DbConfig;
+use rusqlite::limits::Limit;
+use rusqlite::{Connection as Database, MAIN_DB, OpenFlags, params};
+use std::collections::{HashMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+/// How a file begins.
+pub(in crate::recording) const MAGIC: &[u8] = b"SQLite format 3\0";
+/// Longest message that is kept.
+const MESSAGE_BYTES: i64 = 1024 * 1024;
+/// Messages read at a time.
+const ROWS: i64 = 512;
+/// Topics that are looked at.
+const TOPICS_MAX: i64 = 4096;
+/// Steps of SQLite's virtual machine after which it is asked whether the reading is still wanted.
+const ASK_STEPS: i32 = 100_000;
+
+/// A message as it was read.
+struct Message {
+    topic: i64,
+    received_ns: i64,
+    /// `None`: too long.
+    data: Option<Vec<u8>>,
+}
+
+/// Reads a bag's messages.
+pub(super) struct Db3Reader {
+    path: PathBuf,
+    meter: Rc<Meter>,
+    database: Database,
+    connections: VecDeque<Connection>,
+    messages: VecDeque<Message>,
+    /// Topics by their ids, which need not fit a connection's number.
+    numbers: HashMap<i64, u32>,
+    last_row: i64,
+    ended: bool,
+    current: Vec<u8>,
+}
+
+/// Checks that an SQLite file is a bag.
+///
+/// # Errors
+/// [`RecordingError::NoBag`] with the tables that it has.
+pub(in crate::recording) fn check(input: &Input) -> Result<(), RecordingError> {
+    let database = open(input)?;
+    let fault = |error| fault(input.path(), &error);
+    let mut statement =
+        database.prepare("SELECT name FROM sqlite_schema WHERE type = 'table' LIMIT 64").map_err(fault)?;
+    let names = statement.query_map([], |row| row.get::<_, String>(0)).map_err(fault)?;
+    let names = names.collect::<Result<Vec<_>, _>>().map_err(fault)?;
+    if ["topics", "messages"].iter().all(|wanted| names.iter().any(|name| name == wanted)) {
+        return Ok(());
+    }
+    let found = if ["capture", "sample", "segment"].iter().all(|own| names.iter().any(|name| name == own)) {
+        "this program's own database: name a capture in it, and its folder with --data-dir".to_owned()
+    } else {
+        let names: Vec<String> = names.iter().take(20).map(|name| name.chars().take(40).collect()).collect();
+        format!("an SQLite database with the tables {}", if names.is_empty() { "none".to_owned() } else { names.join(", ") })
+    };
+    Err(RecordingError::NoBag { file: input.path().to_owned(), found })
+}
+
+fn fault(path: &Path, error: &rusqlite::Error) -> RecordingError {
+    RecordingError::Database { file: path.to_owned(), reason: error.to_string() }
+}
+
+/// Opens it for reading alone.
+fn open(input: &Input) -> Result<Database, RecordingError> {
+    let path = input.path();
+    let fault = |error| fault(path, &error);
+    let database = match input.bytes() {
+        Some(bytes) => {
+            let mut database = Database::open_in_memory().map_err(fault)?;
+            database.deserialize_read_exact(MAIN_DB, bytes, bytes.len(), true).map_err(fault)?;
+            database
+        }
+        None => open_file(path).map_err(fault)?,
+    };
+    for (setting, on) in [
+        (DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true),
+        (DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false),
+        (DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false),
+        (DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false),
+    ] {
+        database.set_db_config(setting, on).map_err(fault)?;
+    }
+    // A message is cut off in SQL; a text (a definition) may be longer.
+    database.set_limit(Limit::SQLITE_LIMIT_LENGTH, 64 << 20).map_err(fault)?;
+    Ok(database)
+}
+
+/// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads; where that cannot be (a
+/// folder that may only be read), the file counts as it is.
+fn open_file(path: &Path) -> rusqlite::Result<Database> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+    let mut text = String::new();
+    for byte in path.as_os_str().as_encoded_bytes() {
+        match byte {
+            b'/' | b'.' | b'-' | b'_' | b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => text.push(char::from(*byte)),
+            other => text.push_str(&format!("%{other:02X}")),
+        }
+    }
+    let database = Database::open_with_flags(format!("file:{text}?mode=ro"), flags)?;
+    let readable = database.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0));
+    match readable {
+        Err(rusqlite::Error::SqliteFailure(error, _)) if error.code == rusqlite::ErrorCode::CannotOpen => {
+            Database::open_with_flags(format!("file:{text}?mode=ro&immutable=1"), flags)
+        }
+        _ => Ok(database),
+    }
+}
+
+impl Db3Reader {
+    pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
+        let meter = input.meter();
+        let database = open(input)?;
+        let asked = input.keep_on();
+        database
+            .progress_handler(ASK_STEPS, Some(move || !asked.is_wanted()))
+            .map_err(|error| fault(input.path(), &error))?;
+        let mut reader = Self {
+            path: input.path().to_owned(),
+            meter,
+            database,
+            connections: VecDeque::new(),
+            messages: VecDeque::new(),
+            numbers: HashMap::new(),
+            last_row: i64::MIN,
+            ended: false,
+            current: Vec::new(),
+        };
+        reader.read_topics().map_err(|error| fault(input.path(), &error))?;
+        Ok(reader)
+    }
+
+    fn read_topics(&mut self) -> rusqlite::Result<()> {
+        let definitions = self.definitions().unwrap_or_default();
+        let mut statement =
+            self.database.prepare("SELECT id, name, type, serialization_format FROM topics ORDER BY id LIMIT ?1")?;
+        let mut rows = statement.query([TOPICS_MAX])?;
+        while let Some(row) = rows.next()? {
+            let (id, topic): (i64, String) = (row.get(0)?, row.get(1)?);
+            let (message_type, encoding): (String, String) = (row.get(2)?, row.get(3)?);
+            let number = self.connections.len() as u32;
+            self.numbers.insert(id, number);
+            self.connections.push_back(Connection {
+                number,
+                topic,
+                definition: definitions.get(&message_type).cloned().unwrap_or_default(),
+                message_type,
+                encoding: Encoding::from_name(&encoding),
+            });
+        }
+        Ok(())
+    }
+
+    /// The definitions of message types, where the bag has them.
+    fn definitions(&self) -> rusqlite::Result<HashMap<String, String>> {
+        let sql = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg' LIMIT ?1";
+        let mut statement = self.database.prepare(sql)?;
+        let rows = statement.query_map([TOPICS_MAX], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        rows.collect()
+    }
+
+    fn fill(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<()> {
+        // A topic of images beside the IMU's is not even read.
+        let topics: Vec<String> =
+            self.numbers.iter().filter(|(_, number)| wanted(**number)).map(|(id, _)| id.to_string()).collect();
+        let sql = format!(
+            "SELECT rowid, topic_id, timestamp, CASE WHEN length(data) <= {MESSAGE_BYTES} THEN data END FROM messages \
+             WHERE rowid > ?1 AND topic_id IN ({}) ORDER BY rowid LIMIT {ROWS}",
+            topics.join(",")
+        );
+        let mut statement = self.database.prepare_cached(&sql)?;
+        let mut rows = statement.query(params![self.last_row])?;
+        while let Some(row) = rows.next()? {
+            self.last_row = row.get(0)?;
+            let data = row.get_ref(3)?.as_blob().ok().map(<[u8]>::to_vec);
+            self.messages.push_back(Message { topic: row.get(1)?, received_ns: row.get(2)?, data });
+        }
+        self.ended = self.messages.is_empty();
+        Ok(())
+    }
+}
+
+impl Messages for Db3Reader {
+    fn check(&self) -> Result<(), RecordingError> {
+        self.meter.check().map_err(|refusal| refused(&self.path, refusal))
+    }
+
+    fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>> {
+        if let Some(connection) = self.connections.pop_front() {
+            return Some(Entry::Connection(connection));
+        }
+        if self.messages.is_empty() && !self.ended && let Err(error) = self.fill(wanted) {
+            self.ended = true;
+            return Some(Entry::Damaged { at: 0, what: format!("behind row {}: {error}", self.last_row) });
+        }
+        let Message { topic, received_ns, data } = self.messages.pop_front()?;
+        let Some(data) = data else {
+            return Some(Entry::Damaged { at: 0, what: format!("a message of topic {topic} that is no blob or too long") });
+        };
+        self.current = data;
+        let connection = self.numbers.get(&topic).copied().unwrap_or(u32::MAX);
+        Some(Entry::Message { connection, received_ns, data: &self.current })
+    }
+}

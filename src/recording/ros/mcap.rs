@@ -1,0 +1,259 @@
+//! The messages of an MCAP file, one after another.
+//!
+//! The crate `mcap` finds the file's records; what lies in a chunk is taken apart here, so that a chunk that is damaged costs
+//! itself alone and no claimed length takes memory. The index at the end is not needed: a file that was cut is read as far
+//! as it goes. Messages of ROS 1 and ROS 2 with definitions in their schemas (`ros1msg`, `ros2msg`) are read.
+//!
+//! Promises: as [`super::bag`]. Format: <https://mcap.dev/spec>.
+
+use super::super::detect::refused;
+use super::super::error::RecordingError;
+use super::super::input::Input;
+use super::super::meter::{Expanded, Meter};
+use super::layout::Encoding;
+use super::{Connection, Entry, Messages};
+use ::mcap::records::{Record, op};
+use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use lz4_flex::frame::FrameDecoder;
+use std::collections::HashMap;
+use std::io::{BufRead, Read};
+use std::path::PathBuf;
+use std::rc::Rc;
+
+/// How a file begins.
+pub(in crate::recording) const MAGIC: &[u8] = ::mcap::MAGIC;
+/// Most bytes that a chunk may have, compressed and decompressed. Recorders write chunks of about 1 MB.
+const CHUNK_BYTES: usize = 256 * 1024 * 1024;
+/// Longest message that is kept; longer ones are passed over.
+const MESSAGE_BYTES: usize = 1024 * 1024;
+/// Read at a time.
+const READ_BYTES: usize = 64 * 1024;
+/// Opcode and length of a record.
+const RECORD_HEAD_BYTES: usize = 9;
+/// Channel, sequence, time of logging and of publishing of a message.
+const MESSAGE_HEAD_BYTES: usize = 22;
+/// Types of messages that are remembered.
+const SCHEMAS_MAX: usize = 1024;
+
+/// A message type.
+struct Schema {
+    name: String,
+    encoding: String,
+    text: String,
+}
+
+/// Reads an MCAP file's messages.
+pub(super) struct McapReader {
+    path: PathBuf,
+    meter: Rc<Meter>,
+    bytes: Box<dyn BufRead>,
+    file: LinearReader,
+    /// How far the file was read.
+    at: u64,
+    ended: bool,
+    /// Records that are there to be taken apart, decompressed.
+    records: Vec<u8>,
+    next: usize,
+    schemas: HashMap<u16, Schema>,
+}
+
+impl McapReader {
+    pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
+        let (bytes, meter) = input.open_metered()?;
+        let options = LinearReaderOptions::default()
+            .with_emit_chunks(true)
+            .with_skip_end_magic(true)
+            .with_record_length_limit(CHUNK_BYTES);
+        Ok(Self {
+            path: input.path().to_owned(),
+            meter,
+            bytes,
+            file: LinearReader::new_with_options(options),
+            at: 0,
+            ended: false,
+            records: Vec::new(),
+            next: 0,
+            schemas: HashMap::new(),
+        })
+    }
+
+    /// Reads the file's next record into `records`: a chunk decompressed, another one as it is. What is wrong otherwise; the
+    /// file may go on behind it.
+    fn fill(&mut self) -> Result<(), String> {
+        self.records.clear();
+        self.next = 0;
+        let read = loop {
+            match self.file.next_event() {
+                None => {
+                    self.ended = true;
+                    return Ok(());
+                }
+                Some(Err(error)) => {
+                    self.ended = true;
+                    return Err(error.to_string());
+                }
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    // What is asked for is what the file claims: memory grows with the bytes that are there.
+                    let wanted = wanted.clamp(1, READ_BYTES);
+                    let read = self.bytes.read(self.file.insert(wanted)).map_err(|error| {
+                        self.ended = true;
+                        error.to_string()
+                    })?;
+                    self.at += read as u64;
+                    self.file.notify_read(read);
+                }
+                Some(Ok(LinearReadEvent::Record { data, opcode })) => break (opcode, data),
+            }
+        };
+        match read {
+            (op::CHUNK, data) => match ::mcap::parse_record(op::CHUNK, data) {
+                Ok(Record::Chunk { header, data }) => {
+                    let size = usize::try_from(header.uncompressed_size).unwrap_or(usize::MAX);
+                    decompress(&header.compression, size, &data, &self.meter, &mut self.records)?;
+                    if header.uncompressed_crc != 0 && crc32fast::hash(&self.records) != header.uncompressed_crc {
+                        self.records.clear();
+                        return Err("a chunk whose checksum is wrong".to_owned());
+                    }
+                    Ok(())
+                }
+                Ok(_) => Ok(()),
+                Err(error) => Err(format!("a chunk that cannot be read: {error}")),
+            },
+            (opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE), data) => {
+                self.records.push(opcode);
+                self.records.extend((data.len() as u64).to_le_bytes());
+                self.records.extend(data);
+                Ok(())
+            }
+            (op::FOOTER, _) => {
+                self.ended = true;
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn connection(&self, channel: ::mcap::records::Channel) -> Connection {
+        let schema = self.schemas.get(&channel.schema_id);
+        let text = schema.filter(|schema| ["ros1msg", "ros2msg"].contains(&schema.encoding.as_str()));
+        Connection {
+            number: u32::from(channel.id),
+            topic: channel.topic,
+            message_type: schema.map_or_else(String::new, |schema| schema.name.clone()),
+            definition: text.map_or_else(String::new, |schema| schema.text.clone()),
+            encoding: Encoding::from_name(&channel.message_encoding),
+        }
+    }
+}
+
+/// Appends what a chunk's content is.
+fn decompress(compression: &str, size: usize, data: &[u8], meter: &Rc<Meter>, out: &mut Vec<u8>) -> Result<(), String> {
+    if size > CHUNK_BYTES {
+        return Err(format!("a chunk of {size} bytes: at most {CHUNK_BYTES} are read"));
+    }
+    let plain: Box<dyn Read + '_> = match compression {
+        "" => {
+            out.extend(data);
+            return Ok(());
+        }
+        "zstd" => Box::new(zstd::stream::read::Decoder::with_buffer(data).map_err(|error| error.to_string())?),
+        "lz4" => Box::new(FrameDecoder::new(data)),
+        other => return Err(format!("a chunk with the unknown compression {:?}", other.chars().take(80).collect::<String>())),
+    };
+    let mut bytes = Expanded { bytes: plain, meter: Rc::clone(meter) }.take(size as u64);
+    let read = bytes.read_to_end(out);
+    if let Err(error) = read {
+        out.clear();
+        return Err(format!("a chunk that cannot be decompressed: {error}"));
+    }
+    Ok(())
+}
+
+/// What becomes of a record; a message is where it lies.
+enum Found {
+    Passed,
+    Connection(Connection),
+    Message { connection: u32, received_ns: i64, from: usize, to: usize },
+    Damaged(String),
+}
+
+impl McapReader {
+    /// Takes the next record of `records` apart.
+    fn take_apart(&mut self, wanted: &dyn Fn(u32) -> bool) -> Found {
+        let begin = self.next;
+        let head = self.records.get(begin..begin + RECORD_HEAD_BYTES);
+        let Some((&opcode, length)) = head.and_then(|head| head.split_first()) else {
+            self.next = self.records.len();
+            return Found::Damaged("a chunk that ends within a record".to_owned());
+        };
+        let length = length.try_into().map_or(u64::MAX, u64::from_le_bytes);
+        let from = begin + RECORD_HEAD_BYTES;
+        let to = usize::try_from(length).ok().and_then(|length| from.checked_add(length));
+        let Some((to, data)) = to.and_then(|to| Some((to, self.records.get(from..to)?))) else {
+            self.next = self.records.len();
+            return Found::Damaged(format!("a record of {length} bytes in a chunk that has fewer"));
+        };
+        self.next = to;
+        match opcode {
+            op::MESSAGE => {
+                let (Some(channel), Some(logged)) = (data.first_chunk(), data.get(6..14)) else {
+                    return Found::Damaged("a message that ends within its head".to_owned());
+                };
+                let connection = u32::from(u16::from_le_bytes(*channel));
+                let received_ns = logged.try_into().map_or(0, u64::from_le_bytes);
+                if !wanted(connection) {
+                    return Found::Passed;
+                }
+                if data.len() < MESSAGE_HEAD_BYTES || data.len() > MESSAGE_BYTES {
+                    return Found::Damaged(format!("a message of {} bytes", data.len()));
+                }
+                let received_ns = i64::try_from(received_ns).unwrap_or(i64::MAX);
+                Found::Message { connection, received_ns, from: from + MESSAGE_HEAD_BYTES, to }
+            }
+            op::SCHEMA | op::CHANNEL => match ::mcap::parse_record(opcode, data) {
+                Ok(Record::Schema { header, data }) => {
+                    if self.schemas.len() < SCHEMAS_MAX && data.len() <= MESSAGE_BYTES {
+                        let text = String::from_utf8_lossy(&data).into_owned();
+                        let schema = Schema { name: header.name, encoding: header.encoding, text };
+                        self.schemas.insert(header.id, schema);
+                    }
+                    Found::Passed
+                }
+                Ok(Record::Channel(channel)) => Found::Connection(self.connection(channel)),
+                Ok(_) => Found::Passed,
+                Err(error) => Found::Damaged(format!("a record that cannot be read: {error}")),
+            },
+            _ => Found::Passed,
+        }
+    }
+}
+
+impl Messages for McapReader {
+    fn check(&self) -> Result<(), RecordingError> {
+        self.meter.refused().map_or(Ok(()), |refusal| Err(refused(&self.path, refusal)))
+    }
+
+    fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>> {
+        loop {
+            if self.next >= self.records.len() {
+                if self.ended {
+                    return None;
+                }
+                let at = self.at;
+                if let Err(what) = self.fill() {
+                    return Some(Entry::Damaged { at, what });
+                }
+                continue;
+            }
+            match self.take_apart(wanted) {
+                Found::Passed => {}
+                Found::Connection(connection) => return Some(Entry::Connection(connection)),
+                Found::Damaged(what) => return Some(Entry::Damaged { at: self.at, what }),
+                Found::Message { connection, received_ns, from, to } => {
+                    let data = self.records.get(from..to).unwrap_or_default();
+                    return Some(Entry::Message { connection, received_ns, data });
+                }
+            }
+        }
+    }
+}

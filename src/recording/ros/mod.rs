@@ -1,0 +1,72 @@
+//! Recordings of ROS: bags of ROS 1 (`.bag`), of ROS 2 (`.db3`), and MCAP files.
+//!
+//! A file of each kind is read as [`Entry`]s: connections, which tell a topic's type, and the messages of those that are
+//! wanted ([`Messages`]). What a message says is read by its type's [layout](layout). [`topics`] finds the topic that is the
+//! recording and those that go with it; [`rows`] turns its messages into rows.
+
+mod bag;
+mod db3;
+mod definition;
+mod known;
+mod layout;
+mod mcap;
+mod rows;
+mod topics;
+
+pub use definition::MessageDefinition;
+
+pub(super) use bag::MAGIC as BAG_MAGIC;
+pub(super) use db3::{MAGIC as SQLITE_MAGIC, check as check_db3};
+pub(super) use mcap::MAGIC as MCAP_MAGIC;
+pub(super) use rows::{RosRows, STAMP_NAMES};
+pub(super) use topics::Topics;
+
+use super::detect::Kind;
+use super::error::RecordingError;
+use super::input::Input;
+use layout::{Encoding, MessageError};
+
+/// One entry of a file.
+#[derive(Debug, PartialEq)]
+enum Entry<'a> {
+    /// A connection: messages with its number follow.
+    Connection(Connection),
+    /// A message of a wanted connection, its time of reception in ns since 1970, and its bytes.
+    Message { connection: u32, received_ns: i64, data: &'a [u8] },
+    /// Something that cannot be read, and at which byte of the file it begins.
+    Damaged { at: u64, what: String },
+}
+
+/// Where messages come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Connection {
+    number: u32,
+    topic: String,
+    /// Name of the message's type.
+    message_type: String,
+    /// Text of its definition and those of the types in it; empty where the file lacks it.
+    definition: String,
+    /// How messages are put in bytes, or why they cannot be read.
+    encoding: Result<Encoding, MessageError>,
+}
+
+/// A file's entries, one after another.
+trait Messages {
+    /// The next entry; `None` at the end. Messages of connections that are not wanted are passed over.
+    fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>>;
+
+    /// Whether the file was read as far as it goes: a reading that was called off looks like a damaged one.
+    ///
+    /// # Errors
+    /// [`RecordingError::Unwanted`] and [`RecordingError::Expands`].
+    fn check(&self) -> Result<(), RecordingError>;
+}
+
+/// Opens a file of one of these kinds.
+fn open(kind: Kind, input: &Input) -> Result<Box<dyn Messages>, RecordingError> {
+    Ok(match kind {
+        Kind::Db3 => Box::new(db3::Db3Reader::open(input)?),
+        Kind::Mcap => Box::new(mcap::McapReader::open(input)?),
+        _ => Box::new(bag::BagReader::open(input)?),
+    })
+}

@@ -1,0 +1,261 @@
+//! Topics: which of a file's topics is the recording, and which go with it.
+//!
+//! The recording is the topic whose messages hold the sensor's raw lines, else the one with the most channels, else the one
+//! with the most messages. Topics that give further channels under the same stamps (drivers send a magnetic field and a
+//! temperature on their own) go with it; the others are named.
+
+use super::definition::{self, MessageDefinition};
+use super::layout::{Layout, MessageError};
+use super::{Connection, Entry};
+use crate::recording::detect::Kind;
+use crate::recording::error::RecordingError;
+use crate::recording::info::Conversion;
+use crate::recording::input::Input;
+use crate::sample::{Channel, ChannelSet};
+use std::collections::{HashMap, HashSet, VecDeque};
+
+/// Connections that are looked at; a bag has one per topic and publisher.
+pub(super) const CONNECTIONS_MAX: usize = 256;
+/// Other topics that are named.
+const NAMED_MAX: usize = 20;
+/// Topics whose stamps are compared.
+const COMPARED_MAX: usize = 12;
+/// How far apart, in messages, messages of one stamp may lie.
+pub(super) const APART_MAX: usize = 64;
+/// Share of a topic's messages that have the stamp of one of the recording's for it to go with it.
+const SHARE_MIN: f64 = 0.9;
+
+/// One topic.
+#[derive(Debug, Clone)]
+pub(super) struct Topic {
+    pub(super) name: String,
+    pub(super) message_type: String,
+    /// The channels that are taken from it.
+    pub(super) channels: ChannelSet,
+}
+
+impl Topic {
+    pub(super) fn has(&self, connection: &Connection) -> bool {
+        self.name == connection.topic && self.message_type == connection.message_type
+    }
+}
+
+/// The topics that are read.
+#[derive(Debug, Clone)]
+pub(in crate::recording) struct Topics {
+    /// What kind of file it is.
+    pub(super) kind: Kind,
+    pub(super) given: Vec<MessageDefinition>,
+    /// The recording.
+    pub(super) main: Topic,
+    /// Whether its messages hold raw lines.
+    pub(super) raw: bool,
+    /// What goes with it.
+    pub(super) beside: Vec<Topic>,
+    conversions: Vec<Conversion>,
+    /// What else is in the file.
+    others: Vec<String>,
+}
+
+/// A topic that may be read.
+struct Candidate {
+    topic: Topic,
+    messages: u64,
+    raw: u64,
+    /// Units that are not the channels' own.
+    conversions: Vec<Conversion>,
+    /// Why it is not read.
+    refused: Option<String>,
+    /// The last stamps, and how many messages had one of each other candidate's.
+    stamps: VecDeque<i64>,
+    shared: Vec<u64>,
+}
+
+/// Why a topic is not read that could be.
+const NO_DATA: &str = "no IMU data";
+
+impl Candidate {
+    fn new(connection: &Connection, layout: &Result<Layout, MessageError>) -> Self {
+        let refused = match layout {
+            Err(error) => Some(error.to_string()),
+            Ok(layout) if layout.channels().next().is_none() && !layout.has_text() => Some(NO_DATA.to_owned()),
+            Ok(_) => None,
+        };
+        let units = || layout.iter().flat_map(Layout::channels);
+        let conversions = units().filter(|(channel, unit)| unit.name != channel.unit());
+        let conversions = conversions.map(|(channel, unit)| Conversion {
+            channel,
+            column: connection.topic.clone(),
+            original_unit: unit.name,
+            factor: unit.factor,
+        });
+        Self {
+            topic: Topic {
+                name: connection.topic.clone(),
+                message_type: connection.message_type.clone(),
+                channels: units().map(|(channel, _)| channel).collect(),
+            },
+            messages: 0,
+            raw: 0,
+            conversions: conversions.collect(),
+            refused,
+            stamps: VecDeque::new(),
+            shared: Vec::new(),
+        }
+    }
+
+    fn is_usable(&self) -> bool {
+        self.refused.is_none() && (self.raw > 0 || !self.topic.channels.is_empty()) && self.messages > 0
+    }
+
+    fn describe(&self) -> String {
+        let shown = |text: &str| text.chars().take(80).collect::<String>();
+        let why = self.refused.as_ref().map_or_else(
+            || format!("{} messages", self.messages),
+            |refused| if refused == NO_DATA { refused.clone() } else { format!("not read: {refused}") },
+        );
+        format!("{} ({}, {why})", shown(&self.topic.name), shown(&self.topic.message_type))
+    }
+}
+
+/// The layout of a connection's messages.
+pub(super) fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Layout, MessageError> {
+    let encoding = connection.encoding.clone()?;
+    definition::layout(&connection.message_type, &connection.definition, encoding, given)
+}
+
+/// What a first pass over a file finds.
+#[derive(Default)]
+struct Search {
+    candidates: Vec<Candidate>,
+    connections: HashMap<u32, (usize, Layout)>,
+    known: HashSet<u32>,
+}
+
+impl Search {
+    fn connect(&mut self, connection: &Connection, given: &[MessageDefinition]) {
+        if self.known.len() >= CONNECTIONS_MAX || !self.known.insert(connection.number) {
+            return;
+        }
+        let layout = layout_of(connection, given);
+        let same = self.candidates.iter().position(|candidate| candidate.topic.has(connection));
+        let index = same.unwrap_or_else(|| {
+            self.candidates.push(Candidate::new(connection, &layout));
+            self.candidates.len() - 1
+        });
+        if let (Ok(layout), None) = (layout, &self.candidates[index].refused) {
+            self.connections.insert(connection.number, (index, layout));
+        }
+    }
+
+    fn take(&mut self, connection: u32, data: &[u8]) {
+        let Some((index, layout)) = self.connections.get(&connection) else { return };
+        let index = *index;
+        self.candidates[index].messages += 1;
+        // Where one topic is the only one, nothing is to be compared.
+        if !layout.has_text() && self.candidates.len() < 2 {
+            return;
+        }
+        let Ok(values) = layout.read(data) else { return };
+        self.candidates[index].raw += u64::from(values.raw.is_some());
+        let Some(stamp_ns) = values.stamp_ns.filter(|_| index < COMPARED_MAX) else { return };
+        for other in 0..self.candidates.len().min(COMPARED_MAX) {
+            if other != index && self.candidates[other].stamps.contains(&stamp_ns) {
+                self.candidates[index].share(other);
+                self.candidates[other].share(index);
+            }
+        }
+        let stamps = &mut self.candidates[index].stamps;
+        stamps.push_back(stamp_ns);
+        if stamps.len() > APART_MAX {
+            stamps.pop_front();
+        }
+    }
+}
+
+impl Candidate {
+    /// Counts a message that has the stamp of one of another candidate's.
+    fn share(&mut self, other: usize) {
+        if self.shared.len() <= other {
+            self.shared.resize(other + 1, 0);
+        }
+        self.shared[other] += 1;
+    }
+}
+
+impl Topics {
+    /// Looks through the whole file for them.
+    ///
+    /// # Errors
+    /// [`RecordingError::NoTopic`] with what is there, or what reading says.
+    pub(in crate::recording) fn find(
+        kind: Kind,
+        input: &Input,
+        given: &[MessageDefinition],
+    ) -> Result<Self, RecordingError> {
+        let mut reader = super::open(kind, input)?;
+        let mut search = Search::default();
+        let mut damage = None;
+        while let Some(entry) = reader.next_entry(&|number| search.connections.contains_key(&number)) {
+            match entry {
+                Entry::Connection(connection) => search.connect(&connection, given),
+                Entry::Message { connection, data, .. } => search.take(connection, data),
+                Entry::Damaged { at, what } => {
+                    damage.get_or_insert(format!("at byte {at}: {what}"));
+                    reader.check()?;
+                }
+            }
+        }
+        reader.check()?;
+        let mut candidates = search.candidates;
+        let rank = |candidate: &Candidate| {
+            (candidate.raw > 0, candidate.topic.channels.iter().count(), candidate.messages)
+        };
+        // Of equals the first.
+        let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
+        let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
+            let names: Vec<_> = candidates.iter().take(NAMED_MAX).map(Candidate::describe).collect();
+            let mut found = if names.is_empty() { "no topics".to_owned() } else { names.join(", ") };
+            if let Some(damage) = damage {
+                found.push_str(&format!("; it is damaged {damage}"));
+            }
+            return Err(RecordingError::NoTopic { file: input.path().to_owned(), found });
+        };
+        let raw = candidates[main].raw > 0;
+        let (mut taken, mut beside) = (candidates[main].topic.channels, Vec::new());
+        let mut conversions = if raw { Vec::new() } else { candidates[main].conversions.clone() };
+        let mut others = Vec::new();
+        for (index, candidate) in candidates.iter_mut().enumerate() {
+            if index == main {
+                continue;
+            }
+            let fresh: ChannelSet =
+                candidate.topic.channels.iter().filter(|channel| !taken.contains(*channel)).collect();
+            let shared = candidate.shared.get(main).copied().unwrap_or(0) as f64;
+            if !raw && candidate.is_usable() && !fresh.is_empty() && shared >= SHARE_MIN * candidate.messages as f64 {
+                taken = taken.union(fresh);
+                conversions
+                    .extend(candidate.conversions.iter().filter(|conversion| fresh.contains(conversion.channel)).cloned());
+                beside.push(Topic { channels: fresh, ..candidate.topic.clone() });
+            } else if others.len() < NAMED_MAX {
+                others.push(format!("topic {}", candidate.describe()));
+            }
+        }
+        let main = candidates.swap_remove(main).topic;
+        Ok(Self { kind, given: given.to_vec(), main, raw, beside, conversions, others })
+    }
+
+    /// What of the file is not read.
+    pub(in crate::recording) fn ignored(&self) -> Vec<String> {
+        let mut ignored = self.others.clone();
+        if !self.raw && self.main.channels.contains(Channel::GyroX) && !self.main.channels.contains(Channel::Yaw) {
+            ignored.push("orientation (a quaternion)".to_owned());
+        }
+        ignored
+    }
+
+    /// Channels that come in other units than their own.
+    pub(in crate::recording) fn conversions(&self) -> Vec<Conversion> {
+        self.conversions.clone()
+    }
+}
