@@ -125,7 +125,8 @@ fn accounting_lines(report: &Report) -> Vec<String> {
 
 /// Prints what a recording's file would be as a capture.
 fn recording(context: &Context, file: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
-    let recording = load_columns(Path::new(file), Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() })?;
+    let recording =
+        load_columns(Path::new(file), Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() })?;
     let info = &recording.info;
     let rejected = info.rejected.values().any(|count| *count > 0);
     if context.json {

@@ -327,9 +327,9 @@ fn what_is_no_recording_is_refused_with_how_it_begins() {
     let folder = Folder::new();
     for (content, part) in [
         (&b"#ROSBAG V1.2\n"[..], "a ROS bag of another version"),
-        (b"SQLite format 3\0...", "an SQLite database"),
-        (b"\x89MCAP0\r\n", "an MCAP file"),
-        (b"\xFA\x01\x29", "raw binary output"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "writetable"),
+        (b"\x28\xB5\x2F\xFD\x24", "zstd -d"),
+        (b"\xFA\x01\x29", "raw bytes of a VN-100"),
         (b"\x89PNG\r\n\x1a\n", "expected raw `$VN"),
         (b"", "begins with \"\""),
         (b"time,gx,gy\n1,2,3\n", "begins with \"time,gx,gy\""),

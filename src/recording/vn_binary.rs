@@ -110,7 +110,12 @@ impl BinaryRows {
             Event::Measurement(measurement) => {
                 let sample = measurement.to_sample(0, 0);
                 if sample.channels().is_empty() {
-                    found.push_back(Row::Rejected(Rejected::new(at, DiscardCause::UnexpectedFormat, "no channel", false)));
+                    found.push_back(Row::Rejected(Rejected::new(
+                        at,
+                        DiscardCause::UnexpectedFormat,
+                        "no channel",
+                        false,
+                    )));
                     return;
                 }
                 for channel in sample.channels().iter() {
@@ -120,8 +125,7 @@ impl BinaryRows {
             }
             Event::Rejected { cause, bytes } => {
                 let garbage = cause == DiscardCause::GarbageBytes;
-                let shown: Vec<String> =
-                    bytes.iter().take(SHOWN_BYTES).map(|byte| format!("{byte:02x}")).collect();
+                let shown: Vec<String> = bytes.iter().take(SHOWN_BYTES).map(|byte| format!("{byte:02x}")).collect();
                 let mut rejected = Rejected::new(at, cause, &shown.join(" "), !garbage);
                 rejected.bytes = bytes.len() as u64;
                 found.push_back(Row::Rejected(rejected));

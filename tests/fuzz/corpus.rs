@@ -1,6 +1,7 @@
 //! Corpora: small valid inputs, made by this project's own encoders.
 
 use crate::bag;
+use crate::ros2::{self, Cdr};
 use flate2::write::GzEncoder;
 use std::io::Write as _;
 use vn100d::protocol::encode::{ascii_message, binary_frame, text_line};
@@ -14,7 +15,12 @@ pub fn of(target: &str) -> Vec<Vec<u8>> {
         "decoder" => decoder(),
         "csv" => csv(),
         "raw_text" => raw_text(),
+        "raw_bytes" => raw_bytes(),
         "bag" => bags(),
+        "db3" => ros2_recordings(|topics, messages| vec![ros2::db3(topics, messages)]),
+        "mcap" => ros2_recordings(|topics, messages| {
+            vec![ros2::mcap(topics, messages, true, 3), ros2::mcap(topics, messages, false, usize::MAX)]
+        }),
         "config" => config(),
         "http" => http(),
         "faults" => faults(),
@@ -78,6 +84,33 @@ pub fn dictionary(target: &str) -> &'static [&'static [u8]] {
             b"$VN",
             b"BZh9",
             b"\x04\x22\x4D\x18",
+        ],
+        "raw_bytes" => &[b"\xFA\x01\x09\x06", b"$VNYMR,", b"\xFA", b"\0\0\0\0", b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF"],
+        "db3" => &[
+            b"topics",
+            b"messages",
+            b"sensor_msgs/msg/Imu",
+            b"cdr",
+            b"\0\x01\0\0",
+            b"\xFF\xFF\xFF\xFF",
+            b"float64[<=9] x\n",
+            b"CREATE VIEW",
+            b"$VN",
+        ],
+        "mcap" => &[
+            b"\x89MCAP0\r\n",
+            b"\x03",
+            b"\x04",
+            b"\x05",
+            b"\x06",
+            b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF",
+            b"lz4",
+            b"zstd",
+            b"ros1",
+            b"cdr",
+            b"\x28\xB5\x2F\xFD",
+            b"\x04\x22\x4D\x18",
+            b"MSG: sensor_msgs/Imu\n",
         ],
         "config" => &[
             b"[sensor]\n",
@@ -248,6 +281,42 @@ fn bags() -> Vec<Vec<u8>> {
         .iter()
         .flat_map(|how| [bag::bag(&[bag::chunk(how, &records)]), bag::bag(&[bag::chunk(how, &plain)])])
         .collect()
+}
+
+fn ros2_recordings(write: impl Fn(&[ros2::Topic<'_>], &[ros2::Message]) -> Vec<Vec<u8>>) -> Vec<Vec<u8>> {
+    let stamp_ns = |index: u64| 1_710_358_267_000_000_000 + 25_000_000 * index;
+    let (mut standard, mut driver) = (Vec::new(), Vec::new());
+    for index in [0, 1, 2, 3, 6, 7] {
+        let received_ns = stamp_ns(index) as i64 + 1000;
+        let imu = Cdr::little_endian().imu(stamp_ns(index), [1e-3; 3], ACCEL);
+        let field = Cdr::big_endian().magnetic_field(stamp_ns(index), [3e-5; 3]);
+        standard.extend([(0, received_ns, imu.bytes()), (1, received_ns, field.bytes())]);
+        let raw = bag::raw_line([1e-6 * index as f64; 3], ACCEL);
+        let message = Cdr::little_endian().header(stamp_ns(index)).imu(0, [1.0; 3], [2.0; 3]);
+        driver.push((0, received_ns, message.magnetic_field(0, [3e-5; 3]).text(&raw).bytes()));
+    }
+    let imu = ("/imu", "sensor_msgs/msg/Imu", Some(ros2::IMU_DEFINITION));
+    let topics = [imu, ("/mag", "sensor_msgs/msg/MagneticField", None)];
+    let mut recordings = write(&topics, &standard);
+    recordings.extend(write(&[("/imu", "imu_msg/msg/IMUmsg", None)], &driver));
+    recordings
+}
+
+fn raw_bytes() -> Vec<Vec<u8>> {
+    let mut streams = Vec::new();
+    for (common, imu) in [(0x0609, 0), (0x0001, 0x0030), (0x0108, 0)] {
+        let header = BinaryHeader::new(common, 0, imu, 0).unwrap();
+        let mut stream = Vec::new();
+        for index in [1, 2, 3, 7, 8, 2, 3] {
+            let mut measurement = measurement(MeasurementKind::Binary(header));
+            measurement.device_time_ns = Some(index * 600_000_000);
+            binary_frame(&mut stream, &header, &measurement);
+        }
+        stream.extend(bag::raw_line([1e-3; 3], ACCEL).as_bytes());
+        stream.extend(b"\r\ngarbage\xFA\x01");
+        streams.push(stream);
+    }
+    streams
 }
 
 fn config() -> Vec<Vec<u8>> {

@@ -12,6 +12,8 @@ mod bag;
 mod corpus;
 mod mutate;
 mod regressions;
+#[path = "../world/ros2.rs"]
+mod ros2;
 mod targets;
 
 use peak_alloc::PeakAlloc;
@@ -126,6 +128,21 @@ fn raw_text_gives_every_line_as_a_sample_or_a_rejected_one() {
 #[test]
 fn a_bag_of_any_bytes_takes_bounded_memory_and_loses_nothing_unsaid() {
     fuzz("bag");
+}
+
+#[test]
+fn a_bag_of_ros_2_of_any_bytes_takes_bounded_memory_and_loses_nothing_unsaid() {
+    fuzz("db3");
+}
+
+#[test]
+fn an_mcap_file_of_any_bytes_takes_bounded_memory_and_loses_nothing_unsaid() {
+    fuzz("mcap");
+}
+
+#[test]
+fn raw_bytes_of_any_kind_take_bounded_memory_and_lose_nothing_unsaid() {
+    fuzz("raw_bytes");
 }
 
 #[test]

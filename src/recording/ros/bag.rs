@@ -345,9 +345,9 @@ impl Head {
                 b"compression" => head.compression = text(value),
                 b"size" => head.size = number(value),
                 b"time" => {
-                    head.received_ns = value.split_at_checked(4).and_then(|(seconds, nanos)| {
-                        Some(time_ns(number(seconds)?, number(nanos)?))
-                    });
+                    head.received_ns = value
+                        .split_at_checked(4)
+                        .and_then(|(seconds, nanos)| Some(time_ns(number(seconds)?, number(nanos)?)));
                 }
                 _ => {}
             }

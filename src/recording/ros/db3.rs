@@ -71,7 +71,10 @@ pub(in crate::recording) fn check(input: &Input) -> Result<(), RecordingError> {
         "this program's own database: name a capture in it, and its folder with --data-dir".to_owned()
     } else {
         let names: Vec<String> = names.iter().take(20).map(|name| name.chars().take(40).collect()).collect();
-        format!("an SQLite database with the tables {}", if names.is_empty() { "none".to_owned() } else { names.join(", ") })
+        format!(
+            "an SQLite database with the tables {}",
+            if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+        )
     };
     Err(RecordingError::NoBag { file: input.path().to_owned(), found })
 }
@@ -208,13 +211,19 @@ impl Messages for Db3Reader {
         if let Some(connection) = self.connections.pop_front() {
             return Some(Entry::Connection(connection));
         }
-        if self.messages.is_empty() && !self.ended && let Err(error) = self.fill(wanted) {
+        if self.messages.is_empty()
+            && !self.ended
+            && let Err(error) = self.fill(wanted)
+        {
             self.ended = true;
             return Some(Entry::Damaged { at: 0, what: format!("behind row {}: {error}", self.last_row) });
         }
         let Message { topic, received_ns, data } = self.messages.pop_front()?;
         let Some(data) = data else {
-            return Some(Entry::Damaged { at: 0, what: format!("a message of topic {topic} that is no blob or too long") });
+            return Some(Entry::Damaged {
+                at: 0,
+                what: format!("a message of topic {topic} that is no blob or too long"),
+            });
         };
         self.current = data;
         let connection = self.numbers.get(&topic).copied().unwrap_or(u32::MAX);

@@ -229,8 +229,7 @@ impl Types<'_> {
         if depth > DEPTH_MAX {
             return Err(MessageError::TooMuch);
         }
-        let fields =
-            self.fields(kind)?.ok_or_else(|| MessageError::Type(kind.chars().take(80).collect()))?;
+        let fields = self.fields(kind)?.ok_or_else(|| MessageError::Type(kind.chars().take(80).collect()))?;
         let package = kind.split('/').next().unwrap_or_default();
         if fields.is_empty() && self.encoding == Encoding::Cdr {
             // A type without fields is sent as one byte.

@@ -24,10 +24,7 @@ const STANDARD: [(&str, &str); 10] = [
     ),
     ("sensor_msgs/Temperature", "std_msgs/Header header\nfloat64 temperature\nfloat64 variance"),
     ("sensor_msgs/FluidPressure", "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance"),
-    (
-        "imu_msg/IMUmsg",
-        "std_msgs/Header header\nsensor_msgs/Imu imu\nsensor_msgs/MagneticField mag_field\nstring raw",
-    ),
+    ("imu_msg/IMUmsg", "std_msgs/Header header\nsensor_msgs/Imu imu\nsensor_msgs/MagneticField mag_field\nstring raw"),
 ];
 
 /// The definition of the type `package/Name`, where it is a standard one of ROS 2.

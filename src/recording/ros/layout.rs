@@ -84,14 +84,24 @@ pub(in crate::recording) struct Values<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Op {
     /// Bytes that are not wanted.
-    Skip { align: usize, bytes: usize },
+    Skip {
+        align: usize,
+        bytes: usize,
+    },
     /// A count, and as many elements of so many bytes.
-    SkipCounted { align: usize, bytes: usize },
+    SkipCounted {
+        align: usize,
+        bytes: usize,
+    },
     /// So many elements (`None`: a count comes first) of variable length.
     Repeat(Option<u32>, Vec<Op>),
     Stamp,
     Text,
-    Value { channel: Channel, wide: bool, unit: Unit },
+    Value {
+        channel: Channel,
+        wide: bool,
+        unit: Unit,
+    },
     /// The first element of a covariance: −1 says that the triad's values are none.
     Covariance(Triad),
 }
@@ -152,8 +162,7 @@ struct Cursor<'a> {
 
 impl<'a> Cursor<'a> {
     fn new(bytes: &'a [u8], encoding: Encoding) -> Result<Self, MessageError> {
-        let plain =
-            Self { bytes, at: 0, origin: 0, align_max: 1, big_endian: false, zero_ended: false, steps: 0 };
+        let plain = Self { bytes, at: 0, origin: 0, align_max: 1, big_endian: false, zero_ended: false, steps: 0 };
         if encoding == Encoding::Ros1 {
             return Ok(plain);
         }

@@ -24,6 +24,8 @@ use std::rc::Rc;
 pub(in crate::recording) const MAGIC: &[u8] = ::mcap::MAGIC;
 /// Most bytes that a chunk may have, compressed and decompressed. Recorders write chunks of about 1 MB.
 const CHUNK_BYTES: usize = 256 * 1024 * 1024;
+/// How far back a compressed chunk may refer: 32 MiB, which its decompression then holds in memory.
+const WINDOW_LOG_MAX: u32 = 25;
 /// Longest message that is kept; longer ones are passed over.
 const MESSAGE_BYTES: usize = 1024 * 1024;
 /// Read at a time.
@@ -156,9 +158,18 @@ fn decompress(compression: &str, size: usize, data: &[u8], meter: &Rc<Meter>, ou
             out.extend(data);
             return Ok(());
         }
-        "zstd" => Box::new(zstd::stream::read::Decoder::with_buffer(data).map_err(|error| error.to_string())?),
+        "zstd" => {
+            let mut decoder = zstd::stream::read::Decoder::with_buffer(data).map_err(|error| error.to_string())?;
+            decoder.window_log_max(WINDOW_LOG_MAX).map_err(|error| error.to_string())?;
+            Box::new(decoder)
+        }
         "lz4" => Box::new(FrameDecoder::new(data)),
-        other => return Err(format!("a chunk with the unknown compression {:?}", other.chars().take(80).collect::<String>())),
+        other => {
+            return Err(format!(
+                "a chunk with the unknown compression {:?}",
+                other.chars().take(80).collect::<String>()
+            ));
+        }
     };
     let mut bytes = Expanded { bytes: plain, meter: Rc::clone(meter) }.take(size as u64);
     let read = bytes.read_to_end(out);

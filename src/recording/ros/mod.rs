@@ -13,6 +13,9 @@ mod mcap;
 mod rows;
 mod topics;
 
+#[cfg(test)]
+mod tests;
+
 pub use definition::MessageDefinition;
 
 pub(super) use bag::MAGIC as BAG_MAGIC;

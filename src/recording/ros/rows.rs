@@ -11,23 +11,15 @@ use super::super::input::Input;
 use super::super::rows::{Rejected, Row, Rows};
 use super::super::stamps::RowStamps;
 use super::super::vn_text::{Message, line_decoder, read_message};
-use super::layout::{Layout, Values};
-use super::topics::{APART_MAX, CONNECTIONS_MAX, Topics, layout_of};
-use super::{Connection, Entry, Messages};
+use super::layout::Values;
+use super::topics::{APART_MAX, Role, Topics};
+use super::{Entry, Messages};
 use crate::protocol::Decoder;
 use crate::sample::{Channel, ChannelSet, DiscardCause, Sample};
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 
 /// What a row's stamps are called.
 pub(in crate::recording) const STAMP_NAMES: [&str; 2] = ["time of reception", "stamp in the message's header"];
-
-/// Which topic a connection belongs to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Role {
-    Main,
-    /// The topic beside it, by its number.
-    Beside(usize),
-}
 
 /// A row whose companions may still come.
 struct Waiting {
@@ -49,7 +41,6 @@ struct Early {
 pub(in crate::recording) struct RosRows {
     reader: Box<dyn Messages>,
     topics: Topics,
-    layouts: HashMap<u32, (Role, Layout)>,
     /// Messages of the recording's topic so far.
     messages: u64,
     decoder: Decoder,
@@ -64,7 +55,6 @@ impl RosRows {
         Ok(Self {
             reader: super::open(topics.kind, input)?,
             topics: topics.clone(),
-            layouts: HashMap::new(),
             messages: 0,
             decoder: line_decoder(),
             decimals: Decimals::default(),
@@ -76,7 +66,7 @@ impl RosRows {
 
     /// Reads the next entry of the file into the rows that wait.
     fn read_entry(&mut self) -> Result<(), RecordingError> {
-        let layouts = &self.layouts;
+        let layouts = &self.topics.layouts;
         let Some(entry) = self.reader.next_entry(&|number| layouts.contains_key(&number)) else {
             self.reader.check()?;
             self.ended = true;
@@ -87,7 +77,7 @@ impl RosRows {
             return Ok(());
         };
         match entry {
-            Entry::Connection(connection) => connect(&mut self.layouts, &self.topics, &connection),
+            Entry::Connection(_) => {}
             Entry::Damaged { at, what } => {
                 self.reader.check()?;
                 let text = if at == 0 { what } else { format!("at byte {at}: {what}") };
@@ -95,7 +85,7 @@ impl RosRows {
                 self.push(Row::Rejected(rejected));
             }
             Entry::Message { connection, received_ns, data } => {
-                let Some((role, layout)) = self.layouts.get(&connection) else { return Ok(()) };
+                let Some((role, layout)) = self.topics.layouts.get(&connection) else { return Ok(()) };
                 let values = layout.read(data);
                 match *role {
                     Role::Main => {
@@ -186,21 +176,6 @@ impl Waiting {
                 }
             }
         }
-    }
-}
-
-fn connect(layouts: &mut HashMap<u32, (Role, Layout)>, topics: &Topics, connection: &Connection) {
-    let role = if topics.main.has(connection) {
-        Some(Role::Main)
-    } else {
-        topics.beside.iter().position(|topic| topic.has(connection)).map(Role::Beside)
-    };
-    if let Some(role) = role
-        && layouts.len() < CONNECTIONS_MAX
-        && !layouts.contains_key(&connection.number)
-        && let Ok(layout) = layout_of(connection, &topics.given)
-    {
-        layouts.insert(connection.number, (role, layout));
     }
 }
 

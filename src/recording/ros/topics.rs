@@ -15,7 +15,7 @@ use crate::sample::{Channel, ChannelSet};
 use std::collections::{HashMap, HashSet, VecDeque};
 
 /// Connections that are looked at; a bag has one per topic and publisher.
-pub(super) const CONNECTIONS_MAX: usize = 256;
+const CONNECTIONS_MAX: usize = 256;
 /// Other topics that are named.
 const NAMED_MAX: usize = 20;
 /// Topics whose stamps are compared.
@@ -35,9 +35,18 @@ pub(super) struct Topic {
 }
 
 impl Topic {
-    pub(super) fn has(&self, connection: &Connection) -> bool {
+    fn has(&self, connection: &Connection) -> bool {
         self.name == connection.topic && self.message_type == connection.message_type
     }
+}
+
+/// Which topic a connection belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Role {
+    /// The recording.
+    Main,
+    /// One of those beside it.
+    Beside(usize),
 }
 
 /// The topics that are read.
@@ -45,7 +54,8 @@ impl Topic {
 pub(in crate::recording) struct Topics {
     /// What kind of file it is.
     pub(super) kind: Kind,
-    pub(super) given: Vec<MessageDefinition>,
+    /// What their messages are read by, under the numbers of their connections.
+    pub(super) layouts: HashMap<u32, (Role, Layout)>,
     /// The recording.
     pub(super) main: Topic,
     /// Whether its messages hold raw lines.
@@ -119,7 +129,7 @@ impl Candidate {
 }
 
 /// The layout of a connection's messages.
-pub(super) fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Layout, MessageError> {
+fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Layout, MessageError> {
     let encoding = connection.encoding.clone()?;
     definition::layout(&connection.message_type, &connection.definition, encoding, given)
 }
@@ -133,6 +143,29 @@ struct Search {
 }
 
 impl Search {
+    /// Reads the file's entries; the first damage.
+    fn pass(
+        &mut self,
+        kind: Kind,
+        input: &Input,
+        given: &[MessageDefinition],
+    ) -> Result<Option<String>, RecordingError> {
+        let mut reader = super::open(kind, input)?;
+        let mut damage = None;
+        while let Some(entry) = reader.next_entry(&|number| self.connections.contains_key(&number)) {
+            match entry {
+                Entry::Connection(connection) => self.connect(&connection, given),
+                Entry::Message { connection, data, .. } => self.take(connection, data),
+                Entry::Damaged { at, what } => {
+                    damage.get_or_insert(format!("at byte {at}: {what}"));
+                    reader.check()?;
+                }
+            }
+        }
+        reader.check()?;
+        Ok(damage)
+    }
+
     fn connect(&mut self, connection: &Connection, given: &[MessageDefinition]) {
         if self.known.len() >= CONNECTIONS_MAX || !self.known.insert(connection.number) {
             return;
@@ -193,24 +226,20 @@ impl Topics {
         input: &Input,
         given: &[MessageDefinition],
     ) -> Result<Self, RecordingError> {
-        let mut reader = super::open(kind, input)?;
         let mut search = Search::default();
-        let mut damage = None;
-        while let Some(entry) = reader.next_entry(&|number| search.connections.contains_key(&number)) {
-            match entry {
-                Entry::Connection(connection) => search.connect(&connection, given),
-                Entry::Message { connection, data, .. } => search.take(connection, data),
-                Entry::Damaged { at, what } => {
-                    damage.get_or_insert(format!("at byte {at}: {what}"));
-                    reader.check()?;
-                }
+        let damage = search.pass(kind, input, given)?;
+        if damage.is_some() {
+            // What was damaged may have told the type of what followed; it is told again at the end.
+            for candidate in &mut search.candidates {
+                (candidate.messages, candidate.raw) = (0, 0);
+                (candidate.stamps, candidate.shared) = (VecDeque::new(), Vec::new());
             }
+            search.pass(kind, input, given)?;
         }
-        reader.check()?;
+        let connections = search.connections;
         let mut candidates = search.candidates;
-        let rank = |candidate: &Candidate| {
-            (candidate.raw > 0, candidate.topic.channels.iter().count(), candidate.messages)
-        };
+        let rank =
+            |candidate: &Candidate| (candidate.raw > 0, candidate.topic.channels.iter().count(), candidate.messages);
         // Of equals the first.
         let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
         let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
@@ -222,6 +251,8 @@ impl Topics {
             return Err(RecordingError::NoTopic { file: input.path().to_owned(), found });
         };
         let raw = candidates[main].raw > 0;
+        let mut roles = vec![None; candidates.len()];
+        roles[main] = Some(Role::Main);
         let (mut taken, mut beside) = (candidates[main].topic.channels, Vec::new());
         let mut conversions = if raw { Vec::new() } else { candidates[main].conversions.clone() };
         let mut others = Vec::new();
@@ -234,15 +265,20 @@ impl Topics {
             let shared = candidate.shared.get(main).copied().unwrap_or(0) as f64;
             if !raw && candidate.is_usable() && !fresh.is_empty() && shared >= SHARE_MIN * candidate.messages as f64 {
                 taken = taken.union(fresh);
-                conversions
-                    .extend(candidate.conversions.iter().filter(|conversion| fresh.contains(conversion.channel)).cloned());
+                conversions.extend(
+                    candidate.conversions.iter().filter(|conversion| fresh.contains(conversion.channel)).cloned(),
+                );
+                roles[index] = Some(Role::Beside(beside.len()));
                 beside.push(Topic { channels: fresh, ..candidate.topic.clone() });
             } else if others.len() < NAMED_MAX {
                 others.push(format!("topic {}", candidate.describe()));
             }
         }
         let main = candidates.swap_remove(main).topic;
-        Ok(Self { kind, given: given.to_vec(), main, raw, beside, conversions, others })
+        let layouts = connections.into_iter().filter_map(|(number, (index, layout))| {
+            roles.get(index).copied().flatten().map(|role| (number, (role, layout)))
+        });
+        Ok(Self { kind, layouts: layouts.collect(), main, raw, beside, conversions, others })
     }
 
     /// What of the file is not read.

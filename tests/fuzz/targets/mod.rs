@@ -12,11 +12,14 @@ mod recording;
 pub type Target = fn(&[u8]);
 
 /// Every target by its name.
-pub const TARGETS: [(&str, Target); 7] = [
+pub const TARGETS: [(&str, Target); 10] = [
     ("decoder", decoder::any_split),
     ("csv", recording::csv),
     ("raw_text", recording::raw_text),
-    ("bag", recording::bag),
+    ("raw_bytes", recording::any),
+    ("bag", recording::any),
+    ("db3", recording::any),
+    ("mcap", recording::any),
     ("config", config::refused_with_its_place),
     ("http", http::no_server_error),
     ("faults", faults::refused_with_its_line),

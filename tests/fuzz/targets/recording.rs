@@ -7,14 +7,17 @@ use vn100d::units::NANOS_PER_SECOND;
 
 /// A line that is longer is read in pieces.
 const LINE_BYTES: usize = 4096;
+/// How inputs begin that are of another kind than text.
+const NO_TEXT: [&[u8]; 5] = [b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"\x1F\x8B", b"\xFA"];
+
+fn is_no_text(input: &[u8]) -> bool {
+    NO_TEXT.iter().any(|magic| input.starts_with(magic))
+}
 
 pub fn csv(input: &[u8]) {
     let Some(items) = holds(input) else { return };
     // Quotation marks may hold line ends, other kinds are other targets; else each line that is not empty is a row.
-    if input.contains(&b'"') || input.windows(3).any(|window| window == b"$VN") || input.starts_with(b"#ROSBAG") {
-        return;
-    }
-    if input.starts_with(&[0x1F, 0x8B]) {
+    if input.contains(&b'"') || input.windows(3).any(|window| window == b"$VN") || is_no_text(input) {
         return;
     }
     let lines = input.split(|byte| *byte == b'\n' || *byte == b'\r').filter(|line| !line.is_empty()).count();
@@ -24,7 +27,7 @@ pub fn csv(input: &[u8]) {
 pub fn raw_text(input: &[u8]) {
     let Some(items) = holds(input) else { return };
     let is_text = input.windows(3).any(|window| window == b"$VN");
-    if !is_text || input.starts_with(b"#ROSBAG") || input.starts_with(&[0x1F, 0x8B]) {
+    if !is_text || is_no_text(input) {
         return;
     }
     let lines: Vec<_> = input.split(|byte| *byte == b'\n').collect();
@@ -44,7 +47,8 @@ pub fn raw_text(input: &[u8]) {
     }
 }
 
-pub fn bag(input: &[u8]) {
+/// A kind of which no more is known than of all.
+pub fn any(input: &[u8]) {
     holds(input);
 }
 
