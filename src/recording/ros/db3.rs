@@ -181,7 +181,8 @@ impl Db3Reader {
         rows.collect()
     }
 
-    fn fill(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<()> {
+    /// Reads the next rows; whether they stood in their order, which in a damaged database they may not.
+    fn fill(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<bool> {
         // A topic of images beside the IMU's is not even read.
         let topics: Vec<String> =
             self.numbers.iter().filter(|(_, number)| wanted(**number)).map(|(id, _)| id.to_string()).collect();
@@ -193,12 +194,16 @@ impl Db3Reader {
         let mut statement = self.database.prepare_cached(&sql)?;
         let mut rows = statement.query(params![self.last_row])?;
         while let Some(row) = rows.next()? {
-            self.last_row = row.get(0)?;
+            let number: i64 = row.get(0)?;
+            if number <= self.last_row {
+                return Ok(false);
+            }
+            self.last_row = number;
             let data = row.get_ref(3)?.as_blob().ok().map(<[u8]>::to_vec);
             self.messages.push_back(Message { topic: row.get(1)?, received_ns: row.get(2)?, data });
         }
         self.ended = self.messages.is_empty();
-        Ok(())
+        Ok(true)
     }
 }
 
@@ -211,12 +216,17 @@ impl Messages for Db3Reader {
         if let Some(connection) = self.connections.pop_front() {
             return Some(Entry::Connection(connection));
         }
-        if self.messages.is_empty()
-            && !self.ended
-            && let Err(error) = self.fill(wanted)
-        {
-            self.ended = true;
-            return Some(Entry::Damaged { at: 0, what: format!("behind row {}: {error}", self.last_row) });
+        if self.messages.is_empty() && !self.ended {
+            let why = match self.fill(wanted) {
+                Ok(true) => None,
+                Ok(false) => Some("its rows are out of order".to_owned()),
+                Err(error) => Some(error.to_string()),
+            };
+            if let Some(why) = why {
+                // Read on from there it might go round for ever.
+                self.ended = true;
+                return Some(Entry::Damaged { at: 0, what: format!("behind row {}: {why}", self.last_row) });
+            }
         }
         let Message { topic, received_ns, data } = self.messages.pop_front()?;
         let Some(data) = data else {
