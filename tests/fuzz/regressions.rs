@@ -1,9 +1,11 @@
 //! Inputs that once failed.
 
 /// Target, and the input as hex.
-const FOUND: [(&str, &str); 1] = [
+const FOUND: [(&str, &str); 2] = [
     // Durations went through `f64`: one of 158446744073709551616 ms was another when it was written and read again.
     ("faults", "306d20686f6c64203135383434363734343037333730393535313631366d73"),
+    // A name of 3 GB in a schema of 30 bytes was given memory before it was found absent.
+    ("mcap", "894d434150300d0a031e000000000000000100022b32c8000000000000000000000000000000000000000000000000"),
 ];
 
 pub fn of(target: &str) -> Vec<Vec<u8>> {

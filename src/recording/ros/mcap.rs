@@ -1,7 +1,7 @@
 //! The messages of an MCAP file, one after another.
 //!
-//! The crate `mcap` finds the file's records; what lies in a chunk is taken apart here, so that a chunk that is damaged costs
-//! itself alone and no claimed length takes memory. The index at the end is not needed: a file that was cut is read as far
+//! The crate `mcap` finds the file's records; what lies in a record or chunk is taken apart here, so that a chunk that is
+//! damaged costs itself alone and no claimed length takes memory (the crate's own parsing of texts reserves what they claim). The index at the end is not needed: a file that was cut is read as far
 //! as it goes. Messages of ROS 1 and ROS 2 with definitions in their schemas (`ros1msg`, `ros2msg`) are read.
 //!
 //! Promises: as [`super::bag`]. Format: <https://mcap.dev/spec>.
@@ -12,7 +12,7 @@ use super::super::input::Input;
 use super::super::meter::{Expanded, Meter};
 use super::layout::Encoding;
 use super::{Connection, Entry, Messages};
-use ::mcap::records::{Record, op};
+use ::mcap::records::op;
 use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use lz4_flex::frame::FrameDecoder;
 use std::collections::HashMap;
@@ -42,6 +42,14 @@ struct Schema {
     name: String,
     encoding: String,
     text: String,
+}
+
+impl Schema {
+    /// With its number.
+    fn parse(data: &[u8]) -> Option<(u16, Self)> {
+        let mut fields = Fields(data);
+        Some((fields.u16()?, Self { name: fields.text()?, encoding: fields.text()?, text: fields.text()? }))
+    }
 }
 
 /// Reads an MCAP file's messages.
@@ -108,19 +116,15 @@ impl McapReader {
             }
         };
         match read {
-            (op::CHUNK, data) => match ::mcap::parse_record(op::CHUNK, data) {
-                Ok(Record::Chunk { header, data }) => {
-                    let size = usize::try_from(header.uncompressed_size).unwrap_or(usize::MAX);
-                    decompress(&header.compression, size, &data, &self.meter, &mut self.records)?;
-                    if header.uncompressed_crc != 0 && crc32fast::hash(&self.records) != header.uncompressed_crc {
-                        self.records.clear();
-                        return Err("a chunk whose checksum is wrong".to_owned());
-                    }
-                    Ok(())
+            (op::CHUNK, data) => {
+                let chunk = Chunk::parse(data).ok_or("a chunk that ends within its head")?;
+                decompress(&chunk, &self.meter, &mut self.records)?;
+                if chunk.crc32 != 0 && crc32fast::hash(&self.records) != chunk.crc32 {
+                    self.records.clear();
+                    return Err("a chunk whose checksum is wrong".to_owned());
                 }
-                Ok(_) => Ok(()),
-                Err(error) => Err(format!("a chunk that cannot be read: {error}")),
-            },
+                Ok(())
+            }
             (opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE), data) => {
                 self.records.push(opcode);
                 self.records.extend((data.len() as u64).to_le_bytes());
@@ -135,35 +139,83 @@ impl McapReader {
         }
     }
 
-    fn connection(&self, channel: ::mcap::records::Channel) -> Connection {
-        let schema = self.schemas.get(&channel.schema_id);
+    fn connection(&self, data: &[u8]) -> Option<Connection> {
+        let mut fields = Fields(data);
+        let (id, schema_id) = (fields.u16()?, fields.u16()?);
+        let (topic, encoding) = (fields.text()?, fields.text()?);
+        let schema = self.schemas.get(&schema_id);
         let text = schema.filter(|schema| ["ros1msg", "ros2msg"].contains(&schema.encoding.as_str()));
-        Connection {
-            number: u32::from(channel.id),
-            topic: channel.topic,
+        Some(Connection {
+            number: u32::from(id),
+            topic,
             message_type: schema.map_or_else(String::new, |schema| schema.name.clone()),
             definition: text.map_or_else(String::new, |schema| schema.text.clone()),
-            encoding: Encoding::from_name(&channel.message_encoding),
-        }
+            encoding: Encoding::from_name(&encoding),
+        })
+    }
+}
+
+/// What is left of a record's fields, little endian; a text or block has its length (4 or 8 bytes) before it.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (bytes, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(bytes)
+    }
+    fn u16(&mut self) -> Option<u16> {
+        self.bytes(2)?.try_into().ok().map(u16::from_le_bytes)
+    }
+    fn u32(&mut self) -> Option<u32> {
+        self.bytes(4)?.try_into().ok().map(u32::from_le_bytes)
+    }
+    fn u64(&mut self) -> Option<u64> {
+        self.bytes(8)?.try_into().ok().map(u64::from_le_bytes)
+    }
+    fn text(&mut self) -> Option<String> {
+        let length = self.u32()?;
+        Some(String::from_utf8_lossy(self.bytes(length.into())?).into_owned())
+    }
+}
+
+/// A chunk of records as it lies in the file.
+struct Chunk<'a> {
+    /// Bytes of its records.
+    size: u64,
+    /// Of its records; 0: unknown.
+    crc32: u32,
+    compression: String,
+    compressed: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    fn parse(data: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(data);
+        let (_first_ns, _last_ns) = (fields.u64()?, fields.u64()?);
+        let (size, crc32, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+        let length = fields.u64()?;
+        Some(Self { size, crc32, compression, compressed: fields.bytes(length)? })
     }
 }
 
 /// Appends what a chunk's content is.
-fn decompress(compression: &str, size: usize, data: &[u8], meter: &Rc<Meter>, out: &mut Vec<u8>) -> Result<(), String> {
-    if size > CHUNK_BYTES {
-        return Err(format!("a chunk of {size} bytes: at most {CHUNK_BYTES} are read"));
+fn decompress(chunk: &Chunk<'_>, meter: &Rc<Meter>, out: &mut Vec<u8>) -> Result<(), String> {
+    if chunk.size > CHUNK_BYTES as u64 {
+        return Err(format!("a chunk of {} bytes: at most {CHUNK_BYTES} are read", chunk.size));
     }
-    let plain: Box<dyn Read + '_> = match compression {
+    let plain: Box<dyn Read + '_> = match chunk.compression.as_str() {
         "" => {
-            out.extend(data);
+            out.extend(chunk.compressed);
             return Ok(());
         }
         "zstd" => {
-            let mut decoder = zstd::stream::read::Decoder::with_buffer(data).map_err(|error| error.to_string())?;
+            let mut decoder =
+                zstd::stream::read::Decoder::with_buffer(chunk.compressed).map_err(|error| error.to_string())?;
             decoder.window_log_max(WINDOW_LOG_MAX).map_err(|error| error.to_string())?;
             Box::new(decoder)
         }
-        "lz4" => Box::new(FrameDecoder::new(data)),
+        "lz4" => Box::new(FrameDecoder::new(chunk.compressed)),
         other => {
             return Err(format!(
                 "a chunk with the unknown compression {:?}",
@@ -171,7 +223,7 @@ fn decompress(compression: &str, size: usize, data: &[u8], meter: &Rc<Meter>, ou
             ));
         }
     };
-    let mut bytes = Expanded { bytes: plain, meter: Rc::clone(meter) }.take(size as u64);
+    let mut bytes = Expanded { bytes: plain, meter: Rc::clone(meter) }.take(chunk.size);
     let read = bytes.read_to_end(out);
     if let Err(error) = read {
         out.clear();
@@ -221,19 +273,18 @@ impl McapReader {
                 let received_ns = i64::try_from(received_ns).unwrap_or(i64::MAX);
                 Found::Message { connection, received_ns, from: from + MESSAGE_HEAD_BYTES, to }
             }
-            op::SCHEMA | op::CHANNEL => match ::mcap::parse_record(opcode, data) {
-                Ok(Record::Schema { header, data }) => {
-                    if self.schemas.len() < SCHEMAS_MAX && data.len() <= MESSAGE_BYTES {
-                        let text = String::from_utf8_lossy(&data).into_owned();
-                        let schema = Schema { name: header.name, encoding: header.encoding, text };
-                        self.schemas.insert(header.id, schema);
+            op::SCHEMA => match Schema::parse(data) {
+                Some((id, schema)) => {
+                    if self.schemas.len() < SCHEMAS_MAX && schema.text.len() <= MESSAGE_BYTES {
+                        self.schemas.insert(id, schema);
                     }
                     Found::Passed
                 }
-                Ok(Record::Channel(channel)) => Found::Connection(self.connection(channel)),
-                Ok(_) => Found::Passed,
-                Err(error) => Found::Damaged(format!("a record that cannot be read: {error}")),
+                None => Found::Damaged("a schema that ends within a field".to_owned()),
             },
+            op::CHANNEL => self
+                .connection(data)
+                .map_or_else(|| Found::Damaged("a channel that ends within a field".to_owned()), Found::Connection),
             _ => Found::Passed,
         }
     }

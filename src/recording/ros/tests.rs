@@ -214,6 +214,25 @@ fn a_file_that_was_cut_is_read_as_far_as_it_goes() {
     assert!(text.contains("chunk") && text.contains("at byte"), "{text}");
 }
 
+/// Two pages of rows (kind 13) change places.
+#[test]
+fn a_database_whose_rows_are_out_of_order_ends() {
+    let messages: Vec<_> = (0..200).map(|index| message(0, index, imu(index))).collect();
+    let mut bytes = db3(&[IMU], &messages);
+    let page_bytes = usize::from(u16::from_be_bytes([bytes[16], bytes[17]]));
+    let leaves: Vec<usize> = (1..bytes.len() / page_bytes)
+        .map(|page| page * page_bytes)
+        .filter(|at| bytes[*at] == 13 && bytes[at + 3..at + 5] != [0, 1])
+        .collect();
+    let (first, last) = (leaves[leaves.len() / 2], *leaves.last().unwrap());
+    let (before, behind) = bytes.split_at_mut(last);
+    before[first..first + page_bytes].swap_with_slice(&mut behind[..page_bytes]);
+    let recording = load(bytes, Options::default()).unwrap();
+    let rejected = &recording.info.first_rejected;
+    assert!(recording.info.samples > 50, "{}", recording.info.samples);
+    assert!(rejected.iter().any(|rejected| rejected.text.contains("out of order")), "{rejected:?}");
+}
+
 #[test]
 fn databases_that_are_no_bag_and_bags_without_an_imu_are_refused_with_what_they_hold() {
     let database = rusqlite::Connection::open_in_memory().unwrap();
