@@ -24,7 +24,6 @@ mod openapi;
 mod page;
 mod problem;
 mod router;
-mod rows;
 mod samples;
 mod server;
 mod state;

@@ -2,6 +2,8 @@
 
 use crate::datasheet::Datasheet;
 use crate::model_fit::effects_named;
+use crate::sample::Channel;
+use crate::store::Moment;
 use crate::units::parse_duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -52,6 +54,8 @@ pub enum Command {
     Jobs(ClientArgs),
     /// Make a recording a capture: CSV, or raw $VN… lines, plain or .gz
     Import(ImportArgs),
+    /// Write a capture's samples for other programs: CSV, NDJSON, Parquet, MCAP
+    Export(ExportArgs),
     /// List the captures
     Captures,
     /// Show one capture with its segments, gaps and counts
@@ -222,6 +226,70 @@ pub struct ImportArgs {
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<String>,
 }
+
+/// Arguments of `export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Id, name, `latest`, or the path of a recording; several only with --partitioned
+    #[arg(required_unless_present = "all", value_name = "CAPTURE")]
+    pub captures: Vec<String>,
+    /// Form of the file (default: the one that --out ends with, csv on standard output)
+    #[arg(long, value_enum)]
+    pub format: Option<ExportFormat>,
+    /// From this time on: RFC 3339, or seconds since the first sample
+    #[arg(long, value_name = "T", value_parser = moment)]
+    pub from: Option<Moment>,
+    /// Before this time: RFC 3339, or seconds since the first sample
+    #[arg(long, value_name = "T", value_parser = moment)]
+    pub to: Option<Moment>,
+    /// Only these, with commas between, such as gyro_x,gyro_y (default: all that the capture has)
+    #[arg(long, value_name = "NAMES", value_parser = channel_list)]
+    pub channels: Option<ChannelList>,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// What time_s counts from in csv and ndjson
+    #[arg(long, value_enum, default_value_t = TimeOrigin::First)]
+    pub time: TimeOrigin,
+    /// The file (default: `-`, standard output)
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Write each capture as Parquet into a data set: DIR/sensor=…/date=…/capture-….parquet; one that is there is replaced
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "format", "from", "to", "rate", "time"])]
+    pub partitioned: Option<PathBuf>,
+    /// All captures that have samples
+    #[arg(long, requires = "partitioned", conflicts_with = "captures")]
+    pub all: bool,
+    /// Replace the file where it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Forms of exported samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// The table that `import` reads
+    Csv,
+    /// A JSON document per line
+    Ndjson,
+    /// Apache Parquet, units in Arrow's field metadata
+    Parquet,
+    /// MCAP with ROS 2 messages
+    Mcap,
+}
+
+/// What times count from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TimeOrigin {
+    /// The capture's first sample
+    First,
+    /// 1970-01-01T00:00:00Z
+    Utc,
+}
+
+/// Channels by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChannelList(pub Vec<Channel>);
 
 /// Estimators of the Allan family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -579,6 +647,15 @@ fn speed(text: &str) -> Result<f64, String> {
 
 fn effect_names(text: &str) -> Result<EffectNames, String> {
     effects_named(text).map(EffectNames)
+}
+
+fn channel_list(text: &str) -> Result<ChannelList, String> {
+    Channel::list(text).map(ChannelList).map_err(|error| error.to_string())
+}
+
+fn moment(text: &str) -> Result<Moment, String> {
+    Moment::parse(text)
+        .ok_or_else(|| "expected RFC 3339 such as 2026-11-21T20:00:00Z, or seconds since the first sample".to_owned())
 }
 
 fn rate(text: &str) -> Result<f64, String> {

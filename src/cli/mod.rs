@@ -12,6 +12,8 @@ mod connection;
 mod demo;
 mod diagnose;
 mod emulate;
+mod export;
+mod export_source;
 mod generate;
 mod import;
 mod jobs;
@@ -224,6 +226,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
             Ok(Outcome::Done)
         }
         Command::Import(args) => import::run(&context, &args),
+        Command::Export(args) => export::run(&context, &args),
         Command::Captures => captures::run(&context),
         Command::Show { capture, rate } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),

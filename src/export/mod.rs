@@ -1,4 +1,5 @@
-//! Exports: noise parameters in the forms that simulators and filters read, one target per file.
+//! Exports: samples in the forms that other programs read ([`samples`]), and noise parameters in the forms that simulators
+//! and filters read, one target per file.
 //!
 //! Every maker takes [`ImuNoise`] and gives text. What a target cannot express is said in the text itself; a parameter that
 //! the data does not support is never written as if it were measured: where a target needs a number its 95 % upper limit
@@ -9,6 +10,7 @@ mod gnss_ins_sim;
 mod kalibr;
 mod matlab;
 mod ros;
+pub mod samples;
 #[cfg(test)]
 mod tests;
 

@@ -118,6 +118,37 @@ impl Channel {
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|channel| channel.name() == name)
     }
+    /// The channels of a list of names with commas between, each once.
+    ///
+    /// # Errors
+    /// [`ChannelError::Unknown`] names the first that is none.
+    pub fn list(names: &str) -> Result<Vec<Self>, ChannelError> {
+        let mut channels = Vec::new();
+        for name in names.split(',').map(str::trim) {
+            let unknown = || ChannelError::Unknown { found: name.chars().take(NAME_CHARS).collect() };
+            let channel = Self::from_name(name).ok_or_else(unknown)?;
+            if !channels.contains(&channel) {
+                channels.push(channel);
+            }
+        }
+        Ok(channels)
+    }
+    /// Those that are wanted of those that a capture has; all of these where nothing is said.
+    ///
+    /// # Errors
+    /// [`ChannelError::Absent`] names the first that it does not have.
+    pub fn chosen(wanted: Option<&[Self]>, has: &[Self]) -> Result<Vec<Self>, ChannelError> {
+        let channels = wanted.unwrap_or(has).to_vec();
+        match channels.iter().find(|channel| !has.contains(channel)) {
+            Some(absent) => Err(ChannelError::Absent { channel: *absent, has: has.to_vec() }),
+            None => Ok(channels),
+        }
+    }
+    /// The name of its column where the unit is part of it (contract, section 4): `gyro_x_rad_s`.
+    #[must_use]
+    pub fn column_name(self) -> String {
+        format!("{}{}", self.name(), self.csv_suffix())
+    }
     /// The triad the channel belongs to; temperature and pressure stand alone.
     #[must_use]
     pub fn triad(self) -> Option<Triad> {
@@ -183,6 +214,33 @@ impl std::fmt::Display for Channel {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(self.name())
     }
+}
+
+/// How much of a name that is no channel's is repeated.
+const NAME_CHARS: usize = 40;
+
+/// Why channels that were asked for are not given.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChannelError {
+    /// There is no such channel.
+    #[error("there is no `{found}`: channels are {}", names(&Channel::ALL))]
+    Unknown {
+        /// What was asked for, its beginning.
+        found: String,
+    },
+    /// The capture does not have it.
+    #[error("the capture has no `{channel}`: it has {}", names(has))]
+    Absent {
+        /// What was asked for.
+        channel: Channel,
+        /// What it has.
+        has: Vec<Channel>,
+    },
+}
+
+fn names(channels: &[Channel]) -> String {
+    channels.iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ")
 }
 
 /// A set of channels, as bits in column order.

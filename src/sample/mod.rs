@@ -8,7 +8,7 @@ pub mod gap;
 pub mod record;
 
 pub use accounting::{Accountant, Observation};
-pub use channel::{Channel, ChannelSet, Triad};
+pub use channel::{Channel, ChannelError, ChannelSet, Triad};
 pub use gap::{Gap, GapCause};
 pub use record::{DiscardCause, EventKind, EventRecord, Record, Segment, Timebase};
 

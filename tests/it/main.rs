@@ -9,6 +9,7 @@ mod demo;
 mod diagnoses;
 mod diagnosis;
 mod docs;
+mod export;
 mod gap;
 mod imports;
 mod night;

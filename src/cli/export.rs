@@ -1,0 +1,257 @@
+//! `vn100d export`: a capture's samples for other programs, as one file or as part of a data set.
+
+use super::args::{ExportArgs, ExportFormat, TimeOrigin};
+use super::emulate::stop_on_signal;
+use super::export_source::{Part, Source};
+use super::output::Output;
+use super::{CliError, Context, Failure, Outcome, print_json};
+use crate::export::samples::{ExportError, SampleFormat, Tally, partition_path};
+use crate::recording::KeepOn;
+use crate::sample::{Channel, ChannelError};
+use crate::store::{CaptureFilter, PageRequest};
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{BufWriter, IsTerminal as _, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Bytes that are written at a time.
+const WRITE_BYTES: usize = 1 << 20;
+
+/// What an export came to.
+#[derive(Debug, serde::Serialize)]
+struct Report {
+    file: String,
+    format: &'static str,
+    capture: Option<i64>,
+    samples: u64,
+    missing: u64,
+    gaps: u64,
+    channels: Vec<&'static str>,
+    bytes: u64,
+}
+
+/// Writes one file, or each capture's part of a data set.
+pub(super) fn run(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
+    match &args.partitioned {
+        Some(folder) => data_set(context, args, folder),
+        None => one_file(context, args),
+    }
+}
+
+fn usage(message: String) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message }.into()
+}
+
+/// What was asked for and does not exist is the command line's fault.
+fn opened(source: anyhow::Result<Source>) -> anyhow::Result<Source> {
+    source.map_err(|error| if error.is::<ChannelError>() { usage(error.to_string()) } else { error })
+}
+
+fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
+    let [named] = args.captures.as_slice() else {
+        return Err(usage(
+            "several captures were given: one file holds one (--partitioned DIR takes several)".to_owned(),
+        ));
+    };
+    let path = args.out.as_deref().filter(|path| *path != Path::new("-"));
+    let format = format(args, path)?;
+    if args.time == TimeOrigin::Utc && !format.is_text() {
+        let message = "--time is of csv and ndjson: parquet and mcap tell the time of day as well".to_owned();
+        return Err(usage(message));
+    }
+    if path.is_none() && context.json {
+        return Err(usage("--json and the samples both want standard output: name --out FILE".to_owned()));
+    }
+    if path.is_none() && !format.is_text() && std::io::stdout().is_terminal() {
+        return Err(usage(format!("{} is nothing for a terminal: name --out FILE", format.name())));
+    }
+    let stop = stop_on_signal()?;
+    let read: Vec<&Path> = [Path::new(named)].into_iter().filter(|path| path.is_file()).collect();
+    let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
+    let part =
+        Part { from: args.from, to: args.to, channels: args.channels.as_ref().map(|channels| channels.0.clone()) };
+    let wanted = stop.clone();
+    let keep_on = KeepOn::asking(move || !wanted.load(Ordering::Relaxed));
+    let source = opened(Source::open(context, named, args.rate, part, keep_on))?;
+    let outcome = if source.rejected { Outcome::WithLoss } else { Outcome::Done };
+    let utc = args.time == TimeOrigin::Utc;
+    let Some(output) = output else {
+        write(source, format, utc, std::io::stdout(), &stop, "standard output")?;
+        return Ok(outcome);
+    };
+    let shown = output.path().display().to_string();
+    let report = write(source, format, utc, output.file(), &stop, &shown)?;
+    output.keep()?;
+    if context.json {
+        print_json(&report)?;
+    } else {
+        tell(&report)?;
+    }
+    Ok(outcome)
+}
+
+/// The form that was named, else the one that the file's name ends with.
+fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat> {
+    let named = args.format.map(|format| match format {
+        ExportFormat::Csv => SampleFormat::Csv,
+        ExportFormat::Ndjson => SampleFormat::Ndjson,
+        ExportFormat::Parquet => SampleFormat::Parquet,
+        ExportFormat::Mcap => SampleFormat::Mcap,
+    });
+    let Some(path) = path else { return Ok(named.unwrap_or(SampleFormat::Csv)) };
+    let ending = path.extension().and_then(|ending| SampleFormat::of_ending(&ending.to_string_lossy()));
+    named.or(ending).ok_or_else(|| {
+        let known = SampleFormat::ALL.map(SampleFormat::name).join(", ");
+        usage(format!("{} does not end with its form: name --format ({known})", path.display()))
+    })
+}
+
+/// Every capture's file in its place; each is whole or not there.
+fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Result<Outcome> {
+    let stop = stop_on_signal()?;
+    // One schema for all files: a capture without a channel has an empty column.
+    let channels = args.channels.as_ref().map_or_else(|| Channel::ALL.to_vec(), |channels| channels.0.clone());
+    let (mut outcome, mut reports) = (Outcome::Done, Vec::new());
+    for id in wanted(context, args)? {
+        let source = Source::of_capture(context, id, channels.clone())?;
+        if source.samples == 0 {
+            eprintln!("note: capture {id} has no samples: it is left out");
+            continue;
+        }
+        if source.rejected {
+            outcome = Outcome::WithLoss;
+        }
+        let about = &source.about;
+        let serial_number = about.sensor["serial_number"].as_str();
+        let path = folder.join(partition_path(serial_number, about.origin_ns, id, &about.name));
+        let report = place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder))?;
+        if !context.json {
+            tell(&report)?;
+        }
+        reports.push(report);
+    }
+    if context.json {
+        print_json(&reports)?;
+    }
+    Ok(outcome)
+}
+
+fn place(source: Source, path: &Path, stop: &Arc<AtomicBool>) -> anyhow::Result<Report> {
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent).with_context(|| format!("{} cannot be made", parent.display()))?;
+    }
+    let output = Output::create(path, true, &[])?;
+    let shown = path.display().to_string();
+    let report = write(source, SampleFormat::Parquet, false, output.file(), stop, &shown)?;
+    output.keep()?;
+    Ok(report)
+}
+
+/// Folders that were made for a file that did not come into being; the system keeps those with something in them.
+fn take_away_empty(path: &Path, folder: &Path) {
+    for parent in path.ancestors().skip(1).take_while(|parent| *parent != folder) {
+        if std::fs::remove_dir(parent).is_err() {
+            return;
+        }
+    }
+}
+
+/// The captures that were named, each once, or all that have samples; the oldest first.
+fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
+    let reader = context.reader()?;
+    let mut ids = Vec::new();
+    for named in &args.captures {
+        if Path::new(named).is_file() {
+            return Err(usage(format!(
+                "{named} is a file: a data set has captures of the database, so import it first"
+            )));
+        }
+        ids.push(reader.resolve(named)?);
+    }
+    let mut page = args.all.then(PageRequest::first);
+    while let Some(request) = &mut page {
+        let captures = reader.captures(&CaptureFilter::default(), request)?;
+        ids.extend(captures.rows.iter().filter(|capture| capture.samples > 0).map(|capture| capture.id));
+        request.cursor = captures.next;
+        page = page.filter(|request| request.cursor.is_some());
+    }
+    ids.sort_unstable();
+    ids.dedup();
+    Ok(ids)
+}
+
+/// Writes all samples and what stands after them.
+fn write(
+    source: Source,
+    format: SampleFormat,
+    utc: bool,
+    to: impl Write + Send,
+    stop: &AtomicBool,
+    shown: &str,
+) -> anyhow::Result<Report> {
+    let failed = |error: ExportError| match error {
+        ExportError::Write(error) => anyhow::Error::from(error).context(format!("{shown} cannot be written")),
+        error => error.into(),
+    };
+    let bar = bar(source.samples);
+    let about = source.about.clone();
+    let mut counted = Counted { to: BufWriter::with_capacity(WRITE_BYTES, to), bytes: 0 };
+    let mut sink = format.begin(&mut counted, &about, utc).map_err(failed)?;
+    let tally: Tally = source.each(&mut |rows| {
+        if stop.load(Ordering::Relaxed) {
+            let message = "stopped before the end: nothing is kept".to_owned();
+            return Err(CliError { failure: Failure::Other, message }.into());
+        }
+        bar.inc(rows.len() as u64);
+        sink.rows(rows).map_err(failed)
+    })?;
+    sink.finish(&tally).map_err(failed)?;
+    bar.finish_and_clear();
+    Ok(Report {
+        file: shown.to_owned(),
+        format: format.name(),
+        capture: about.id,
+        samples: tally.samples,
+        missing: tally.missing,
+        gaps: tally.gaps,
+        channels: about.channels.iter().map(|channel| channel.name()).collect(),
+        bytes: counted.bytes,
+    })
+}
+
+/// Counts what is written through it.
+struct Counted<W> {
+    to: W,
+    bytes: u64,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.to.write(bytes)?;
+        self.bytes += written as u64;
+        Ok(written)
+    }
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.to.flush()
+    }
+}
+
+fn tell(report: &Report) -> std::io::Result<()> {
+    let Report { file, format, samples, missing, gaps, channels, bytes, .. } = report;
+    let channels = channels.len();
+    let mut stdout = std::io::stdout().lock();
+    writeln!(
+        stdout,
+        "{file}: {samples} samples of {channels} channels as {format}, {missing} missing in {gaps} gaps, {bytes} bytes"
+    )
+}
+
+fn bar(samples: u64) -> ProgressBar {
+    let target =
+        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let style = ProgressStyle::with_template("{bar:30} {percent} % · {human_pos} of {human_len} samples · {eta} left");
+    let bar = ProgressBar::with_draw_target(Some(samples), target);
+    if let Ok(style) = style { bar.with_style(style) } else { bar }
+}

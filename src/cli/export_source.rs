@@ -1,0 +1,264 @@
+//! What is exported: a capture of the database, or a recording's file without one; block by block either way.
+
+use super::Context;
+use crate::clock::{Clock as _, SystemClock};
+use crate::export::samples::{About, Rows, Tally};
+use crate::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
+use crate::sample::{Channel, Gap, Record, Sample};
+use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
+use std::path::Path;
+
+/// Samples of a block: one short query, some 1 MB.
+const BLOCK: usize = 8192;
+
+/// Which part of a capture is wanted.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Part {
+    pub from: Option<Moment>,
+    pub to: Option<Moment>,
+    pub channels: Option<Vec<Channel>>,
+}
+
+/// Samples to be exported.
+pub(super) struct Source {
+    /// What is known of the capture.
+    pub about: About,
+    /// Samples to come: exact for a capture, at most so many for a recording.
+    pub samples: u64,
+    /// Whether frames or lines were rejected on the way in.
+    pub rejected: bool,
+    held: Held,
+}
+
+/// Where the samples are.
+enum Held {
+    Capture { reader: Box<Reader>, range: Box<SampleRange> },
+    Recording { recording: Box<Recording>, part: Part },
+}
+
+impl Source {
+    /// A file where one of that name exists, read while `keep_on` says so, else a capture.
+    ///
+    /// # Errors
+    /// What cannot be read, or channels that it does not have.
+    pub(super) fn open(
+        context: &Context,
+        named: &str,
+        rate_hz: Option<f64>,
+        part: Part,
+        keep_on: KeepOn,
+    ) -> anyhow::Result<Self> {
+        if Path::new(named).is_file() {
+            return Self::of_recording(named, rate_hz, part, keep_on);
+        }
+        let reader = context.reader()?;
+        let range = SampleRange::read(&reader, named, part.from, part.to)?;
+        let channels = Channel::chosen(part.channels.as_deref(), &range.capture.channels)?;
+        Ok(Self::of_range(reader, range, channels))
+    }
+
+    /// A whole capture with these columns, whether it has them or not.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub(super) fn of_capture(context: &Context, id: i64, channels: Vec<Channel>) -> anyhow::Result<Self> {
+        let reader = context.reader()?;
+        let range = SampleRange::read(&reader, &id.to_string(), None, None)?;
+        Ok(Self::of_range(reader, range, channels))
+    }
+
+    fn of_range(reader: Reader, range: SampleRange, channels: Vec<Channel>) -> Self {
+        let capture = &range.capture;
+        let about = About {
+            id: Some(capture.id),
+            name: capture.name.clone(),
+            origin_ns: range.axis.origin_ns(),
+            rate_hz: capture.rate_hz,
+            channels,
+            sensor: capture.sensor.clone(),
+            software: capture.software.clone(),
+            writer: SOFTWARE.to_owned(),
+        };
+        Self {
+            about,
+            samples: range.samples(),
+            rejected: capture.rejected.values().any(|count| *count > 0),
+            held: Held::Capture { reader: Box::new(reader), range: Box::new(range) },
+        }
+    }
+
+    fn of_recording(named: &str, rate_hz: Option<f64>, part: Part, keep_on: KeepOn) -> anyhow::Result<Self> {
+        let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), definitions: Vec::new() };
+        let recording = Recording::read(Input::file(Path::new(named)).while_wanted(keep_on), options)?;
+        let info = recording.info();
+        let has: Vec<Channel> = info.channels.iter().collect();
+        if info.rate_assumed {
+            eprintln!("note: {named} tells no rate: {} Hz is assumed (--rate HZ tells another)", info.rate_hz);
+        }
+        if info.stamps != Stamps::Unix {
+            eprintln!("note: {named} tells no time of day: its first sample counts as taken now");
+        }
+        let about = About {
+            id: None,
+            name: named.to_owned(),
+            origin_ns: info.started_utc_ns,
+            rate_hz: Some(info.rate_hz),
+            channels: Channel::chosen(part.channels.as_deref(), &has)?,
+            sensor: serde_json::json!({}),
+            software: SOFTWARE.to_owned(),
+            writer: SOFTWARE.to_owned(),
+        };
+        Ok(Self {
+            about,
+            samples: info.samples,
+            rejected: info.rejected.values().any(|count| *count > 0),
+            held: Held::Recording { recording: Box::new(recording), part },
+        })
+    }
+
+    /// Hands the samples to `take`, block by block, and tells what they are and what is missing between them.
+    ///
+    /// # Errors
+    /// What cannot be read, and whatever `take` reports.
+    pub(super) fn each(self, take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>) -> anyhow::Result<Tally> {
+        match self.held {
+            Held::Capture { reader, range } => of_capture(&reader, *range, &self.about.channels, take),
+            Held::Recording { recording, part } => of_recording(&recording, &part, &self.about, take),
+        }
+    }
+}
+
+fn of_capture(
+    reader: &Reader,
+    range: SampleRange,
+    channels: &[Channel],
+    take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<Tally> {
+    let SampleRange { capture, mut axis, from_seq, to_seq } = range;
+    let mut next_seq = from_seq;
+    while next_seq < to_seq {
+        let limit = BLOCK.min(usize::try_from(to_seq - next_seq).unwrap_or(BLOCK));
+        let chunk: Chunk = reader.read_samples(capture.id, next_seq, limit, channels)?;
+        if chunk.is_empty() {
+            // It was deleted meanwhile.
+            return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() }.into());
+        }
+        let time_ns = axis.times(reader, &chunk)?;
+        let device_ns = chunk.times.as_ref().map(|times| times.device_ns.as_slice()).unwrap_or_default();
+        let columns = &chunk.columns;
+        take(Rows { first_seq: next_seq, segment: &chunk.segment, time_ns: &time_ns, device_ns, columns })?;
+        next_seq = chunk.next_seq();
+    }
+    let mut tally = Tally::of(to_seq - from_seq);
+    let mut page = PageRequest::first();
+    loop {
+        let gaps = reader.gaps(capture.id, &page)?;
+        let within = |gap: &GapRow| gap.before_seq > from_seq && gap.before_seq < to_seq;
+        gaps.rows.into_iter().filter(within).for_each(|gap| tally.gap(gap_of(&gap)));
+        let Some(cursor) = gaps.next else { return Ok(tally) };
+        page.cursor = Some(cursor);
+    }
+}
+
+fn gap_of(row: &GapRow) -> Gap {
+    Gap {
+        before_seq: row.before_seq,
+        from_utc_ns: row.from.0,
+        to_utc_ns: row.to.0,
+        device_ns: row.from_device_ns.zip(row.to_device_ns),
+        missing: row.missing,
+        missing_exact: row.missing_exact,
+        cause: row.cause,
+    }
+}
+
+/// Samples of a recording that were read and not yet handed on.
+struct Block {
+    first_seq: u64,
+    segment: Vec<u32>,
+    time_ns: Vec<i64>,
+    device_ns: Vec<Option<u64>>,
+    columns: Vec<Vec<f64>>,
+}
+
+impl Block {
+    fn push(&mut self, seq: u64, segment: u32, time_ns: i64, sample: &Sample, channels: &[Channel]) {
+        if self.segment.is_empty() {
+            self.first_seq = seq;
+        }
+        self.segment.push(segment);
+        self.time_ns.push(time_ns);
+        self.device_ns.push(sample.device_time_ns);
+        for (column, channel) in self.columns.iter_mut().zip(channels) {
+            column.push(sample.get(*channel).unwrap_or(f64::NAN));
+        }
+    }
+
+    fn hand_on(&mut self, take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
+        if !self.segment.is_empty() {
+            take(Rows {
+                first_seq: self.first_seq,
+                segment: &self.segment,
+                time_ns: &self.time_ns,
+                device_ns: &self.device_ns,
+                columns: &self.columns,
+            })?;
+        }
+        self.segment.clear();
+        self.time_ns.clear();
+        self.device_ns.clear();
+        self.columns.iter_mut().for_each(Vec::clear);
+        Ok(())
+    }
+}
+
+fn of_recording(
+    recording: &Recording,
+    part: &Part,
+    about: &About,
+    take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<Tally> {
+    let from_ns = part.from.map_or(i64::MIN, |from| from.since(about.origin_ns));
+    let to_ns = part.to.map_or(i64::MAX, |to| to.since(about.origin_ns));
+    let mut accountant = RecordingAccountant::new(recording.info());
+    let mut block = Block {
+        first_seq: 0,
+        segment: Vec::new(),
+        time_ns: Vec::new(),
+        device_ns: Vec::new(),
+        columns: vec![Vec::new(); about.channels.len()],
+    };
+    let (mut tally, mut records, mut gaps) = (Tally::default(), Vec::new(), Vec::new());
+    for item in recording.items()? {
+        let item: Item = item?;
+        accountant.take(item, &mut records);
+        for record in records.drain(..) {
+            match record {
+                Record::Gap(gap) => gaps.push(gap),
+                Record::Sample { seq, segment, sample } => {
+                    let time_ns = sample.host_utc_ns.saturating_sub(about.origin_ns);
+                    if time_ns >= to_ns {
+                        block.hand_on(take)?;
+                        return Ok(tally);
+                    }
+                    // A gap counts where samples of the part lie on both its sides.
+                    for gap in gaps.drain(..) {
+                        if tally.samples > 0 {
+                            tally.gap(gap);
+                        }
+                    }
+                    if time_ns >= from_ns {
+                        tally.samples += 1;
+                        block.push(seq, segment, time_ns, &sample, &about.channels);
+                    }
+                }
+                _ => {}
+            }
+        }
+        if block.segment.len() >= BLOCK {
+            block.hand_on(take)?;
+        }
+    }
+    block.hand_on(take)?;
+    Ok(tally)
+}
