@@ -4,7 +4,8 @@
 //! channels. What a sample lacks is said as the messages' definitions want it: −1 in the covariance's first place (`Imu`),
 //! NaN (a single axis of `MagneticField`), no message at all (neither value there is). The orientation is always unknown: a
 //! VN-100's angles count from north, east, down, and ROS' from east, north, up. Covariances are 0: unknown.
-//! `/vn100d/sample` carries every channel as it was recorded, in degrees and gauss, NaN where there is no value.
+//! `/vn100d/sample` carries every channel as it was recorded, in degrees and gauss, NaN where there is no value; it is what
+//! `import` reads back.
 //!
 //! `log_time`, `publish_time` and the header's stamp are the sample's UTC. Chunks of 1 MiB, zstd, with index, statistics and CRCs.
 

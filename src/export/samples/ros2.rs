@@ -40,7 +40,7 @@ pub(super) enum Topic {
 }
 
 impl Topic {
-    pub(super) const ALL: [Self; 5] = [Self::Imu, Self::Mag, Self::Temperature, Self::Pressure, Self::Sample];
+    pub(super) const ALL: [Self; 5] = [Self::Sample, Self::Imu, Self::Mag, Self::Temperature, Self::Pressure];
 
     pub(super) fn name(self) -> &'static str {
         match self {

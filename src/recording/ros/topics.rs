@@ -1,6 +1,7 @@
 //! Topics: which of a file's topics is the recording, and which go with it.
 //!
-//! The recording is the topic whose messages hold the sensor's raw lines, else the one with the most channels, else the one
+//! The recording is the topic whose messages hold the sensor's raw lines, else the one that `vn100d export` writes for it (values
+//! as they were recorded, beside standard messages of the same samples), else the one with the most channels, else the one
 //! with the most messages. Topics that give further channels under the same stamps (drivers send a magnetic field and a
 //! temperature on their own) go with it; the others are named.
 
@@ -80,6 +81,9 @@ struct Candidate {
     stamps: VecDeque<i64>,
     shared: Vec<u64>,
 }
+
+/// What `vn100d export` calls the messages that have everything as it was recorded.
+const OWN_TYPE: &str = "vn100d_msgs/msg/Sample";
 
 /// Why a topic is not read that could be.
 const NO_DATA: &str = "no IMU data";
@@ -238,8 +242,10 @@ impl Topics {
         }
         let connections = search.connections;
         let mut candidates = search.candidates;
-        let rank =
-            |candidate: &Candidate| (candidate.raw > 0, candidate.topic.channels.iter().count(), candidate.messages);
+        let rank = |candidate: &Candidate| {
+            let topic = &candidate.topic;
+            (candidate.raw > 0, topic.message_type == OWN_TYPE, topic.channels.iter().count(), candidate.messages)
+        };
         // Of equals the first.
         let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
         let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
