@@ -17,11 +17,14 @@ install_tools() {
     command -v "${entry%%:*}" >/dev/null || missing+=("${entry##*:}")
   done
   ls /usr/lib/*/faketime/libfaketime.so.1 >/dev/null 2>&1 || missing+=(libfaketime)
+  python3 -c 'import ensurepip, venv' >/dev/null 2>&1 || missing+=(python3-venv)
   if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
     if [ "${#missing[@]}" -gt 0 ]; then
       apt-get update -qq
       DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
     fi
+    # Python's readers of what is exported, in a virtual environment under target.
+    step python3 tests/peers/exports.py --install
     # From here on a test that cannot find its tool fails.
     export VN100D_REQUIRE_TOOLS=1
   elif [ "${#missing[@]}" -gt 0 ]; then

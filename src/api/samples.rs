@@ -46,7 +46,7 @@ pub(super) struct SamplesQuery {
     format: Option<String>,
 }
 
-/// A range of samples, as [`TextWriter`] writes it. `time_s` counts from the capture's first sample, by the sensor's clock where it sends one.
+/// A range of samples. `time_s` counts from the capture's first sample, by the sensor's clock where it sends one.
 #[derive(Debug, serde::Serialize, utoipa::ToSchema)]
 pub(super) struct Samples {
     /// Id of the capture.

@@ -2,10 +2,10 @@
 
 use super::args::{ExportArgs, ExportFormat, TimeOrigin};
 use super::emulate::stop_on_signal;
-use super::export_source::{Part, Source};
+use super::export_source::{Block, Part, Source};
 use super::output::Output;
 use super::{CliError, Context, Failure, Outcome, print_json};
-use crate::export::samples::{ExportError, SampleFormat, Tally, partition_path};
+use crate::export::samples::{About, ExportError, SampleFormat, Tally, partition_path};
 use crate::recording::KeepOn;
 use crate::sample::{Channel, ChannelError};
 use crate::store::{CaptureFilter, PageRequest};
@@ -13,11 +13,13 @@ use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{BufWriter, IsTerminal as _, Write};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
 
 /// Bytes that are written at a time.
 const WRITE_BYTES: usize = 1 << 20;
+/// Blocks that wait between reading and writing, some 1 MB each.
+const BLOCKS_AHEAD: usize = 4;
 
 /// What an export came to.
 #[derive(Debug, serde::Serialize)]
@@ -182,7 +184,13 @@ fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
     Ok(ids)
 }
 
-/// Writes all samples and what stands after them.
+/// What goes from the thread that reads to the one that writes.
+enum Piece {
+    Samples(Block),
+    End(Tally),
+}
+
+/// Writes all samples and what stands after them: one thread reads, another one writes.
 fn write(
     source: Source,
     format: SampleFormat,
@@ -191,23 +199,33 @@ fn write(
     stop: &AtomicBool,
     shown: &str,
 ) -> anyhow::Result<Report> {
-    let failed = |error: ExportError| match error {
-        ExportError::Write(error) => anyhow::Error::from(error).context(format!("{shown} cannot be written")),
-        error => error.into(),
-    };
     let bar = bar(source.samples);
     let about = source.about.clone();
     let mut counted = Counted { to: BufWriter::with_capacity(WRITE_BYTES, to), bytes: 0 };
-    let mut sink = format.begin(&mut counted, &about, utc).map_err(failed)?;
-    let tally: Tally = source.each(&mut |rows| {
-        if stop.load(Ordering::Relaxed) {
-            let message = "stopped before the end: nothing is kept".to_owned();
-            return Err(CliError { failure: Failure::Other, message }.into());
+    let (pieces, read) = mpsc::sync_channel(BLOCKS_AHEAD);
+    let tally = std::thread::scope(|scope| {
+        let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted));
+        let tally = source.each(&mut |block| {
+            if stop.load(Ordering::Relaxed) {
+                let message = "stopped before the end: nothing is kept".to_owned();
+                return Err(CliError { failure: Failure::Other, message }.into());
+            }
+            bar.inc(block.rows().len() as u64);
+            pieces.send(Piece::Samples(block)).map_err(|_| anyhow::anyhow!("the writing ended before the reading"))
+        });
+        if let Ok(tally) = &tally {
+            // Where nobody takes it, the writer says why.
+            let _ = pieces.send(Piece::End(tally.clone()));
         }
-        bar.inc(rows.len() as u64);
-        sink.rows(rows).map_err(failed)
+        drop(pieces);
+        match writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)) {
+            Ok(()) => tally,
+            Err(ExportError::Write(error)) => {
+                Err(anyhow::Error::from(error).context(format!("{shown} cannot be written")))
+            }
+            Err(error) => Err(error.into()),
+        }
     })?;
-    sink.finish(&tally).map_err(failed)?;
     bar.finish_and_clear();
     Ok(Report {
         file: shown.to_owned(),
@@ -219,6 +237,24 @@ fn write(
         channels: about.channels.iter().map(|channel| channel.name()).collect(),
         bytes: counted.bytes,
     })
+}
+
+/// Writes until the end; where the pieces end before it, the file stays as it is and is not kept.
+fn all(
+    pieces: mpsc::Receiver<Piece>,
+    format: SampleFormat,
+    about: &About,
+    utc: bool,
+    to: impl Write + Send,
+) -> Result<(), ExportError> {
+    let mut sink = format.begin(to, about, utc)?;
+    for piece in pieces {
+        match piece {
+            Piece::Samples(block) => sink.rows(block.rows())?,
+            Piece::End(tally) => return sink.finish(&tally),
+        }
+    }
+    Ok(())
 }
 
 /// Counts what is written through it.

@@ -120,7 +120,7 @@ impl Source {
     ///
     /// # Errors
     /// What cannot be read, and whatever `take` reports.
-    pub(super) fn each(self, take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>) -> anyhow::Result<Tally> {
+    pub(super) fn each(self, take: &mut dyn FnMut(Block) -> anyhow::Result<()>) -> anyhow::Result<Tally> {
         match self.held {
             Held::Capture { reader, range } => of_capture(&reader, *range, &self.about.channels, take),
             Held::Recording { recording, part } => of_recording(&recording, &part, &self.about, take),
@@ -132,7 +132,7 @@ fn of_capture(
     reader: &Reader,
     range: SampleRange,
     channels: &[Channel],
-    take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>,
+    take: &mut dyn FnMut(Block) -> anyhow::Result<()>,
 ) -> anyhow::Result<Tally> {
     let SampleRange { capture, mut axis, from_seq, to_seq } = range;
     let mut next_seq = from_seq;
@@ -144,10 +144,9 @@ fn of_capture(
             return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() }.into());
         }
         let time_ns = axis.times(reader, &chunk)?;
-        let device_ns = chunk.times.as_ref().map(|times| times.device_ns.as_slice()).unwrap_or_default();
-        let columns = &chunk.columns;
-        take(Rows { first_seq: next_seq, segment: &chunk.segment, time_ns: &time_ns, device_ns, columns })?;
-        next_seq = chunk.next_seq();
+        let first_seq = std::mem::replace(&mut next_seq, chunk.next_seq());
+        let device_ns = chunk.times.unwrap_or_default().device_ns;
+        take(Block { first_seq, segment: chunk.segment, time_ns, device_ns, columns: chunk.columns })?;
     }
     let mut tally = Tally::of(to_seq - from_seq);
     let mut page = PageRequest::first();
@@ -172,8 +171,8 @@ fn gap_of(row: &GapRow) -> Gap {
     }
 }
 
-/// Samples of a recording that were read and not yet handed on.
-struct Block {
+/// Consecutive samples that were read.
+pub(super) struct Block {
     first_seq: u64,
     segment: Vec<u32>,
     time_ns: Vec<i64>,
@@ -194,21 +193,34 @@ impl Block {
         }
     }
 
-    fn hand_on(&mut self, take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
-        if !self.segment.is_empty() {
-            take(Rows {
-                first_seq: self.first_seq,
-                segment: &self.segment,
-                time_ns: &self.time_ns,
-                device_ns: &self.device_ns,
-                columns: &self.columns,
-            })?;
+    fn of(channels: usize) -> Self {
+        Self {
+            first_seq: 0,
+            segment: Vec::new(),
+            time_ns: Vec::new(),
+            device_ns: Vec::new(),
+            columns: vec![Vec::new(); channels],
         }
-        self.segment.clear();
-        self.time_ns.clear();
-        self.device_ns.clear();
-        self.columns.iter_mut().for_each(Vec::clear);
-        Ok(())
+    }
+
+    /// As what is written from.
+    pub(super) fn rows(&self) -> Rows<'_> {
+        Rows {
+            first_seq: self.first_seq,
+            segment: &self.segment,
+            time_ns: &self.time_ns,
+            device_ns: &self.device_ns,
+            columns: &self.columns,
+        }
+    }
+
+    /// Hands on what it has, and has nothing then.
+    fn hand_on(&mut self, take: &mut dyn FnMut(Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
+        if self.segment.is_empty() {
+            return Ok(());
+        }
+        let empty = Self::of(self.columns.len());
+        take(std::mem::replace(self, empty))
     }
 }
 
@@ -216,18 +228,12 @@ fn of_recording(
     recording: &Recording,
     part: &Part,
     about: &About,
-    take: &mut dyn FnMut(Rows<'_>) -> anyhow::Result<()>,
+    take: &mut dyn FnMut(Block) -> anyhow::Result<()>,
 ) -> anyhow::Result<Tally> {
     let from_ns = part.from.map_or(i64::MIN, |from| from.since(about.origin_ns));
     let to_ns = part.to.map_or(i64::MAX, |to| to.since(about.origin_ns));
     let mut accountant = RecordingAccountant::new(recording.info());
-    let mut block = Block {
-        first_seq: 0,
-        segment: Vec::new(),
-        time_ns: Vec::new(),
-        device_ns: Vec::new(),
-        columns: vec![Vec::new(); about.channels.len()],
-    };
+    let mut block = Block::of(about.channels.len());
     let (mut tally, mut records, mut gaps) = (Tally::default(), Vec::new(), Vec::new());
     for item in recording.items()? {
         let item: Item = item?;

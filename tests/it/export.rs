@@ -10,29 +10,29 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// A folder with a database in `data` and whatever a test writes.
-struct Place(tempfile::TempDir);
+pub struct Place(tempfile::TempDir);
 
 impl Place {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub fn text(&self, name: &str) -> String {
         std::fs::read_to_string(self.path(name)).unwrap()
     }
 
     /// Runs the program in the folder.
-    fn run(&self, arguments: &[&str]) -> Output {
+    pub fn run(&self, arguments: &[&str]) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_vn100d"));
         command.env_remove("VN100D_DATA_DIR").env_remove("VN100D_CONFIG").current_dir(self.0.path());
         command.args(["--data-dir", "data"]).args(arguments).output().unwrap()
     }
 
-    fn done(&self, arguments: &[&str]) -> String {
+    pub fn done(&self, arguments: &[&str]) -> String {
         let output = self.run(arguments);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", said(&output));
         String::from_utf8(output.stdout).unwrap()
@@ -45,7 +45,7 @@ impl Place {
     }
 
     /// Rows of the database.
-    fn query(&self, sql: &str) -> Vec<Vec<Value>> {
+    pub fn query(&self, sql: &str) -> Vec<Vec<Value>> {
         let database = rusqlite::Connection::open(self.path("data/vn100d.db")).unwrap();
         let mut statement = database.prepare(sql).unwrap();
         let columns = statement.column_count();
@@ -54,7 +54,7 @@ impl Place {
     }
 
     /// Everything in the folder, the data directory left out.
-    fn files(&self) -> Vec<String> {
+    pub fn files(&self) -> Vec<String> {
         fn walk(folder: &Path, from: &Path, found: &mut Vec<String>) {
             for entry in std::fs::read_dir(folder).unwrap().flatten() {
                 let path = entry.path();
@@ -101,7 +101,7 @@ fn recording(samples: usize) -> String {
 }
 
 /// A place with this recording as capture 1, `night`.
-fn with_capture(samples: usize) -> Place {
+pub fn with_capture(samples: usize) -> Place {
     let place = Place::new();
     std::fs::write(place.path("night.csv"), recording(samples)).unwrap();
     place.done(&["import", "night.csv"]);
@@ -208,6 +208,10 @@ fn mcap_has_every_sample_at_its_time_in_si_and_as_recorded() {
         }
     }
     assert_eq!((own, mag), (2_000, 2_000));
+    // What comes in again is what was recorded, not what the standard messages made of it.
+    place.done(&["import", "out.mcap", "--name", "again"]);
+    assert!(place.query(&of(SAMPLES, 1, "seq")) == place.query(&of(SAMPLES, 2, "seq")), "the samples differ");
+    assert_eq!(place.query(&of(GAPS, 1, "gap_id")), place.query(&of(GAPS, 2, "gap_id")));
     assert_eq!(mcap::Summary::read(&bytes).unwrap().unwrap().stats.unwrap().message_count, 2_000 * 2 + 1_600);
 }
 

@@ -10,6 +10,7 @@ mod diagnoses;
 mod diagnosis;
 mod docs;
 mod export;
+mod export_line;
 mod gap;
 mod imports;
 mod night;

@@ -1,0 +1,156 @@
+//! How fast a capture leaves the database: `vn100d export` in each format, ten channels and their times, five hours at 40 Hz;
+//! prints figures, `cargo bench --bench export`. `python3 benches/export.py` runs that and pandas on the same database.
+//!
+//! Two captures of the demonstration's sensor: values as its ASCII output rounds them, and as the floats of its binary output.
+//! Times are those of the whole command, from its start to the file under its name; beside them stands what reading the samples alone
+//! takes. With `EXPORT_DIR` set, the database and the figures are left there.
+
+#![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
+use vn100d::simulator::{Simulator, default_model};
+use vn100d::store::{CaptureState, NewCapture, Reader, Store, StoreOptions};
+
+const RATE_HZ: f64 = 40.0;
+const PERIOD_NS: u64 = 25_000_000;
+const START_NS: i64 = 1_800_000_000_000_000_000;
+const FORMATS: [&str; 4] = ["parquet", "csv", "ndjson", "mcap"];
+
+fn main() {
+    // `cargo test --benches` only wants to know that it runs.
+    let quick = !std::env::args().any(|argument| argument == "--bench");
+    let (samples, rounds) = if quick { (20_000, 1) } else { (720_000, 7) };
+    let temporary = tempfile::tempdir().unwrap();
+    let left = std::env::var_os("EXPORT_DIR");
+    let directory = left.as_deref().map_or(temporary.path(), Path::new);
+    let database = directory.join("vn100d.db");
+    for suffix in ["", "-wal", "-shm"] {
+        let _ = std::fs::remove_file(directory.join(format!("vn100d.db{suffix}")));
+    }
+    let channels: Vec<Channel> = Channel::ANALYSED.into_iter().chain([Channel::Temperature]).collect();
+    let store = Store::open(&database, StoreOptions::default()).unwrap();
+    for (name, binary) in [("decimals", false), ("floats", true)] {
+        record(&store, name, &channels, samples, binary);
+    }
+    store.close().unwrap();
+    println!("{samples} samples, {} channels and their times, median of {rounds}", channels.len());
+    let mut rows = Vec::new();
+    for name in ["decimals", "floats"] {
+        let mut reading = Vec::new();
+        for _ in 0..rounds {
+            reading.push(read(&database, name, &channels, samples));
+        }
+        println!("{name}: reading alone {:>28.0} rows/s", samples as f64 / median(&mut reading));
+        for format in FORMATS {
+            let out = directory.join(format!("{name}.{format}"));
+            let (mut times, mut peak_kb) = (Vec::new(), 0);
+            for _ in 0..rounds {
+                let begun = Instant::now();
+                peak_kb = export(directory, name, &out).max(peak_kb);
+                times.push(begun.elapsed().as_secs_f64());
+            }
+            let (time_s, bytes) = (median(&mut times), std::fs::metadata(&out).unwrap().len());
+            println!(
+                "{name}: {format:<8} {time_s:>7.3} s {:>12.0} rows/s, {:>5.1} bytes a row, {} MB held",
+                samples as f64 / time_s,
+                bytes as f64 / samples as f64,
+                peak_kb / 1000
+            );
+            rows.push(serde_json::json!({ "capture": name, "format": format, "s": time_s, "bytes": bytes }));
+        }
+    }
+    if left.is_some() {
+        let columns: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
+        let run = serde_json::json!({ "samples": samples, "columns": columns, "rows": rows });
+        std::fs::write(directory.join("run.json"), run.to_string()).unwrap();
+    }
+}
+
+fn median(times: &mut [f64]) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+/// A capture of the demonstration's sensor.
+fn record(store: &Store, name: &str, channels: &[Channel], samples: u64, binary: bool) {
+    let mut model = default_model();
+    model.channels.retain(|channel, _| channels.contains(channel));
+    let mut simulator = Simulator::new(&model, 1, RATE_HZ, samples as f64 / RATE_HZ).unwrap();
+    let mut capture = NewCapture::new("bench", CaptureState::Imported);
+    capture.name = Some(name.to_owned());
+    let mut import = store.begin_import(capture, None).unwrap();
+    import
+        .push(Record::Segment(Segment {
+            number: 1,
+            epoch: 1,
+            first_seq: 0,
+            rate_hz: RATE_HZ,
+            timebase: Timebase::Device,
+            channels: channels.iter().copied().collect(),
+            first_device_time_ns: Some(0),
+            first_utc_ns: START_NS,
+            boot_id: None,
+        }))
+        .unwrap();
+    for seq in 0..samples {
+        let mut sample = Sample::at(1_000_000_000_000 + seq * PERIOD_NS, START_NS + (seq * PERIOD_NS) as i64);
+        sample.device_time_ns = Some(seq * PERIOD_NS);
+        let values = simulator.next_values();
+        for channel in channels {
+            let value = values[*channel as usize];
+            // What `$VN…` lines have behind the point.
+            let steps = match channel.unit() {
+                "rad/s" => 1e6,
+                "gauss" => 1e4,
+                "m/s²" => 1e3,
+                _ => 10.0,
+            };
+            let rounded = if binary { f64::from(value as f32) } else { (value * steps).round() / steps };
+            sample.set(*channel, rounded);
+        }
+        import.push(Record::Sample { seq, segment: 1, sample }).unwrap();
+    }
+    import.finish(None).unwrap();
+}
+
+/// Reads the samples with their clocks; seconds.
+fn read(database: &Path, name: &str, channels: &[Channel], samples: u64) -> f64 {
+    let reader = Reader::open(database).unwrap();
+    let id = reader.resolve(name).unwrap();
+    let begun = Instant::now();
+    let mut seq = 0;
+    while seq < samples {
+        seq = reader.read_samples(id, seq, 8192, channels).unwrap().next_seq();
+    }
+    begun.elapsed().as_secs_f64()
+}
+
+/// Runs `vn100d export` to its end and answers the most memory it held, kB.
+fn export(data_dir: &Path, capture: &str, out: &Path) -> u64 {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_vn100d"))
+        .args(["--data-dir", data_dir.to_str().unwrap(), "--json", "export", capture, "--force"])
+        .args(["--out", out.to_str().unwrap()])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut peak = 0;
+    loop {
+        // What a process that has ended held can no longer be read: the last look before its end counts.
+        peak = peak.max(peak_kb(&child.id().to_string()));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success());
+            return peak;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+}
+
+/// Most memory that a process held since it began, kB; 0 where it has ended.
+fn peak_kb(process: &str) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
