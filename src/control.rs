@@ -105,6 +105,8 @@ pub struct ImportRequest {
     pub called: String,
     /// Samples per second of a recording without stamps.
     pub rate_hz: Option<f64>,
+    /// What the columns of a foreign CSV are: `FOREIGN=NAME,…`.
+    pub columns: Option<String>,
     /// Name of the capture.
     pub name: Option<String>,
     /// Cancelled once nobody waits for it any more.

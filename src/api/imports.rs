@@ -35,6 +35,8 @@ const LOOK_BYTES: u64 = 8 << 20;
 const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", "application/x-gzip", "text/csv"];
 /// Characters of a file's name at most.
 const CALLED_MAX: usize = 4096;
+/// Bytes of what the columns are at most.
+const COLUMNS_MAX: usize = 16 * 1024;
 
 /// How the recording is to be read.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -48,6 +50,10 @@ pub(super) struct ImportQuery {
     name: Option<String>,
     /// Samples per second of a recording without stamps.
     rate_hz: Option<f64>,
+    /// What the columns of a foreign CSV are: pairs FOREIGN=NAME, separated by commas. FOREIGN is a header's name or a
+    /// position (`#3`), NAME a channel with its unit (`accel_x_g`), or `time_s`, `time_ms`, `time_us`, `time_ns`.
+    #[param(example = "Time [ms]=time_ms,ax=accel_x_g")]
+    columns: Option<String>,
 }
 
 /// Makes a recording (CSV or raw lines, plain or gzip) a capture; answers once it is one. The same recording again is the same capture.
@@ -86,6 +92,7 @@ pub(super) async fn import(
         file: aside.path().to_owned(),
         called: query.file.unwrap_or_else(|| "recording".to_owned()),
         rate_hz: query.rate_hz,
+        columns: query.columns,
         name: query.name,
         abandoned: abandoned.clone(),
     };
@@ -135,6 +142,9 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<(), ApiError> {
         return Err(ApiError::bad_request(format!(
             "`file`: allowed are 1 to {CALLED_MAX} bytes without control characters"
         )));
+    }
+    if query.columns.as_ref().is_some_and(|columns| columns.len() > COLUMNS_MAX) {
+        return Err(ApiError::bad_request(format!("`columns`: allowed are {COLUMNS_MAX} bytes")));
     }
     // Before the body comes: it would be sent for nothing.
     if let Some(name) = &query.name {

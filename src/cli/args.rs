@@ -219,6 +219,10 @@ pub struct ImportArgs {
     /// Rate of a recording without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// What the columns of a foreign CSV are: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
+    /// '#3=gyro_x_dps' by position. May be given several times
+    #[arg(long, value_name = "FOREIGN=NAME,…")]
+    pub columns: Vec<String>,
     /// Name of the capture (default: the file's name)
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,

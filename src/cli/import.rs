@@ -6,7 +6,7 @@ use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
 use crate::control::ImportReport;
 use crate::daemon::import::{Source, import};
-use crate::recording::{KeepOn, open_regular};
+use crate::recording::{ColumnMap, KeepOn, open_regular};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -31,12 +31,15 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         let message = "--name names one capture, but several files were given".to_owned();
         return Err(CliError { failure: Failure::Usage, message }.into());
     }
+    // A daemon is sent what was understood here.
+    let columns = ColumnMap::parse(&args.columns)
+        .map_err(|error| CliError { failure: Failure::Usage, message: format!("--{error}") })?;
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
         let report = match &writer {
-            Writer::Own(store) => import_here(store, file, args)?,
-            Writer::Daemon { base_url, token } => send(base_url, token, file, args)?,
+            Writer::Own(store) => import_here(store, file, args, &columns)?,
+            Writer::Daemon { base_url, token } => send((base_url, token), file, args, &columns)?,
         };
         if report.rejected.values().any(|count| *count > 0) {
             outcome = Outcome::WithLoss;
@@ -101,11 +104,12 @@ fn is_somebody_elses(error: &StoreError) -> bool {
     }
 }
 
-fn import_here(store: &Store, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
+fn import_here(store: &Store, file: &Path, args: &ImportArgs, columns: &ColumnMap) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples");
     // Another instance's daemon may capture beside it.
     crate::jobs::step_back();
-    let source = Source { file, called: file, rate_hz: args.rate, keep_on: KeepOn::default() };
+    let (columns, keep_on) = (columns.clone(), KeepOn::default());
+    let source = Source { file, called: file, rate_hz: args.rate, columns, keep_on };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -118,8 +122,13 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs) -> anyhow::Result<
     Ok(imported.report())
 }
 
-/// Sends the recording's bytes to the daemon, which may not be able to read the user's files.
-fn send(base_url: &str, token: &str, file: &Path, args: &ImportArgs) -> anyhow::Result<ImportReport> {
+/// Sends the recording's bytes to the daemon (its address and token), which may not be able to read the user's files.
+fn send(
+    (base_url, token): (&str, &str),
+    file: &Path,
+    args: &ImportArgs,
+    columns: &ColumnMap,
+) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
     let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();
@@ -128,6 +137,9 @@ fn send(base_url: &str, token: &str, file: &Path, args: &ImportArgs) -> anyhow::
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
+    if !columns.is_empty() {
+        query.push(("columns", columns.to_string()));
+    }
     let body = bar.wrap_read(opened);
     let answer = client::send(base_url, "/v1/imports", &query, token, length, body);
     bar.finish_and_clear();
@@ -197,6 +209,7 @@ mod tests {
         let arguments = |listen: Option<&str>| ImportArgs {
             files: vec!["desk.csv".into()],
             rate: None,
+            columns: Vec::new(),
             name: None,
             listen: listen.map(str::to_owned),
         };

@@ -4,7 +4,8 @@ use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
 use crate::jobs::Jobs;
 use crate::recording::{
-    Input, KeepOn, Options, Recording, RecordingAccountant, RecordingError, RecordingInfo, Rejected, open_regular,
+    ColumnMap, ColumnsError, Input, KeepOn, Options, Recording, RecordingAccountant, RecordingError, RecordingInfo,
+    Rejected, open_regular,
 };
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
@@ -22,6 +23,9 @@ pub enum ImportError {
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// What its columns were said to be.
+    #[error(transparent)]
+    Columns(#[from] ColumnsError),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -109,6 +113,8 @@ pub struct Source<'a> {
     pub called: &'a Path,
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
+    /// What the columns of a foreign CSV are.
+    pub columns: ColumnMap,
     /// Whether it is still wanted.
     pub keep_on: KeepOn,
 }
@@ -124,19 +130,20 @@ pub fn import(
     name: Option<String>,
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
-    let Source { file, called, rate_hz, keep_on } = source;
+    let Source { file, called, rate_hz, columns, keep_on } = source;
     // What is refused for its name is refused before anything is read.
     if let Some(name) = &name {
         check_name(name)?;
     }
-    let fingerprint = fingerprint(file, rate_hz, &keep_on)?;
+    let fingerprint = fingerprint(file, rate_hz, &columns, &keep_on)?;
     if let Some(name) = &name
         && store.imported(&fingerprint)?.is_none()
         && is_taken(store, name)?
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
     }
-    let input = Input::file(file).while_wanted(keep_on);
+    let told: Vec<String> = columns.pairs().collect();
+    let input = Input::file(file).while_wanted(keep_on).with_columns(columns);
     let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), ..Options::default() })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
@@ -148,7 +155,7 @@ pub fn import(
     };
     capture.started_utc_ns = Some(info.started_utc_ns);
     capture.rate_assumed = info.rate_assumed;
-    capture.configuration = Some(description(&info));
+    capture.configuration = Some(description(&info, &told));
     capture.channels = channels(&info);
     let mut import = store.begin_import(capture, Some(&fingerprint))?;
     let mut out = Vec::new();
@@ -220,7 +227,9 @@ impl Importer for DaemonImporter {
         let (stop, abandoned) = (self.stop.clone(), request.abandoned.clone());
         let keep_on = KeepOn::asking(move || !stop.is_cancelled() && !abandoned.is_cancelled());
         let called = Path::new(&request.called);
-        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, keep_on };
+        let columns = ColumnMap::parse(request.columns.as_slice());
+        let columns = columns.map_err(|error| refused(&error.into(), &request))?;
+        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, columns, keep_on };
         let mut room = |_, _| {
             let free_bytes = self.store.progress().free_bytes;
             if free_bytes < self.reserve_bytes {
@@ -249,7 +258,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
         ImportError::Recording(RecordingError::Unwanted { .. }) => control::ImportError::Stopping,
-        ImportError::Recording(_) => control::ImportError::Recording { reason },
+        ImportError::Recording(_) | ImportError::Columns(_) => control::ImportError::Recording { reason },
         ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
         ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused { reason },
         ImportError::Store(_) | ImportError::Read { .. } | ImportError::NoRoom { .. } => {
@@ -259,7 +268,12 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
 }
 
 /// Names the recording's content and how it is read.
-fn fingerprint(file: &Path, rate_hz: Option<f64>, keep_on: &KeepOn) -> Result<String, ImportError> {
+fn fingerprint(
+    file: &Path,
+    rate_hz: Option<f64>,
+    columns: &ColumnMap,
+    keep_on: &KeepOn,
+) -> Result<String, ImportError> {
     let mut bytes = open_regular(file)?;
     let (mut hash, mut buffer) = (Sha256::new(), vec![0; HASH_BYTES]);
     loop {
@@ -274,10 +288,9 @@ fn fingerprint(file: &Path, rate_hz: Option<f64>, keep_on: &KeepOn) -> Result<St
         }
     }
     let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    Ok(match rate_hz {
-        Some(rate_hz) => format!("sha256:{digest} rate {rate_hz}"),
-        None => format!("sha256:{digest}"),
-    })
+    let rate = rate_hz.map(|rate_hz| format!(" rate {rate_hz}")).unwrap_or_default();
+    let columns = if columns.is_empty() { String::new() } else { format!(" columns {columns}") };
+    Ok(format!("sha256:{digest}{rate}{columns}"))
 }
 
 /// A name for the capture, after the file, where that can be one and no capture has it yet.
@@ -303,10 +316,12 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     }
 }
 
-fn description(info: &RecordingInfo) -> serde_json::Value {
+/// What the capture's configuration says; `told` is what was said of the columns.
+fn description(info: &RecordingInfo, told: &[String]) -> serde_json::Value {
     serde_json::json!({
         "file": info.file.display().to_string(),
         "kind": info.kind,
+        "columns": told,
         "stamps": info.stamps,
         "rate_hz": info.rate_hz,
         "ignored_columns": info.ignored_columns,
@@ -316,6 +331,9 @@ fn description(info: &RecordingInfo) -> serde_json::Value {
         "remarks": info.remarks(),
     })
 }
+
+/// A step that is coarser by no more than this is the same.
+const SAME_STEP: f64 = 1.001;
 
 fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
     info.channels
@@ -327,7 +345,14 @@ fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
                 |conversion| ChannelRow::converted(channel, conversion.original_unit, conversion.factor),
             );
             let factor = conversion.map_or(1.0, |conversion| conversion.factor.abs());
-            row.resolution = info.decimals.get(channel).map(|decimals| factor * 10_f64.powi(-i32::from(decimals)));
+            let written = info.decimals.get(channel).map(|decimals| factor * 10_f64.powi(-i32::from(decimals)));
+            // Rounding apart, a step that was seen is never finer than the decimals.
+            let seen = info.findings.quantisation.get(&channel).map(|found| found.step);
+            row.resolution = match (written, seen) {
+                (Some(written), Some(seen)) if seen > SAME_STEP * written => Some(seen),
+                (None, seen) => seen,
+                (written, _) => written,
+            };
             row
         })
         .collect()
@@ -353,6 +378,7 @@ mod tests {
                 called: "desk.csv".to_owned(),
                 name: None,
                 rate_hz: None,
+                columns: None,
                 abandoned: CancellationToken::new(),
             };
             importer.import(request).unwrap_err()

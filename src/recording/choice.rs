@@ -9,8 +9,10 @@
 //! ([`super::order`]).
 
 use super::error::RecordingError;
+use super::findings::Pairs;
+use super::pairs::Pairing;
 use super::rows::{Row, Rows};
-use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS};
+use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS, median_of};
 
 /// How many samples are looked at.
 const LOOK_AT: usize = 20_000;
@@ -30,6 +32,8 @@ pub struct StampChoice {
     pub column: usize,
     /// Share of steps within 10 % of the median step, for each column of stamps.
     pub regular: Vec<f64>,
+    /// The two steps that take turns, for each column of stamps that comes in pairs.
+    pub pairs: Vec<Option<Pairs>>,
 }
 
 /// What the rows looked at have.
@@ -42,6 +46,7 @@ pub(super) struct Chosen {
     /// Whether its stamps are times since 1970.
     pub(super) unix: bool,
     pub(super) regular: Vec<f64>,
+    pub(super) pairs: Vec<Option<Pairs>>,
 }
 
 /// One column of stamps; its steps from the second row on: a first line may be cut, and its first stamp with it.
@@ -50,6 +55,7 @@ struct Column {
     first: Option<i64>,
     last: i64,
     steps: StepMedian,
+    pairing: Pairing,
     /// Steps that do not advance.
     backward: u64,
     /// Stamps since 1970.
@@ -60,7 +66,9 @@ impl Column {
     fn add(&mut self, stamp_ns: i64) {
         if self.first.replace(self.first.unwrap_or(stamp_ns)).is_some() {
             if stamp_ns > self.last {
-                self.steps.add(stamp_ns.abs_diff(self.last));
+                let step_ns = stamp_ns.abs_diff(self.last);
+                self.steps.add(step_ns);
+                self.pairing.add(step_ns);
             } else {
                 self.backward += 1;
             }
@@ -71,8 +79,10 @@ impl Column {
         self.first.map_or(0.0, |first| self.last.saturating_sub(first) as f64)
     }
     fn regular(&self) -> f64 {
-        let Some(median) = self.steps.median_ns() else { return 0.0 };
-        let near = self.steps.count_where(|step| (step - median).abs() <= REGULAR_WITHIN * median);
+        let counted = self.steps.counted();
+        let Some(median) = median_of(&counted) else { return 0.0 };
+        let is_near = |step: u64| (step as f64 - median).abs() <= REGULAR_WITHIN * median;
+        let near: u64 = counted.iter().filter(|(step, _)| is_near(*step)).map(|(_, count)| count).sum();
         near as f64 / (self.steps.total() + self.backward) as f64
     }
 }
@@ -99,11 +109,12 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     // Of equally many the richer one: a first line may be cut.
     let Some((count, (rows, columns))) = by_count.iter().enumerate().max_by_key(|(count, (rows, _))| (*rows, *count))
     else {
-        return Ok(Chosen { count: 0, column: None, unix: false, regular: Vec::new() });
+        return Ok(Chosen { count: 0, column: None, unix: false, regular: Vec::new(), pairs: Vec::new() });
     };
     let columns = &columns[..count];
     let regular: Vec<f64> = columns.iter().map(Column::regular).collect();
-    let Some(last) = columns.last() else { return Ok(Chosen { count, column: None, unix: false, regular }) };
+    let pairs = columns.iter().map(|column| column.pairing.pairs(&column.steps.counted())).collect();
+    let Some(last) = columns.last() else { return Ok(Chosen { count, column: None, unix: false, regular, pairs }) };
     let same_time = |column: &Column| (column.span_ns() - last.span_ns()).abs() <= SAME_SPAN_WITHIN * last.span_ns();
     let mut column = count - 1;
     for earlier in (0..count - 1).rev() {
@@ -112,5 +123,5 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
         }
     }
     let unix = 2 * columns[column].unix >= *rows;
-    Ok(Chosen { count, column: Some(column), unix, regular })
+    Ok(Chosen { count, column: Some(column), unix, regular, pairs })
 }

@@ -1,243 +1,304 @@
 //! CSV: a header line that names channels and units, rows of numbers (contract, section 4).
 //!
-//! Columns may stand in any order. A column is known by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`); its values
-//! are converted to the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its
-//! channel absent; a row with another number of cells, a cell that is no number or no stamp is rejected.
+//! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted to
+//! the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its channel absent; a row
+//! with another number of cells, a cell that is no number or no stamp is rejected.
+//!
+//! Rows of plain numbers are read as they stand; only those with quotation marks are copied. Memory is bounded by the
+//! longest row, 64 KiB.
 
 use super::choice::{Chosen, choose};
 use super::detect::read_error;
 use super::error::RecordingError;
-use super::info::{Conversion, Decimals};
+use super::header::{Column, Header, Split, rate_of_comment};
+use super::info::Decimals;
 use super::input::Input;
+use super::number::parse_plain;
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::{RowStamps, parse_seconds};
-use crate::sample::{Channel, DiscardCause, Sample, Triad};
-use crate::units::{GAUSS_PER_TESLA, RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
-use std::io::BufRead;
-use std::path::{Path, PathBuf};
+use super::stamps::{RowStamps, parse_stamp};
+use crate::sample::{DiscardCause, Sample};
+use std::io::{BufRead, Read};
+use std::ops::Range;
+use std::path::PathBuf;
 
-/// Name of the column with stamps in seconds.
-const TIME: &str = "time_s";
+/// A row of all channels has some 300 bytes; foreign columns may make it longer. A longer line is no row: a file does not
+/// decide how much memory is taken by one without end, or by a quotation mark that is never closed.
+const ROW_BYTES: usize = 64 * 1024;
 
-/// What a column gives.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Column {
-    Stamp,
-    Value { channel: Channel, factor: f64 },
-    Ignored,
+/// The lines of a file, one at a time.
+struct Lines {
+    file: PathBuf,
+    reader: Box<dyn BufRead>,
+    bytes: Vec<u8>,
+    /// The line that is looked at, without its end.
+    current: Range<usize>,
+    /// What follows it in `bytes`, where a carriage return ended it.
+    next: usize,
+    /// Its number, from 1.
+    number: u64,
 }
 
-/// Unit suffixes that a channel's column may have, with the unit's name and the factor to the channel's unit.
-fn suffixes(channel: Channel) -> &'static [(&'static str, &'static str, f64)] {
-    match channel.triad() {
-        Some(Triad::Attitude) => &[("_deg", "deg", 1.0), ("_rad", "rad", 1.0 / RAD_PER_DEG)],
-        Some(Triad::Mag) => {
-            &[("_gauss", "gauss", 1.0), ("_tesla", "T", GAUSS_PER_TESLA), ("_ut", "µT", 1e-6 * GAUSS_PER_TESLA)]
-        }
-        Some(Triad::Accel) => {
-            &[("_m_s2", "m/s²", 1.0), ("_g", "g", STANDARD_GRAVITY_M_S2), ("_mg", "mg", 1e-3 * STANDARD_GRAVITY_M_S2)]
-        }
-        Some(Triad::Gyro) => {
-            &[("_rad_s", "rad/s", 1.0), ("_deg_s", "deg/s", RAD_PER_DEG), ("_dps", "deg/s", RAD_PER_DEG)]
-        }
-        None if channel == Channel::Temperature => &[("_c", "°C", 1.0)],
-        None => &[("_kpa", "kPa", 1.0)],
-    }
-}
-
-/// The channel and unit that a column's name means.
-pub(super) fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
-    Channel::ALL.into_iter().find_map(|channel| {
-        let suffix = name.strip_prefix(channel.name())?;
-        let (_, unit, factor) = suffixes(channel).iter().find(|(known, ..)| *known == suffix)?;
-        Some((channel, *unit, *factor))
-    })
-}
-
-/// A header line, understood.
-#[derive(Debug)]
-pub(super) struct Header {
-    columns: Vec<Column>,
-    pub(super) ignored: Vec<String>,
-    pub(super) conversions: Vec<Conversion>,
-    pub(super) stamped: bool,
-}
-
-impl Header {
-    /// Whether a line, as the header of a CSV, names at least one channel with its unit.
-    pub(super) fn names_a_channel(line: &str) -> bool {
-        line.trim_start_matches('\u{FEFF}').split(',').any(|name| known_column(clean(name)).is_some())
-    }
-
-    fn understand<'a>(names: impl Iterator<Item = &'a str>, file: &Path) -> Result<Self, RecordingError> {
-        let mut header = Self { columns: Vec::new(), ignored: Vec::new(), conversions: Vec::new(), stamped: false };
-        let mut seen: Vec<(Channel, String)> = Vec::new();
-        for name in names.map(clean) {
-            if name == TIME {
-                if header.stamped {
-                    return Err(RecordingError::DuplicateTime { file: file.to_owned() });
+impl Lines {
+    /// Goes to the next line that is not empty; whether there is one.
+    fn advance(&mut self) -> Result<bool, RecordingError> {
+        loop {
+            let rest = self.next..self.bytes.len();
+            if rest.is_empty() {
+                self.bytes.clear();
+                if self.read()? == 0 {
+                    (self.current, self.next) = (0..0, 0);
+                    return Ok(false);
                 }
-                header.stamped = true;
-                header.columns.push(Column::Stamp);
-                continue;
             }
-            let Some((channel, unit, factor)) = known_column(name) else {
-                header.ignored.push(name.to_owned());
-                header.columns.push(Column::Ignored);
-                continue;
-            };
-            if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
-                return Err(RecordingError::DuplicateColumn {
-                    file: file.to_owned(),
-                    first: first.clone(),
-                    second: name.to_owned(),
-                    channel,
-                });
+            let begin = if rest.is_empty() { 0 } else { rest.start };
+            let text = self.bytes.get(begin..).unwrap_or_default();
+            let empty = text.iter().take_while(|byte| is_end(**byte)).count();
+            let end = text.iter().rposition(|byte| !is_end(*byte)).map_or(empty, |last| last + 1);
+            self.current = begin + empty.min(end)..begin + end;
+            self.next = self.bytes.len();
+            if !self.current.is_empty() {
+                return Ok(true);
             }
-            seen.push((channel, name.to_owned()));
-            if unit != channel.unit() {
-                header.conversions.push(Conversion { channel, column: name.to_owned(), original_unit: unit, factor });
-            }
-            header.columns.push(Column::Value { channel, factor });
         }
-        Ok(header)
+    }
+
+    /// Reads up to the next line end behind what is there; how many bytes.
+    fn read(&mut self) -> Result<usize, RecordingError> {
+        let room = (ROW_BYTES + 1).saturating_sub(self.bytes.len());
+        let read = self.reader.by_ref().take(room as u64).read_until(b'\n', &mut self.bytes);
+        let read = read.map_err(|source| read_error(&self.file, self.number, source))?;
+        self.number += u64::from(read > 0);
+        if self.bytes.len() > ROW_BYTES {
+            let source = std::io::Error::other(format!(
+                "a row of more than {ROW_BYTES} bytes: expected one sample a line (is a quotation mark left open?)"
+            ));
+            return Err(read_error(&self.file, self.number - 1, source));
+        }
+        Ok(read)
+    }
+
+    fn current(&self) -> &[u8] {
+        self.bytes.get(self.current.clone()).unwrap_or_default()
+    }
+
+    /// Ends the line at its first carriage return, if it has one inside: old files have no other line end.
+    fn cut(&mut self) -> bool {
+        let Some(place) = self.current().iter().position(|byte| *byte == b'\r') else { return false };
+        self.current.end = self.current.start + place;
+        self.next = self.current.end + 1;
+        true
     }
 }
 
-/// A column's name without the space, quotes and byte-order mark that programs put around it.
-fn clean(name: &str) -> &str {
-    name.trim_matches(|c: char| c.is_whitespace() || c == '\u{FEFF}' || c == '"')
+fn is_end(byte: u8) -> bool {
+    byte == b'\n' || byte == b'\r'
+}
+
+/// What a row was found to be.
+enum Found {
+    Sample(Option<i64>, Sample),
+    /// It has quotation marks, or a line end inside.
+    Special,
+    Bad,
 }
 
 /// The rows of a CSV file, one at a time.
 pub(super) struct CsvRows {
-    file: PathBuf,
-    reader: csv::Reader<ShortRows>,
+    lines: Lines,
     pub(super) header: Header,
-    record: csv::ByteRecord,
+    /// The rate that a comment before the header tells, Hz.
+    pub(super) told_rate_hz: Option<f64>,
     decimals: Decimals,
+    split: Split,
+    /// The current line is the first row already.
+    waiting: bool,
+    /// No row became a sample yet.
+    unproven: bool,
 }
 
 impl CsvRows {
     pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
-        let file = input.path();
-        let mut reader =
-            csv::ReaderBuilder::new().flexible(true).has_headers(true).from_reader(ShortRows::new(input.open()?));
-        let names = reader.byte_headers().map_err(|error| csv_error(file, 1, error))?.clone();
-        let names: Vec<_> = names.iter().map(|name| String::from_utf8_lossy(name).into_owned()).collect();
-        let header = Header::understand(names.iter().map(String::as_str), file)?;
+        let (file, map) = (input.path(), input.columns());
+        let reader = input.open()?;
+        let mut lines = Lines { file: file.to_owned(), reader, bytes: Vec::new(), current: 0..0, next: 0, number: 0 };
+        let mut told_rate_hz = None;
+        let header = loop {
+            if !lines.advance()? {
+                // Nothing but comments.
+                break Header::understand("", map, file)?;
+            }
+            lines.cut();
+            let line = String::from_utf8_lossy(lines.current()).into_owned();
+            if !Header::is_comment(&line, map) {
+                break Header::understand(&line, map, file)?;
+            }
+            told_rate_hz = told_rate_hz.or_else(|| rate_of_comment(&line));
+        };
+        let waiting = header.is_row;
         Ok(Self {
-            file: file.to_owned(),
-            reader,
+            lines,
             header,
-            record: csv::ByteRecord::new(),
+            told_rate_hz,
             decimals: Decimals::default(),
+            split: Split::default(),
+            waiting,
+            unproven: true,
         })
     }
 
     /// Its header tells whether rows have a stamp, the first rows of which clock.
     pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
-        let column = self.header.stamped.then_some(0);
+        let column = self.header.stamp.is_some().then_some(0);
         let unix = choose(&mut self)?.unix;
-        Ok(Chosen { count: usize::from(column.is_some()), column, unix, regular: Vec::new() })
+        Ok(Chosen { count: usize::from(column.is_some()), column, unix, regular: Vec::new(), pairs: Vec::new() })
     }
 
-    /// The row's stamp and values, or what was wrong with it.
-    fn understand(&mut self) -> Result<(Option<i64>, Sample), ()> {
+    /// The current line's stamp and values, where it is numbers and delimiters.
+    fn plain(&mut self) -> Found {
         let mut sample = Sample::at(0, 0);
         let mut stamp_ns = None;
-        if self.record.len() != self.header.columns.len() {
-            return Err(());
-        }
-        for (cell, column) in self.record.iter().zip(&self.header.columns) {
-            if *column == Column::Ignored {
-                continue;
+        let line = self.lines.bytes.get(self.lines.current.clone()).unwrap_or_default();
+        let mut rest = Some(line);
+        for column in &self.header.columns {
+            let Some(text) = rest else { return self.bad() };
+            let end = text.iter().position(|byte| *byte == self.header.delimiter);
+            let (cell, behind) = match end {
+                Some(end) => (&text[..end], Some(&text[end + 1..])),
+                None => (text, None),
+            };
+            rest = behind;
+            let taken = match column {
+                Column::Ignored if cell.iter().any(|byte| matches!(byte, b'"' | b'\r')) => return Found::Special,
+                column => take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals),
+            };
+            if taken.is_none() {
+                return self.bad();
             }
-            let text = std::str::from_utf8(cell).map_err(|_| ())?.trim();
-            match *column {
-                Column::Stamp => stamp_ns = Some(parse_seconds(text).ok_or(())?),
-                Column::Value { channel, factor } => {
-                    if text.is_empty() || text.eq_ignore_ascii_case("nan") {
-                        continue;
-                    }
-                    let value: f64 = text.parse().map_err(|_| ())?;
-                    if !value.is_finite() {
-                        return Err(());
-                    }
-                    self.decimals.note(channel, text);
-                    // A factor of 1 must leave the value as it was written.
-                    sample.set(channel, if factor == 1.0 { value } else { value * factor });
+        }
+        if rest.is_some() || sample.channels().is_empty() { self.bad() } else { Found::Sample(stamp_ns, sample) }
+    }
+
+    fn bad(&self) -> Found {
+        let special = self.lines.current().iter().any(|byte| matches!(byte, b'"' | b'\r'));
+        if special { Found::Special } else { Found::Bad }
+    }
+
+    /// The same of a line with quotation marks, which may go on behind its end.
+    fn quoted(&mut self) -> Result<Found, RecordingError> {
+        self.split.clear();
+        let mut read = 0;
+        loop {
+            let line = self.lines.current();
+            if let Some(end) = self.split.push(&line[read..], self.header.delimiter) {
+                self.lines.current.end = self.lines.current.start + read + end;
+                self.lines.next = self.lines.current.end + 1;
+                break;
+            }
+            read = line.len();
+            if !self.split.is_open() {
+                break;
+            }
+            // What the line's end was belongs to the cell.
+            let begin = self.lines.current.start;
+            if self.lines.current.end == self.lines.bytes.len() && self.lines.read()? == 0 {
+                break;
+            }
+            self.lines.current = begin..self.lines.bytes.len();
+            self.lines.next = self.lines.bytes.len();
+        }
+        self.split.finish();
+        let cells = self.split.cells();
+        let mut sample = Sample::at(0, 0);
+        let mut stamp_ns = None;
+        if cells.len() != self.header.columns.len() {
+            return Ok(Found::Bad);
+        }
+        for (cell, column) in cells.zip(&self.header.columns) {
+            if take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals).is_none() {
+                return Ok(Found::Bad);
+            }
+        }
+        Ok(if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) })
+    }
+
+    /// A first row whose numbers have decimal commas: so have all the others.
+    fn decimal_commas(&self) -> Result<(), RecordingError> {
+        if !self.unproven || self.header.delimiter == b',' {
+            return Ok(());
+        }
+        let line = String::from_utf8_lossy(self.lines.current());
+        let is_one = |cell: &str| {
+            let parts = cell.trim().trim_start_matches(['-', '+']).split_once(',');
+            let digits = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
+            parts.is_some_and(|(whole, fraction)| digits(whole) && digits(fraction))
+        };
+        match line.split(char::from(self.header.delimiter)).find(|cell| is_one(cell)) {
+            Some(cell) => Err(RecordingError::DecimalComma {
+                file: self.lines.file.clone(),
+                line: self.lines.number,
+                cell: cell.trim().to_owned(),
+            }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Takes a cell; `None` where it is not what its column says.
+fn take(
+    column: Column,
+    cell: &[u8],
+    sample: &mut Sample,
+    stamp_ns: &mut Option<i64>,
+    decimals: &mut Decimals,
+) -> Option<()> {
+    match column {
+        Column::Ignored => {}
+        Column::Stamp { places } => *stamp_ns = Some(parse_stamp(cell.trim_ascii(), places)?),
+        Column::Value { channel, factor } => {
+            let value = match parse_plain(cell) {
+                Some(plain) => {
+                    decimals.note_count(channel, Some(plain.decimals));
+                    plain.value
                 }
-                Column::Ignored => {}
-            }
+                None => {
+                    let text = std::str::from_utf8(cell).ok()?.trim();
+                    if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+                        return Some(());
+                    }
+                    let value: f64 = text.parse().ok().filter(|value: &f64| value.is_finite())?;
+                    decimals.note(channel, text);
+                    value
+                }
+            };
+            // A factor of 1 must leave the value as it was written.
+            sample.set(channel, if factor == 1.0 { value } else { value * factor });
         }
-        if sample.channels().is_empty() { Err(()) } else { Ok((stamp_ns, sample)) }
     }
-}
-
-/// A row of all channels has some 300 bytes; foreign columns may make it longer.
-const ROW_BYTES: usize = 64 * 1024;
-
-/// Refuses rows that are too long to be rows, so that a file does not decide how much memory is taken: a line without
-/// end, or a quotation mark that is never closed.
-struct ShortRows {
-    bytes: Box<dyn BufRead>,
-    row_bytes: usize,
-    quoted: bool,
-}
-
-impl ShortRows {
-    fn new(bytes: Box<dyn BufRead>) -> Self {
-        Self { bytes, row_bytes: 0, quoted: false }
-    }
-}
-
-impl std::fmt::Debug for ShortRows {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("ShortRows").field("row_bytes", &self.row_bytes).finish_non_exhaustive()
-    }
-}
-
-impl std::io::Read for ShortRows {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let read = self.bytes.read(buffer)?;
-        for byte in buffer.iter().take(read) {
-            self.quoted ^= *byte == b'"';
-            self.row_bytes = if *byte == b'\n' && !self.quoted { 0 } else { self.row_bytes + 1 };
-            if self.row_bytes > ROW_BYTES {
-                return Err(std::io::Error::other(format!(
-                    "a row of more than {ROW_BYTES} bytes: expected one sample a line (is a quotation mark left open?)"
-                )));
-            }
-        }
-        Ok(read)
-    }
-}
-
-fn csv_error(file: &Path, line: u64, error: csv::Error) -> RecordingError {
-    let text = error.to_string();
-    match error.into_kind() {
-        csv::ErrorKind::Io(source) => read_error(file, line, source),
-        _ => read_error(file, line, std::io::Error::other(text)),
-    }
+    Some(())
 }
 
 impl Rows for CsvRows {
     fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
-        let line = self.reader.position().line();
-        if !self.reader.read_byte_record(&mut self.record).map_err(|error| csv_error(&self.file, line, error))? {
+        if !std::mem::take(&mut self.waiting) && !self.lines.advance()? {
             return Ok(None);
         }
-        let line = self.record.position().map_or(line, csv::Position::line);
-        Ok(Some(match self.understand() {
-            Ok((stamp_ns, sample)) => {
-                Row::Sample { line, stamps: stamp_ns.map(RowStamps::one).unwrap_or_default(), sample }
-            }
-            Err(()) => {
-                let cells: Vec<_> = self.record.iter().map(String::from_utf8_lossy).collect();
-                Row::Rejected(Rejected::new(line, DiscardCause::Malformed, &cells.join(","), true))
-            }
-        }))
+        let line = self.lines.number;
+        let mut found = self.plain();
+        if matches!(found, Found::Special) {
+            found = if self.lines.current().contains(&b'"') {
+                self.quoted()?
+            } else {
+                self.lines.cut();
+                self.plain()
+            };
+        }
+        if let Found::Sample(stamp_ns, sample) = found {
+            self.unproven = false;
+            return Ok(Some(Row::Sample { line, stamps: stamp_ns.map(RowStamps::one).unwrap_or_default(), sample }));
+        }
+        self.decimal_commas()?;
+        let text = String::from_utf8_lossy(self.lines.current());
+        Ok(Some(Row::Rejected(Rejected::new(line, DiscardCause::Malformed, &text, true))))
     }
     fn decimals(&self) -> &Decimals {
         &self.decimals

@@ -1,7 +1,7 @@
 //! What a file is, by its content: a bag of ROS, raw bytes or lines of a VN-100, CSV. Names and endings do not count.
 
-use super::csv::Header;
 use super::error::RecordingError;
+use super::header::{Header, foreign_names};
 use super::input::Input;
 use super::meter::Refusal;
 use super::{ros, vn_binary};
@@ -42,6 +42,16 @@ impl Kind {
             Self::Csv | Self::VnText => "line",
             Self::RawBytes => "byte",
             Self::Bag | Self::Db3 | Self::Mcap => "message",
+        }
+    }
+
+    /// What a recording without columns is called; `None` of one that has some.
+    pub(super) fn without_columns(self) -> Option<&'static str> {
+        match self {
+            Self::Csv => None,
+            Self::VnText => Some("a file of raw `$VN…` lines"),
+            Self::RawBytes => Some("a file of a VN-100's raw bytes"),
+            Self::Bag | Self::Db3 | Self::Mcap => Some("a bag"),
         }
     }
 }
@@ -103,9 +113,21 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     if lines().take(LOOK_AT_LINES).any(|line| line.windows(3).any(|window| window == b"$VN")) {
         return Ok(Kind::VnText);
     }
-    let first = String::from_utf8_lossy(lines().next().unwrap_or_default()).into_owned();
-    if Header::names_a_channel(&first) {
+    if head.trim_ascii().is_empty() && (head.len() as u64) < LOOK_AT_BYTES {
+        return Err(RecordingError::Empty { file: file.to_owned() });
+    }
+    let map = input.columns();
+    let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
+    let first = lines().next().map(text).unwrap_or_default();
+    // Old files end their lines with a carriage return alone.
+    let mut heads =
+        lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());
+    let head = heads.find(|line| !Header::is_comment(line, map)).unwrap_or_default();
+    if Header::is_known(&head, map) {
         return Ok(Kind::Csv);
+    }
+    if let Some(found) = foreign_names(&head) {
+        return Err(RecordingError::ForeignColumns { file: file.to_owned(), found });
     }
     let found = first.chars().take(SHOWN_CHARS).collect();
     Err(RecordingError::Unrecognised { file: file.to_owned(), found })

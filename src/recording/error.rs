@@ -65,6 +65,12 @@ pub enum RecordingError {
         /// The last line that was read.
         line: u64,
     },
+    /// There is nothing in it.
+    #[error("{} is empty: expected raw `$VN…` lines, a CSV, raw bytes of a VN-100, a ROS bag or an MCAP file", file.display())]
+    Empty {
+        /// The file.
+        file: PathBuf,
+    },
     /// The content is none that can be read.
     #[error(
         "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
@@ -102,13 +108,69 @@ pub enum RecordingError {
         channel: Channel,
     },
     /// Two columns of a CSV give the time.
-    #[error("{}: line 1: two columns `time_s`; leave one of them out", file.display())]
+    #[error("{}: line 1: columns {first:?} and {second:?} both give the time; leave one of them out", file.display())]
     DuplicateTime {
         /// The file.
         file: PathBuf,
+        /// The earlier column.
+        first: String,
+        /// The later one.
+        second: String,
+    },
+    /// A column that was told of is not there.
+    #[error(
+        "{}: no column is {column}; its columns are: {found}. Name one of them, or its position from 1 as in '#3=gyro_x_dps'",
+        file.display()
+    )]
+    NoColumn {
+        /// The file.
+        file: PathBuf,
+        /// What was told.
+        column: String,
+        /// The file's columns.
+        found: String,
+    },
+    /// A CSV with other names than the contract's.
+    #[error(
+        "{} looks like a CSV, but none of its columns names a channel with its unit; they are: {found}. Say which is which \
+         with --columns 'FOREIGN=NAME,…'; names are {}",
+        file.display(),
+        super::header::allowed_names()
+    )]
+    ForeignColumns {
+        /// The file.
+        file: PathBuf,
+        /// The file's columns.
+        found: String,
+    },
+    /// Columns were told of a recording that has none.
+    #[error("{} is {found}, which has no columns to be told: leave --columns out", file.display())]
+    ColumnsOfNoCsv {
+        /// The file.
+        file: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
+    /// Numbers with commas.
+    #[error(
+        "{}: line {line}: {cell:?} has a decimal comma: expected decimal points (`sed 's/,/./g' FILE > NEW` makes them where \
+         no comma means anything else)",
+        file.display()
+    )]
+    DecimalComma {
+        /// The file.
+        file: PathBuf,
+        /// The line.
+        line: u64,
+        /// The number.
+        cell: String,
     },
     /// A recording without times, and no rate was told.
-    #[error("{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ", file.display())]
+    #[error(
+        "{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ, or name the column of times with \
+         --columns",
+        file.display()
+    )]
     NoRate {
         /// The file.
         file: PathBuf,

@@ -1,7 +1,12 @@
 //! Findings: what is remarkable about a recording's times and values, as figures and as sentences.
 
+use super::detect::Kind;
+use super::doubts::shown;
 use super::info::RecordingInfo;
+use super::{DEFAULT_VN_RATE_HZ, GAP_PERIODS};
+use crate::sample::Channel;
 use crate::units::NANOS_PER_SECOND;
+use std::collections::BTreeMap;
 
 /// Mean and median rate that differ by more are told apart.
 const RATES_DIFFER: f64 = 0.02;
@@ -9,12 +14,27 @@ const RATES_DIFFER: f64 = 0.02;
 const TOLD_DIFFERS: f64 = 0.005;
 /// From this share of short steps on, stamps come in pairs or bursts.
 const BURSTS_FROM: f64 = 0.05;
+/// Below this share of the rate that the median step tells, so few stamps a second come in bursts.
+const BURSTS_BELOW: f64 = 0.5;
+/// From this share of repeating samples on they are no chance: a coarse sensor's values repeat now and then.
+const REPEATED_FROM: f64 = 1e-5;
+/// A sensor that sends less than this share of its default rate was set to it, or not all of it was recorded.
+const SLOW: f64 = 0.5;
+/// Jitter of a smaller share of the step is not worth a sentence.
+const JITTER_FROM: f64 = 1e-4;
 
 /// Figures of a first pass.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Findings {
     /// Steps from stamp to stamp.
     pub steps: u64,
+    /// The median step, s.
+    pub median_step_s: Option<f64>,
+    /// How much steps differ from the median one, s: 1.4826 times the median distance, a standard deviation that a few odd
+    /// steps do not change.
+    pub jitter_s: Option<f64>,
+    /// The same as a root mean square over the whole record, without the steps that are gaps, s.
+    pub jitter_rms_s: Option<f64>,
     /// Steps over their time, Hz; below the rate where samples are missing.
     pub mean_rate_hz: Option<f64>,
     /// Steps over 1.5 periods: each is a gap.
@@ -23,26 +43,118 @@ pub struct Findings {
     pub longest_step_s: Option<f64>,
     /// When it began, UTC ns; `None` where stamps do not tell the time of day.
     pub longest_step_utc_ns: Option<i64>,
-    /// Steps below a tenth of the mean step: stamps in pairs or bursts.
+    /// Steps below a tenth of the median step, or of the long one of pairs.
     pub short_steps: u64,
+    /// The two steps that take turns, where stamps come in pairs.
+    pub pairs: Option<Pairs>,
+    /// Stamps that repeat that of the sample before; rejected as duplicates.
+    pub frozen_stamps: u64,
+    /// In so many runs.
+    pub frozen_runs: u64,
+    /// Repetitions in the longest run.
+    pub longest_frozen_run: u64,
+    /// Stamps before that of the sample before: out of order; rejected as duplicates.
+    pub late_stamps: u64,
+    /// The farthest, s.
+    pub latest_by_s: Option<f64>,
+    /// Stamps far ahead of those that follow, or of another clock; rejected as malformed.
+    pub stray_stamps: u64,
     /// Samples that repeat the one before in every channel.
     pub repeated_samples: u64,
     /// How often the sensor's own clock restarted: what was missed there nothing tells.
     pub restarts: u64,
     /// Samples with a magnetic field above 25 gauss: the unit is not what it was taken for.
     pub strong_fields: u64,
+    /// The step of each channel's values, where one is seen.
+    pub quantisation: BTreeMap<Channel, Quantisation>,
+    /// Units that the values contradict. Nothing was converted because of them.
+    pub doubts: Vec<Doubt>,
+}
+
+/// Stamps that come two at a time.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Pairs {
+    /// The median step within a pair, s.
+    pub short_s: f64,
+    /// The median step from pair to pair, s.
+    pub long_s: f64,
+}
+
+/// The smallest step of which nearly all values of a channel are multiples.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Quantisation {
+    /// In the channel's unit.
+    pub step: f64,
+    /// In the file's unit.
+    pub original_step: f64,
+    /// That unit.
+    pub original_unit: String,
+}
+
+/// A unit that the values contradict.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Doubt {
+    /// `accel`, `gyro` or `mag`.
+    pub triad: &'static str,
+    /// The unit that was told, in the file or by its form.
+    pub unit: &'static str,
+    /// The unit that would fit, where one is known.
+    pub looks_like: Option<&'static str>,
+    /// How a CSV column of it ends.
+    pub suffix: Option<&'static str>,
+    /// Why, with figures.
+    pub reason: String,
+}
+
+impl Doubt {
+    /// `found` is the suffix and the unit that would fit.
+    pub(super) fn new(
+        triad: &'static str,
+        unit: &'static str,
+        found: Option<(&'static str, &'static str)>,
+        reason: String,
+    ) -> Self {
+        Self { triad, unit, looks_like: found.map(|(_, unit)| unit), suffix: found.map(|(suffix, _)| suffix), reason }
+    }
+
+    fn sentence(&self, kind: Kind) -> String {
+        let Self { triad, unit, looks_like, suffix, reason } = self;
+        let guess = match (looks_like, suffix) {
+            (Some(like), Some(suffix)) if kind == Kind::Csv => {
+                format!("was it in {like} already? Its columns would be called {triad}_x{suffix} …")
+            }
+            (Some(like), _) => format!("was it in {like} already?"),
+            _ => "no unit that is known here fits (counts of a converter?)".to_owned(),
+        };
+        format!("{triad} does not look like {unit}: {reason}; {guess} It was read as {unit}, nothing was changed")
+    }
 }
 
 impl RecordingInfo {
     /// What a person should know about the recording, a sentence each.
     #[must_use]
     pub fn remarks(&self) -> Vec<String> {
-        let mut remarks = Vec::new();
-        let found = &self.findings;
+        let mut remarks: Vec<String> = self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)).collect();
+        self.remark_rate(&mut remarks);
+        self.remark_steps(&mut remarks);
+        self.remark_rejected_stamps(&mut remarks);
+        self.remark_values(&mut remarks);
+        remarks
+    }
+
+    fn remark_rate(&self, remarks: &mut Vec<String>) {
         if let Some(choice) = self.stamp_choice.as_ref().filter(|choice| choice.regular.len() > 1) {
             let percent = |share: &f64| format!("{:.1} %", 100.0 * share);
+            let of = |(index, share): (usize, &f64)| {
+                let pairs = choice.pairs.get(index).copied().flatten();
+                let pairs = pairs.map(|Pairs { short_s, long_s }| {
+                    let (short_ms, long_ms) = (shown(1e3 * short_s), shown(1e3 * long_s));
+                    format!(", they come in pairs: steps of {short_ms} ms and of {long_ms} ms take turns")
+                });
+                percent(share) + &pairs.unwrap_or_default()
+            };
             let others = choice.regular.iter().enumerate().filter(|(index, _)| index + 1 != choice.column);
-            let others: Vec<_> = others.map(|(_, share)| percent(share)).collect();
+            let others: Vec<_> = others.map(of).collect();
             remarks.push(format!(
                 "times are from the {}: {} of its steps lie within 10 % of the median step (the other stamps: {})",
                 choice.name,
@@ -50,29 +162,96 @@ impl RecordingInfo {
                 others.join(", ")
             ));
         }
+        let found = &self.findings;
+        let slow = self.rate_hz < SLOW * DEFAULT_VN_RATE_HZ && found.steps > 0;
+        if slow && self.kind != Kind::Csv {
+            remarks.push(format!(
+                "the rate is {} Hz, where a VN-100's register 7 has {DEFAULT_VN_RATE_HZ} Hz unless it was changed: was all \
+                 that it sent recorded?",
+                rate(self.rate_hz)
+            ));
+        }
         if let Some(mean_hz) = found.mean_rate_hz.filter(|mean| (mean / self.rate_hz - 1.0).abs() > RATES_DIFFER) {
-            remarks.push(format!("{mean_hz:.1} stamps a second on average, {:.1} by the median step", self.rate_hz));
-        }
-        if let Some(longest_s) = found.longest_step_s.filter(|_| found.irregular_steps > 0) {
-            let when =
-                found.longest_step_utc_ns.map_or_else(String::new, |utc_ns| format!(", from {}", rfc3339(utc_ns)));
-            remarks.push(format!(
-                "{} of {} steps are over 1.5 periods, a gap each; the longest is {longest_s:.3} s{when}",
-                found.irregular_steps, found.steps
-            ));
-        }
-        if found.short_steps as f64 > BURSTS_FROM * found.steps as f64 {
-            remarks.push(format!(
-                "stamps come in pairs or bursts: {} of {} steps are below a tenth of the mean step",
-                found.short_steps, found.steps
-            ));
+            let irregular = found.irregular_steps as f64 / found.steps.max(1) as f64;
+            let bursts = mean_hz < BURSTS_BELOW * self.rate_hz && irregular > BURSTS_FROM && found.pairs.is_none();
+            let bursts = if bursts { ": they come in bursts, or most samples are missing" } else { "" };
+            let (mean, median) = (rate(mean_hz), rate(self.rate_hz));
+            remarks.push(format!("{mean} stamps a second on average, {median} by the median step{bursts}"));
         }
         if let Some(told_hz) = self.unused_rate_hz {
             let differs = (told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS;
             let but = if differs { format!(", which say {} Hz", self.rate_hz) } else { String::new() };
             remarks.push(format!("the told rate of {told_hz} Hz was not used: the recording has stamps{but}"));
         }
-        if found.repeated_samples > 0 {
+    }
+
+    fn remark_steps(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        let jitter = found.median_step_s.zip(found.jitter_s).zip(found.jitter_rms_s);
+        if let Some(((median_s, robust_s), rms_s)) = jitter
+            && robust_s.max(rms_s) > JITTER_FROM * median_s
+        {
+            remarks.push(format!(
+                "steps of {} ms jitter by {} ms (robust), {} ms rms without those over {GAP_PERIODS} periods",
+                shown(1e3 * median_s),
+                shown(1e3 * robust_s),
+                shown(1e3 * rms_s)
+            ));
+        }
+        if let Some(longest_s) = found.longest_step_s.filter(|_| found.irregular_steps > 0) {
+            let when =
+                found.longest_step_utc_ns.map_or_else(String::new, |utc_ns| format!(", from {}", rfc3339(utc_ns)));
+            remarks.push(format!(
+                "{} of {} steps {} over 1.5 periods, a gap each; the longest is {longest_s:.3} s{when}",
+                found.irregular_steps,
+                found.steps,
+                if found.irregular_steps == 1 { "is" } else { "are" }
+            ));
+        }
+        if let Some(Pairs { short_s, long_s }) = found.pairs {
+            remarks.push(format!(
+                "stamps come in pairs: steps of {} ms and of {} ms take turns, as where two messages are received at once",
+                shown(1e3 * short_s),
+                shown(1e3 * long_s)
+            ));
+        } else if found.short_steps as f64 > BURSTS_FROM * found.steps as f64 {
+            remarks.push(format!(
+                "stamps come in pairs or bursts: {} of {} steps are below a tenth of the median step",
+                found.short_steps, found.steps
+            ));
+        }
+    }
+
+    fn remark_rejected_stamps(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        if found.frozen_stamps > 0 {
+            remarks.push(format!(
+                "{} stamps repeat the one before, in {} runs of up to {} (a clock that stood still, or lines written twice): \
+                 those samples are rejected as duplicates",
+                found.frozen_stamps, found.frozen_runs, found.longest_frozen_run
+            ));
+        }
+        if let Some(latest_by_s) = found.latest_by_s {
+            remarks.push(format!(
+                "{} stamps lie before the one before, by up to {} s (out of order, or a clock that was set back): those \
+                 samples are rejected as duplicates",
+                found.late_stamps,
+                shown(latest_by_s)
+            ));
+        }
+        if found.stray_stamps > 0 {
+            remarks.push(format!(
+                "{} stamps lie far ahead of those that follow or are of another clock: those samples are rejected",
+                found.stray_stamps
+            ));
+        }
+    }
+
+    fn remark_values(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        remarks.extend(self.mixed_units());
+        remarks.extend(self.quantisation());
+        if found.repeated_samples as f64 > REPEATED_FROM * self.samples as f64 {
             remarks.push(format!(
                 "{} samples repeat the one before in every channel: the source was frozen or wrote them twice",
                 found.repeated_samples
@@ -84,14 +263,69 @@ impl RecordingInfo {
                 found.restarts
             ));
         }
-        if found.strong_fields > 0 {
+        if found.strong_fields > 0 && found.doubts.iter().all(|doubt| doubt.triad != "mag") {
             remarks.push(format!(
                 "{} samples have a magnetic field above 25 gauss, which no VN-100 can tell: was it in gauss already?",
                 found.strong_fields
             ));
         }
-        remarks
     }
+
+    /// Axes of one quantity that came in different units: it may be meant, but seldom is.
+    fn mixed_units(&self) -> Vec<String> {
+        let mut triads: Vec<(_, Vec<(Channel, &'static str)>)> = Vec::new();
+        for channel in self.channels.iter() {
+            let Some(triad) = channel.triad() else { continue };
+            let converted = self.conversions.iter().find(|conversion| conversion.channel == channel);
+            let unit = converted.map_or(channel.unit(), |conversion| conversion.original_unit);
+            match triads.iter_mut().find(|(known, _)| *known == triad) {
+                Some((_, axes)) => axes.push((channel, unit)),
+                None => triads.push((triad, vec![(channel, unit)])),
+            }
+        }
+        let mixed = triads.into_iter().filter(|(_, axes)| axes.iter().any(|(_, unit)| *unit != axes[0].1));
+        mixed
+            .map(|(_, axes)| {
+                let axes: Vec<_> = axes.iter().map(|(channel, unit)| format!("{channel} in {unit}")).collect();
+                format!(
+                    "columns of one quantity have different units ({}): each was converted by its own",
+                    axes.join(", ")
+                )
+            })
+            .collect()
+    }
+
+    /// The steps of the values, channels with the same one together.
+    fn quantisation(&self) -> Option<String> {
+        let mut groups: Vec<(&Quantisation, &str, Vec<&'static str>)> = Vec::new();
+        for (channel, quantisation) in &self.findings.quantisation {
+            let same = |group: &&mut (&Quantisation, &str, Vec<&'static str>)| {
+                group.0.original_unit == quantisation.original_unit
+                    && (group.0.original_step / quantisation.original_step - 1.0).abs() < 1e-4
+            };
+            match groups.iter_mut().find(same) {
+                Some(group) => group.2.push(channel.name()),
+                None => groups.push((quantisation, channel.unit(), vec![channel.name()])),
+            }
+        }
+        let parts: Vec<String> = groups
+            .into_iter()
+            .map(|(found, unit, names)| {
+                let converted = if found.original_unit == unit {
+                    String::new()
+                } else {
+                    format!(" ({} {unit})", shown(found.step))
+                };
+                format!("{} {} {}{converted}", names.join(" "), shown(found.original_step), found.original_unit)
+            })
+            .collect();
+        (!parts.is_empty()).then(|| format!("values come in steps: {}", parts.join(", ")))
+    }
+}
+
+/// A rate as a person says it: 40.0, 1.0, 0.04245.
+fn rate(hz: f64) -> String {
+    if hz >= 0.95 { format!("{hz:.1}") } else { shown(hz) }
 }
 
 /// UTC to the millisecond.

@@ -1,6 +1,7 @@
 //! A recording's bytes, which can be read from the start as often as wanted: a file, or memory.
 
 use super::error::RecordingError;
+use super::mapping::ColumnMap;
 use super::meter::{EXPANSION, Expanded, Expansion, FileBytes, KeepOn, Meter};
 use flate2::bufread::MultiGzDecoder;
 use std::fs::File;
@@ -20,13 +21,20 @@ pub struct Input {
     bytes: Option<Arc<[u8]>>,
     keep_on: KeepOn,
     expansion: Expansion,
+    columns: ColumnMap,
 }
 
 impl Input {
     /// A file.
     #[must_use]
     pub fn file(path: &Path) -> Self {
-        Self { path: path.to_owned(), bytes: None, keep_on: KeepOn::default(), expansion: EXPANSION }
+        Self {
+            path: path.to_owned(),
+            bytes: None,
+            keep_on: KeepOn::default(),
+            expansion: EXPANSION,
+            columns: ColumnMap::default(),
+        }
     }
 
     /// Bytes that are there already; messages call them `name`.
@@ -39,6 +47,17 @@ impl Input {
     #[must_use]
     pub fn while_wanted(self, keep_on: KeepOn) -> Self {
         Self { keep_on, ..self }
+    }
+
+    /// The same with what the columns of a foreign CSV are.
+    #[must_use]
+    pub fn with_columns(self, columns: ColumnMap) -> Self {
+        Self { columns, ..self }
+    }
+
+    /// What the columns of a foreign CSV are.
+    pub(super) fn columns(&self) -> &ColumnMap {
+        &self.columns
     }
 
     /// The same with other bounds for what is compressed.

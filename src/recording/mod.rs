@@ -28,11 +28,19 @@ mod tests;
 
 mod between;
 mod csv;
+mod doubts;
+mod header;
+mod mapping;
 mod meter;
+mod number;
 mod order;
+mod pairs;
+mod quantum;
 mod ros;
 mod stamps;
 mod survey;
+mod turning;
+mod values;
 mod vn_binary;
 mod vn_text;
 
@@ -40,10 +48,11 @@ pub use account::RecordingAccountant;
 pub use choice::StampChoice;
 pub use detect::{Kind, detect};
 pub use error::RecordingError;
-pub use findings::Findings;
+pub use findings::{Doubt, Findings, Pairs, Quantisation};
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
 pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
+pub use mapping::{ColumnMap, ColumnsError};
 pub use meter::KeepOn;
 pub use ros::MessageDefinition;
 pub use rows::Rejected;
@@ -112,6 +121,7 @@ impl Recording {
         let file = input.path();
         let layout = Layout::find(&input, &options.definitions)?;
         let mut source = layout.open(&input)?;
+        let told_rate_hz = options.rate_hz.or(source.told_rate_hz());
         let survey = Survey::of(source.rows(), &layout.chosen)?;
         if survey.samples == 0 {
             return Err(survey.no_sample(file));
@@ -128,7 +138,7 @@ impl Recording {
                 step_ns.ok_or_else(|| RecordingError::NoStep { file: file.to_owned(), samples: survey.samples })?;
             (NANOS_PER_SECOND as f64 / step_ns, false)
         } else {
-            match (options.rate_hz, layout.kind) {
+            match (told_rate_hz, layout.kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
                 (None, Kind::VnText | Kind::Bag | Kind::Db3 | Kind::Mcap) => (DEFAULT_VN_RATE_HZ, true),
                 (None, Kind::Csv | Kind::RawBytes) => return Err(RecordingError::NoRate { file: file.to_owned() }),
@@ -137,6 +147,7 @@ impl Recording {
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
         let started_utc_ns = if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns };
         let (conversions, ignored_columns) = source.about();
+        let findings = survey.findings(rate_hz, stamps, &conversions, source.rows().decimals());
         let info = RecordingInfo {
             file: file.to_owned(),
             kind: layout.kind,
@@ -146,10 +157,10 @@ impl Recording {
             ignored_columns,
             stamps,
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
-            findings: Findings { restarts: source.restarts(), ..survey.findings(rate_hz, stamps) },
+            findings: Findings { restarts: source.restarts(), ..findings },
             rate_hz,
             rate_assumed,
-            unused_rate_hz: options.rate_hz.filter(|_| stamped),
+            unused_rate_hz: told_rate_hz.filter(|_| stamped),
             started_utc_ns,
             samples: survey.samples,
             rejected: survey.rejected,
@@ -259,6 +270,11 @@ struct Layout {
 impl Layout {
     fn find(input: &Input, definitions: &[MessageDefinition]) -> Result<Self, RecordingError> {
         let kind = detect(input)?;
+        let told = !input.columns().is_empty();
+        let of_no_csv = |found| RecordingError::ColumnsOfNoCsv { file: input.path().to_owned(), found };
+        if let Some(found) = kind.without_columns().filter(|_| told) {
+            return Err(of_no_csv(found));
+        }
         let (chosen, topics) = match kind {
             Kind::Csv => (csv::CsvRows::open(input)?.chosen()?, None),
             Kind::VnText => (choose(&mut vn_text::VnRows::open(input, None)?)?, None),
@@ -312,15 +328,22 @@ impl Source {
     fn restarts(&self) -> u64 {
         if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
     }
+    /// The rate that the file itself tells of samples without stamps, Hz.
+    fn told_rate_hz(&self) -> Option<f64> {
+        match self {
+            Self::Csv(rows) => rows.told_rate_hz,
+            _ => None,
+        }
+    }
     fn stamp_choice(&self, chosen: &Chosen) -> Option<StampChoice> {
         let column = chosen.column?;
         let name = match self {
-            Self::Csv(_) => "time_s".to_owned(),
+            Self::Csv(rows) => rows.header.stamp.clone().unwrap_or_default(),
             Self::VnText(_) if chosen.count == 1 => "number before $VN".to_owned(),
             Self::VnText(_) => format!("number {} of {} before $VN", column + 1, chosen.count),
             Self::RawBytes(_) => "sensor's time since its start".to_owned(),
             Self::Ros(..) => ros::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
         };
-        Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone() })
+        Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone(), pairs: chosen.pairs.clone() })
     }
 }

@@ -38,6 +38,8 @@ enum Waiting {
         line: u64,
         stamp_ns: i64,
         sample: Sample,
+        /// Whether its stamp is not later than the one read before it.
+        falls: bool,
     },
     /// A sample of a recording without stamps.
     Plain(Sample),
@@ -57,6 +59,10 @@ pub(super) struct Order {
     waiting: VecDeque<Waiting>,
     /// How many of those have a stamp.
     stamped: usize,
+    /// How many of those fall behind the one before: with none the waiting stamps increase.
+    falling: usize,
+    /// The stamp read last.
+    newest_stamp_ns: Option<i64>,
     ended: bool,
 }
 
@@ -68,6 +74,8 @@ impl Order {
             last_stamp_ns: None,
             waiting: VecDeque::new(),
             stamped: 0,
+            falling: 0,
+            newest_stamp_ns: None,
             ended: false,
         }
     }
@@ -87,7 +95,11 @@ impl Order {
                 None => self.ended = true,
                 Some(row) => {
                     let row = self.read(row);
-                    self.stamped += usize::from(matches!(row, Waiting::Stamped { .. }));
+                    if let Waiting::Stamped { stamp_ns, falls, .. } = &row {
+                        self.stamped += 1;
+                        self.falling += usize::from(*falls);
+                        self.newest_stamp_ns = Some(*stamp_ns);
+                    }
                     self.waiting.push_back(row);
                 }
             }
@@ -110,9 +122,12 @@ impl Order {
                 (Some(_), Some(stamp_ns)) if (stamp_ns >= UNIX_FROM_NS) != self.unix => {
                     let clock = if self.unix { "a time since 1970" } else { "from the recording's origin" };
                     let text = format!("stamp {} s is not {clock}, as the others are", seconds(stamp_ns));
-                    Waiting::Rejected(malformed(line, &text), None)
+                    Waiting::Rejected(Rejected { astray: true, ..malformed(line, &text) }, None)
                 }
-                (Some(_), Some(stamp_ns)) => Waiting::Stamped { line, stamp_ns, sample },
+                (Some(_), Some(stamp_ns)) => {
+                    let falls = self.newest_stamp_ns.is_some_and(|newest| stamp_ns <= newest);
+                    Waiting::Stamped { line, stamp_ns, sample, falls }
+                }
             },
         }
     }
@@ -125,15 +140,18 @@ impl Order {
                 let later = stamp_ns.filter(|stamp_ns| self.last_stamp_ns.is_some_and(|last| *stamp_ns > last));
                 Entry::Rejected(rejected, later)
             }
-            Waiting::Stamped { line, stamp_ns, sample } => {
+            Waiting::Stamped { line, stamp_ns, sample, falls } => {
                 self.stamped -= 1;
-                if self.last_stamp_ns.is_some_and(|last| stamp_ns <= last) {
+                self.falling -= usize::from(falls);
+                if let Some(last) = self.last_stamp_ns.filter(|last| stamp_ns <= *last) {
                     let text = format!("stamp {} s is not later than the one before", seconds(stamp_ns));
-                    return Entry::Rejected(Rejected::new(line, DiscardCause::Duplicate, &text, false), None);
+                    let rejected = Rejected::new(line, DiscardCause::Duplicate, &text, false);
+                    return Entry::Rejected(Rejected { late_ns: Some(last.abs_diff(stamp_ns)), ..rejected }, None);
                 }
                 if !self.fits(stamp_ns) {
                     let text = format!("stamp {} s lies ahead of those that follow", seconds(stamp_ns));
-                    return Entry::Rejected(Rejected::new(line, DiscardCause::Malformed, &text, true), None);
+                    let rejected = Rejected::new(line, DiscardCause::Malformed, &text, true);
+                    return Entry::Rejected(Rejected { astray: true, ..rejected }, None);
                 }
                 self.last_stamp_ns = Some(stamp_ns);
                 Entry::Sample { stamp_ns: Some(stamp_ns), sample }
@@ -143,15 +161,13 @@ impl Order {
 
     /// Whether a longest increasing run from here on begins with this stamp, which is later than the last.
     fn fits(&self, stamp_ns: i64) -> bool {
+        if self.falling == 0 {
+            return true;
+        }
         let following = self.waiting.iter().filter_map(|row| match row {
             Waiting::Stamped { stamp_ns, .. } => Some(*stamp_ns),
             _ => None,
         });
-        if following.clone().is_sorted_by(|earlier, later| earlier < later)
-            && following.clone().next().is_none_or(|next| next > stamp_ns)
-        {
-            return true;
-        }
         let after = |from_ns: Option<i64>| {
             longest_run(following.clone().filter(|stamp_ns| from_ns.is_none_or(|from_ns| *stamp_ns > from_ns)))
         };
@@ -199,7 +215,7 @@ mod tests {
 
     /// The stamps that count, and the causes of what does not.
     fn judged(stamps: &[i64]) -> (Vec<i64>, Vec<DiscardCause>) {
-        let chosen = Chosen { count: 1, column: Some(0), unix: false, regular: Vec::new() };
+        let chosen = Chosen { count: 1, column: Some(0), unix: false, regular: Vec::new(), pairs: Vec::new() };
         let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.iter(), Decimals::default()));
         let (mut kept, mut causes) = (Vec::new(), Vec::new());
         while let Some(entry) = order.next_entry(&mut rows).unwrap() {

@@ -28,6 +28,12 @@ pub struct Rejected {
     pub at: Option<(u64, i64)>,
     #[serde(skip)]
     pub(super) stamps: RowStamps,
+    /// By how much its stamp lies before that of the last sample, ns; 0 where it repeats it. `None` where that is not why.
+    #[serde(skip)]
+    pub(super) late_ns: Option<u64>,
+    /// Whether its stamp is of another clock, or far ahead of those that follow.
+    #[serde(skip)]
+    pub(super) astray: bool,
 }
 
 impl Rejected {
@@ -40,6 +46,8 @@ impl Rejected {
             stands_for_sample,
             at: None,
             stamps: RowStamps::default(),
+            late_ns: None,
+            astray: false,
         }
     }
 

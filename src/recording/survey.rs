@@ -2,22 +2,30 @@
 
 use super::between::Between;
 use super::choice::Chosen;
+use super::doubts::doubts;
 use super::error::RecordingError;
-use super::findings::Findings;
-use super::info::Stamps;
+use super::findings::{Findings, Quantisation};
+use super::info::{Conversion, Decimals, Stamps};
 use super::order::{Entry, Order};
+use super::pairs::{Pairing, SHORT};
+use super::quantum::step_of;
 use super::rows::{Rejected, Rows};
-use super::stamps::StepMedian;
+use super::stamps::{StepMedian, median_of};
+use super::values::Values;
 use super::{GAP_PERIODS, REJECTED_KEPT};
-use crate::sample::{Channel, ChannelSet, DiscardCause, Sample};
+use crate::sample::{Channel, ChannelSet, DiscardCause};
 use crate::units::{NANOS_PER_SECOND, period_ns};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// More than this a VN-100 cannot tell (its range is 2.5), gauss: a magnetic field whose unit is wrong.
-const MAG_MAX_GAUSS: f64 = 25.0;
-/// A step shorter than this share of the mean step belongs to a pair or burst.
-const SHORT: f64 = 0.1;
+/// Of normal noise, the standard deviation over the median distance from the median.
+const STD_OF_SPREAD: f64 = 1.4826;
+/// The decimals of text are a step where the greatest value has no more digits: beyond that they are a double's.
+const DIGITS_MAX: f64 = 1e9;
+/// A step is the decimals' own where it is below so many of theirs.
+const DECIMALS_OWN: f64 = 1.5;
+/// A step that lies so near a multiple of the decimals' is that multiple.
+const MULTIPLE_WITHIN: f64 = 0.02;
 
 /// What the first pass counts.
 #[derive(Debug, Default)]
@@ -31,13 +39,36 @@ pub(super) struct Survey {
     pub(super) steps: StepMedian,
     /// Length and begin of the longest, ns.
     longest: Option<(u64, i64)>,
+    pairing: Pairing,
     last_stamp_ns: Option<i64>,
     between: Between,
+    frozen: Frozen,
+    /// Stamps before that of the last sample, and the farthest, ns.
+    late: (u64, u64),
+    /// Stamps that lie ahead of those that follow, or are of another clock.
+    astray: u64,
     pub(super) rejected: BTreeMap<DiscardCause, u64>,
     pub(super) first_rejected: Vec<Rejected>,
-    last_sample: Option<Sample>,
-    repeated: u64,
-    strong_fields: u64,
+    values: Values,
+}
+
+/// Stamps that repeat the last sample's.
+#[derive(Debug, Default)]
+struct Frozen {
+    stamps: u64,
+    runs: u64,
+    longest: u64,
+    /// In the current run.
+    run: u64,
+}
+
+impl Frozen {
+    fn repeats(&mut self) {
+        self.runs += u64::from(self.run == 0);
+        self.run += 1;
+        self.stamps += 1;
+        self.longest = self.longest.max(self.run);
+    }
 }
 
 impl Survey {
@@ -50,76 +81,125 @@ impl Survey {
                 Entry::Aside => {}
                 Entry::Sample { stamp_ns, sample } => {
                     survey.samples += 1;
+                    survey.frozen.run = 0;
                     survey.channels = survey.channels.union(sample.channels());
                     survey.first_stamp_ns = survey.first_stamp_ns.or(stamp_ns);
                     survey.take_stamp(stamp_ns);
-                    survey.take_values(sample);
+                    survey.values.take(stamp_ns, sample);
                 }
-                Entry::Rejected(rejected, stamp_ns) => {
-                    survey.rejected_lines += 1;
-                    *survey.rejected.entry(rejected.cause).or_default() += rejected.amount();
-                    if stamp_ns.is_some() {
-                        survey.between.add(stamp_ns, false);
-                    }
-                    if survey.first_rejected.len() < REJECTED_KEPT {
-                        survey.first_rejected.push(rejected);
-                    }
-                }
+                Entry::Rejected(rejected, stamp_ns) => survey.take_rejected(rejected, stamp_ns),
             }
         }
         Ok(survey)
     }
 
+    fn take_rejected(&mut self, rejected: Rejected, stamp_ns: Option<i64>) {
+        self.rejected_lines += 1;
+        *self.rejected.entry(rejected.cause).or_default() += rejected.amount();
+        match rejected.late_ns {
+            Some(0) => self.frozen.repeats(),
+            Some(late_ns) => self.late = (self.late.0 + 1, self.late.1.max(late_ns)),
+            None => self.astray += u64::from(rejected.astray),
+        }
+        if stamp_ns.is_some() {
+            self.between.add(stamp_ns, false);
+        }
+        if self.first_rejected.len() < REJECTED_KEPT {
+            self.first_rejected.push(rejected);
+        }
+    }
+
     fn take_stamp(&mut self, stamp_ns: Option<i64>) {
         let Some(stamp_ns) = stamp_ns else { return };
         if let Some(last_ns) = self.last_stamp_ns {
-            self.between.settle(last_ns, stamp_ns);
-            let mut from_ns = last_ns;
-            for instant in self.between.instants(stamp_ns) {
-                let step_ns = instant.stamp_ns.abs_diff(from_ns);
-                self.steps.add(step_ns);
-                if self.longest.is_none_or(|(longest, _)| step_ns > longest) {
-                    self.longest = Some((step_ns, from_ns));
+            if self.between.count() == 0 {
+                self.take_step(last_ns, stamp_ns);
+            } else {
+                let mut between = std::mem::take(&mut self.between);
+                between.settle(last_ns, stamp_ns);
+                let mut from_ns = last_ns;
+                for instant in between.instants(stamp_ns) {
+                    self.take_step(from_ns, instant.stamp_ns);
+                    from_ns = instant.stamp_ns;
                 }
-                from_ns = instant.stamp_ns;
+                self.between = between;
             }
         }
         self.between.clear();
         self.last_stamp_ns = Some(stamp_ns);
     }
 
-    fn take_values(&mut self, sample: Sample) {
-        let values = |sample: &Sample| Channel::ALL.map(|channel| sample.get(channel));
-        // A sensor's noise never repeats in several channels at once; a single coarse channel may.
-        if sample.channels().iter().count() > 1
-            && self.last_sample.as_ref().is_some_and(|last| values(last) == values(&sample))
-        {
-            self.repeated += 1;
+    fn take_step(&mut self, from_ns: i64, to_ns: i64) {
+        let step_ns = to_ns.abs_diff(from_ns);
+        self.steps.add(step_ns);
+        self.pairing.add(step_ns);
+        if self.longest.is_none_or(|(longest, _)| step_ns > longest) {
+            self.longest = Some((step_ns, from_ns));
         }
-        let field = [Channel::MagX, Channel::MagY, Channel::MagZ];
-        if field.iter().any(|channel| sample.get(*channel).is_some_and(|value| value.abs() > MAG_MAX_GAUSS)) {
-            self.strong_fields += 1;
-        }
-        self.last_sample = Some(sample);
     }
 
-    /// What is remarkable, now that the rate is known. `utc_offset_ns` is UTC − stamp.
-    pub(super) fn findings(&self, rate_hz: f64, stamps: Stamps) -> Findings {
+    /// What is remarkable, now that the rate is known.
+    pub(super) fn findings(
+        &self,
+        rate_hz: f64,
+        stamps: Stamps,
+        conversions: &[Conversion],
+        decimals: &Decimals,
+    ) -> Findings {
         let steps = self.steps.total();
         let span_ns = self.first_stamp_ns.zip(self.last_stamp_ns).map_or(0, |(first, last)| last.abs_diff(first));
         let mean_ns = span_ns as f64 / steps.max(1) as f64;
         let limit_ns = GAP_PERIODS * period_ns(rate_hz);
+        let counted = self.steps.counted();
+        let count_where = |condition: &dyn Fn(f64) -> bool| -> u64 {
+            counted.iter().filter(|(step, _)| condition(*step as f64)).map(|(_, count)| count).sum()
+        };
+        let seconds = |nanos: f64| nanos / NANOS_PER_SECOND as f64;
+        let median_ns = median_of(&counted);
+        let deviation = median_ns.map(|median_ns| deviation(&counted, median_ns, limit_ns));
+        let pairs = self.pairing.pairs(&counted);
+        // Holes lengthen the mean step; among pairs the median may be a short one.
+        let typical_ns = pairs.map(|pairs| pairs.long_s * NANOS_PER_SECOND as f64).or(median_ns).unwrap_or(0.0);
+        let turned_s = if stamps == Stamps::None { 1.0 / rate_hz } else { 1.0 };
         Findings {
             steps,
+            median_step_s: median_ns.map(seconds),
+            jitter_s: deviation.map(|(robust_ns, _)| seconds(robust_ns)),
+            jitter_rms_s: deviation.map(|(_, rms_ns)| seconds(rms_ns)),
             mean_rate_hz: (span_ns > 0).then(|| NANOS_PER_SECOND as f64 / mean_ns),
-            irregular_steps: self.steps.count_where(|step| step > limit_ns),
-            longest_step_s: self.longest.map(|(step_ns, _)| step_ns as f64 / NANOS_PER_SECOND as f64),
+            irregular_steps: count_where(&|step| step > limit_ns),
+            longest_step_s: self.longest.map(|(step_ns, _)| seconds(step_ns as f64)),
             longest_step_utc_ns: self.longest.map(|(_, from_ns)| from_ns).filter(|_| stamps == Stamps::Unix),
-            short_steps: self.steps.count_where(|step| step < SHORT * mean_ns),
-            repeated_samples: self.repeated,
-            strong_fields: self.strong_fields,
+            short_steps: count_where(&|step| step < SHORT * typical_ns),
+            pairs,
+            frozen_stamps: self.frozen.stamps,
+            frozen_runs: self.frozen.runs,
+            longest_frozen_run: self.frozen.longest,
+            late_stamps: self.late.0,
+            latest_by_s: (self.late.0 > 0).then(|| seconds(self.late.1 as f64)),
+            stray_stamps: self.astray,
+            repeated_samples: self.values.repeated,
+            strong_fields: self.values.strong_fields,
+            quantisation: self.quantisation(conversions, decimals),
+            doubts: doubts(&self.values, conversions, turned_s),
             ..Findings::default()
         }
+    }
+
+    /// The step of each channel's values, where one is seen.
+    fn quantisation(&self, conversions: &[Conversion], decimals: &Decimals) -> BTreeMap<Channel, Quantisation> {
+        let of = |channel: Channel| {
+            let converted = conversions.iter().find(|conversion| conversion.channel == channel);
+            let (unit, factor) =
+                converted.map_or((channel.unit(), 1.0), |conversion| (conversion.original_unit, conversion.factor));
+            let written: Vec<f64> = self.values.of(channel).iter().map(|value| value / factor).collect();
+            let step = step_as_written(&written, decimals.get(channel))?;
+            Some((
+                channel,
+                Quantisation { step: step * factor.abs(), original_step: step, original_unit: unit.to_owned() },
+            ))
+        };
+        self.channels.iter().filter_map(of).collect()
     }
 
     pub(super) fn no_sample(&self, file: &Path) -> RecordingError {
@@ -132,5 +212,39 @@ impl Survey {
                 format!("; line {} ({}): {:?}", first.line, first.cause.name(), first.text)
             }),
         }
+    }
+}
+
+/// The steps' deviation from their median: robust, and the root mean square of those that are no gap.
+fn deviation(counted: &[(u64, u64)], median_ns: f64, limit_ns: f64) -> (f64, f64) {
+    let mut distances: Vec<(u64, u64)> =
+        counted.iter().map(|(step, count)| ((*step as f64 - median_ns).abs().round() as u64, *count)).collect();
+    distances.sort_unstable();
+    let robust_ns = STD_OF_SPREAD * median_of(&distances).unwrap_or(0.0);
+    let (mut squares, mut count) = (0.0, 0_u64);
+    for (step, times) in counted.iter().filter(|(step, _)| *step as f64 <= limit_ns) {
+        squares += *times as f64 * (*step as f64 - median_ns).powi(2);
+        count += times;
+    }
+    (robust_ns, (squares / count.max(1) as f64).sqrt())
+}
+
+/// The step of values in the file's own unit: of the values themselves, or their decimals.
+fn step_as_written(values: &[f64], decimals: Option<u8>) -> Option<f64> {
+    let found = step_of(values);
+    let size = values.iter().fold(0.0, |size: f64, value| size.max(value.abs()));
+    let of_text = decimals.map(|decimals| 10_f64.powi(-i32::from(decimals))).filter(|step| size / step < DIGITS_MAX);
+    let Some(of_text) = of_text else { return found };
+    match found {
+        Some(found) if found > DECIMALS_OWN * of_text => {
+            let multiple = (found / of_text).round();
+            // Multiplied and divided by whole powers of ten the step is the number that a person would write.
+            let written = multiple / 10_f64.powi(i32::from(decimals.unwrap_or(0)));
+            Some(if (found / of_text - multiple).abs() < MULTIPLE_WITHIN { written } else { found })
+        }
+        // Of few distinct values nothing can be said.
+        None if values.iter().any(|value| Some(value) != values.first()) => Some(of_text),
+        None => None,
+        Some(_) => Some(of_text),
     }
 }

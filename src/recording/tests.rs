@@ -331,9 +331,10 @@ fn what_is_no_recording_is_refused_with_how_it_begins() {
         (b"\x28\xB5\x2F\xFD\x24", "zstd -d"),
         (b"\xFA\x01\x29", "raw bytes of a VN-100"),
         (b"\x89PNG\r\n\x1a\n", "expected raw `$VN"),
-        (b"", "begins with \"\""),
-        (b"time,gx,gy\n1,2,3\n", "begins with \"time,gx,gy\""),
-        (b"gyro_x,gyro_y\n1,2\n", "gyro_x_rad_s"),
+        (b"", "is empty"),
+        (b"\n \r\n\n", "is empty"),
+        (b"time,gx,gy\n1,2,3\n", "time | gx | gy. Say which is which with --columns"),
+        (b"gyro_x,gyro_y\n1,2\n", "gyro_{x,y,z}_{rad_s,"),
     ] {
         let error = load_columns(&folder.file("other", content), at_rate(1.0)).unwrap_err().to_string();
         assert!(error.contains(part) && error.contains("other"), "{error}");

@@ -58,6 +58,11 @@ impl Sample {
     pub fn get(&self, channel: Channel) -> Option<f64> {
         self.channels.contains(channel).then(|| self.values[channel as usize])
     }
+    /// Whether both have the same channels with the same values, whatever their times.
+    #[must_use]
+    pub fn same_values(&self, other: &Self) -> bool {
+        self.channels == other.channels && self.channels.iter().all(|channel| self.get(channel) == other.get(channel))
+    }
     /// The channels that have a value.
     #[must_use]
     pub fn channels(&self) -> ChannelSet {

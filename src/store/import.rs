@@ -1,13 +1,14 @@
 //! Imports: a recording becomes a capture, whole or not at all, beside a running capture.
 //!
 //! Records come in the order of a capture's (segment, samples, gap, segment…) and are written in steps of a few tens of
-//! milliseconds, each in a transaction of its own, so that the running capture's commits are not held up. Until
+//! milliseconds, each in a transaction of its own, so that the running capture's commits are not held up. While a step is
+//! written the next one is gathered; no step is given to the writer before the one ahead of it is committed. Until
 //! [`Import::finish`] nobody sees the new capture; an import that is dropped, fails or is killed leaves only rows that
 //! [`Store::purge_step`] takes away.
 
 use super::captures::{check_name, create, name_is_free};
 use super::insert::insert;
-use super::{NewCapture, Store, StoreError};
+use super::{Begun, NewCapture, Store, StoreError};
 use crate::sample::Record;
 use rusqlite::{Connection, OptionalExtension, params};
 
@@ -22,6 +23,8 @@ pub struct Import {
     name: Option<String>,
     fingerprint: Option<String>,
     pending: Vec<(i64, Record)>,
+    /// The step that is being written.
+    begun: Option<Begun<()>>,
     finished: bool,
 }
 
@@ -79,7 +82,8 @@ impl Store {
             }
             create(transaction, &capture, utc_ns, "importing", of_row.as_deref())
         })?;
-        Ok(Import { store: self.clone(), id, name, fingerprint, pending: Vec::with_capacity(STEP), finished: false })
+        let pending = Vec::with_capacity(STEP);
+        Ok(Import { store: self.clone(), id, name, fingerprint, pending, begun: None, finished: false })
     }
 }
 
@@ -99,10 +103,18 @@ impl Import {
         if self.pending.len() >= STEP { self.write() } else { Ok(()) }
     }
 
+    /// Gives what was gathered to the writer, once it has committed what it had.
     fn write(&mut self) -> Result<(), StoreError> {
+        self.settle()?;
         let records = std::mem::replace(&mut self.pending, Vec::with_capacity(STEP));
         let utc_ns = self.store.utc_ns();
-        self.store.execute(move |transaction| insert(transaction, &records, utc_ns, 0).map(drop))
+        self.begun = Some(self.store.begin(move |transaction| insert(transaction, &records, utc_ns, 0).map(drop))?);
+        Ok(())
+    }
+
+    /// Waits for the step that is being written.
+    fn settle(&mut self) -> Result<(), StoreError> {
+        self.begun.take().map_or(Ok(()), Begun::wait)
     }
 
     /// Shows the capture to everybody. `ended_utc_ns` is when its recording ended, where that is known.
@@ -111,6 +123,7 @@ impl Import {
     /// [`StoreError::NameTaken`] where the name was given away meanwhile, or what the database says.
     pub fn finish(mut self, ended_utc_ns: Option<i64>) -> Result<ImportEnd, StoreError> {
         self.write()?;
+        self.settle()?;
         let (id, name, fingerprint) = (self.id, self.name.clone(), self.fingerprint.clone());
         let end = self.store.execute(move |transaction| {
             if let Some(fingerprint) = &fingerprint

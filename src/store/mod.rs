@@ -282,6 +282,14 @@ impl Store {
         &self,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
+        self.begin(work)?.wait()
+    }
+
+    /// As [`Self::execute`], without waiting: what was begun first is done first.
+    pub(crate) fn begin<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<Begun<T>, StoreError> {
         let (reply, answer) = std::sync::mpsc::sync_channel(1);
         let job = move |connection: Result<&mut rusqlite::Connection, StoreError>| {
             let result = connection.and_then(|connection| writer::in_transaction(connection, work));
@@ -291,7 +299,7 @@ impl Store {
             failure
         };
         self.inner.commands.send(Command::Run(Box::new(job))).map_err(|_| StoreError::Closed)?;
-        answer.recv().map_err(|_| StoreError::Closed)?
+        Ok(Begun(answer))
     }
 
     /// Says that a reader of this database met damage ([`StoreError::is_damage`]): nothing more is written to it.
@@ -313,6 +321,17 @@ impl Store {
     /// [`StoreError::Unwritten`] where the disk refused to the end.
     pub fn close(&self) -> Result<(), StoreError> {
         self.inner.close()
+    }
+}
+
+/// Work that the writer was given.
+#[derive(Debug)]
+pub(crate) struct Begun<T>(std::sync::mpsc::Receiver<Result<T, StoreError>>);
+
+impl<T> Begun<T> {
+    /// Waits until it is committed, or has failed.
+    pub(crate) fn wait(self) -> Result<T, StoreError> {
+        self.0.recv().map_err(|_| StoreError::Closed)?
     }
 }
 

@@ -9,7 +9,7 @@
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
 
-use super::super::csv::known_column;
+use super::super::header::known_column;
 use super::known::standard_definition;
 use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
 use crate::sample::{Channel, Triad};

@@ -1,0 +1,144 @@
+//! Quantum: the step of which nearly all values of a channel are multiples, found from the values alone.
+//!
+//! Values on a grid differ by multiples of its step from each other. So the small differences between neighbouring values
+//! are tried as steps, the largest first: a step is fitted to the values from the nearest to the farthest, so that a small
+//! error of its own cannot grow to half a step. It counts where 98 of 100 values lie on the grid and so many distinct ones
+//! that chance would not do it. Pure.
+
+/// Fewer values tell nothing.
+const LEAST_VALUES: usize = 32;
+/// A value that lies farther from the grid, in steps, is beside it.
+const BESIDE: f64 = 0.25;
+/// Values that may lie beside the grid.
+const BESIDE_SHARE: f64 = 0.02;
+/// The greatest chance of being on a grid by accident.
+const CHANCE: f64 = 1e-6;
+/// Differences that are no greater, of the greatest value, are rounding of the arithmetic.
+const ROUNDING: f64 = 1e-13;
+
+/// The step of these finite values, or `None` where there is none to be seen.
+pub(super) fn step_of(values: &[f64]) -> Option<f64> {
+    if values.len() < LEAST_VALUES {
+        return None;
+    }
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let origin = sorted[sorted.len() / 2];
+    let size = sorted.iter().fold(0.0, |size: f64, value| size.max(value.abs()));
+    let mut gaps: Vec<f64> =
+        sorted.windows(2).map(|two| two[1] - two[0]).filter(|gap| *gap > ROUNDING * size).collect();
+    if gaps.len() < 2 {
+        return None;
+    }
+    gaps.sort_unstable_by(f64::total_cmp);
+    let mut distances: Vec<f64> = sorted.iter().map(|value| value - origin).collect();
+    distances.sort_unstable_by(|one, other| one.abs().total_cmp(&other.abs()));
+    let count = gaps.len();
+    let places = [0, 1, 3, 7, 15, count / 100, count / 20, count / 10, count / 4, count / 2];
+    let mut candidates: Vec<f64> = places
+        .iter()
+        .filter_map(|place| gaps.get(*place))
+        .flat_map(|gap| [*gap, gap / 2.0, gap / 3.0])
+        .filter(|step| *step > ROUNDING * size)
+        .collect();
+    candidates.sort_unstable_by(|one, other| other.total_cmp(one));
+    candidates.dedup_by(|next, kept| (*kept - *next).abs() < 1e-3 * *kept);
+    candidates.into_iter().find_map(|step| fitted(&distances, step))
+}
+
+/// The step near this one that the distances, the smallest first, are multiples of.
+fn fitted(distances: &[f64], first: f64) -> Option<f64> {
+    let may_be_beside = (BESIDE_SHARE * distances.len() as f64) as usize;
+    let (mut step, mut squares, mut products, mut beside) = (first, 0.0, 0.0, 0_usize);
+    for distance in distances {
+        let multiple = (distance / step).round();
+        if (distance / step - multiple).abs() > BESIDE {
+            beside += 1;
+            if beside > may_be_beside {
+                return None;
+            }
+        } else if multiple != 0.0 {
+            squares += multiple * multiple;
+            products += multiple * distance;
+            step = products / squares;
+        }
+    }
+    // Once more with the step that was found.
+    let (mut on, mut squares, mut distinct) = (0_usize, 0.0, Vec::new());
+    for distance in distances {
+        let multiple = (distance / step).round();
+        let error = distance / step - multiple;
+        if error.abs() <= BESIDE {
+            on += 1;
+            squares += error * error;
+            distinct.push(multiple as i64);
+        }
+    }
+    distinct.sort_unstable();
+    distinct.dedup();
+    let nearly_all = distances.len() - on <= may_be_beside;
+    // Two values make a step of their own; each other one lies within the spread of the errors by accident with this chance.
+    let spread = (12.0 * squares / on as f64).sqrt().min(1.0);
+    let chance = spread.max(ROUNDING).powi(i32::try_from(distinct.len()).unwrap_or(i32::MAX).saturating_sub(2));
+    (nearly_all && distinct.len() > 2 && chance < CHANCE).then_some(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn noise(seed: u64, count: usize) -> Vec<f64> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..count).map(|_| StandardNormal.sample(&mut random)).collect()
+    }
+
+    #[test]
+    fn the_step_of_rounded_noise_is_found_whatever_its_size_and_offset() {
+        for (seed, sigma, step, offset) in [
+            (1, 0.9, 0.05, 0.0),
+            (2, 0.004, 0.00333, -1.01565),
+            (3, 0.05, 1.0 / 131.0, 4.77),
+            (4, 1.0, 1e-6, -9.81),
+            (5, 30.0, 0.1, 1e4),
+            (6, 0.6, 1.0, 0.0),
+        ] {
+            let values: Vec<f64> =
+                noise(seed, 4096).iter().map(|noise| ((offset + sigma * noise) / step).round() * step).collect();
+            let found = step_of(&values).unwrap();
+            assert!((found / step - 1.0).abs() < 1e-6, "{step}: {found}");
+        }
+    }
+
+    #[test]
+    fn values_rounded_again_and_a_few_beside_the_grid_hide_no_step() {
+        // Steps of 1/16.384 deg/s, written with four decimals and converted.
+        let step = 1.0 / 16.384;
+        let rounded = |value: f64| (((value / step).round() * step) * 1e4).round() / 1e4;
+        let mut values: Vec<f64> = noise(7, 4096).iter().map(|noise| rounded(2.0 * noise).to_radians()).collect();
+        let found = step_of(&values).unwrap().to_degrees();
+        assert!((found / step - 1.0).abs() < 1e-3, "{found}");
+        for (place, odd) in noise(8, 40).into_iter().enumerate() {
+            values[place * 100] = odd;
+        }
+        let found = step_of(&values).unwrap().to_degrees();
+        assert!((found / step - 1.0).abs() < 1e-3, "{found}");
+    }
+
+    #[test]
+    fn where_is_no_grid_none_is_found() {
+        assert_eq!(step_of(&[]), None);
+        assert_eq!(step_of(&[1.5; 1000]), None);
+        let two: Vec<f64> = (0..1000).map(|index| f64::from(index % 2)).collect();
+        assert_eq!(step_of(&two), None, "two values are no grid");
+        for seed in 0..200 {
+            let values = noise(100 + seed, 4096);
+            assert_eq!(step_of(&values), None, "{seed}");
+            // Nor where a few values repeat.
+            let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+            let few: Vec<f64> = (0..1000).map(|_| values[random.random_range(0..6)]).collect();
+            assert_eq!(step_of(&few), None, "{seed}");
+        }
+    }
+}
