@@ -107,10 +107,22 @@ pub struct ImportRequest {
     pub rate_hz: Option<f64>,
     /// What the columns of a foreign CSV are: `FOREIGN=NAME,…`.
     pub columns: Option<String>,
+    /// Definitions of messages that a bag does not bring along.
+    pub definitions: Vec<MessageText>,
     /// Name of the capture.
     pub name: Option<String>,
     /// Cancelled once nobody waits for it any more.
     pub abandoned: CancellationToken,
+}
+
+/// A message type that a bag does not bring along.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MessageText {
+    /// The type: `Name`, `package/Name` or `package/msg/Name`.
+    pub name: String,
+    /// The text of its `.msg` file.
+    pub text: String,
 }
 
 /// What an import came to, as `vn100d import --json` and `POST /v1/imports` answer it.

@@ -4,7 +4,7 @@
 use super::extract::Q;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
-use crate::control::{ImportError, ImportReport, ImportRequest};
+use crate::control::{ImportError, ImportReport, ImportRequest, MessageText};
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -37,6 +37,8 @@ const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", 
 const CALLED_MAX: usize = 4096;
 /// Bytes of what the columns are at most.
 const COLUMNS_MAX: usize = 16 * 1024;
+/// Bytes of definitions of messages at most: they come in the address.
+const DEFINITIONS_MAX: usize = 16 * 1024;
 
 /// How the recording is to be read.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -54,9 +56,13 @@ pub(super) struct ImportQuery {
     /// position (`#3`), NAME a channel with its unit (`accel_x_g`), or `time_s`, `time_ms`, `time_us`, `time_ns`.
     #[param(example = "Time [ms]=time_ms,ax=accel_x_g")]
     columns: Option<String>,
+    /// Definitions of messages that a bag does not bring along: a JSON list of `{"name": "package/msg/Name", "text": "…"}`,
+    /// the text being that of the type's `.msg` file.
+    #[param(example = "[{\"name\": \"own_msgs/msg/Reading\", \"text\": \"float64 gyro_x_rad_s\"}]")]
+    message_definitions: Option<String>,
 }
 
-/// Makes a recording (CSV or raw lines, plain or gzip) a capture; answers once it is one. The same recording again is the same capture.
+/// Makes a recording (CSV, raw lines or bytes, a ROS bag, MCAP) a capture; answers once it is one. The same recording again is the same capture.
 #[utoipa::path(post, path = "/v1/imports", tag = "captures", params(ImportQuery),
     request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The recording's bytes"), responses(
     (status = 201, body = ImportReport, headers(("Location" = String, description = "The capture"))),
@@ -72,7 +78,7 @@ pub(super) async fn import(
     Q(query): Q<ImportQuery>,
     request: Request,
 ) -> Result<Response, ApiError> {
-    check(&query, request.headers())?;
+    let definitions = check(&query, request.headers())?;
     if state.parts.importer.is_stopping() {
         return Err(ImportError::Stopping.into());
     }
@@ -93,6 +99,7 @@ pub(super) async fn import(
         called: query.file.unwrap_or_else(|| "recording".to_owned()),
         rate_hz: query.rate_hz,
         columns: query.columns,
+        definitions,
         name: query.name,
         abandoned: abandoned.clone(),
     };
@@ -119,7 +126,8 @@ pub(super) async fn import(
     Ok(response)
 }
 
-fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<(), ApiError> {
+/// Refuses what can be refused before the body comes; the definitions of messages.
+fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, ApiError> {
     let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let media_type = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     if !MEDIA_TYPES.contains(&media_type.as_str()) {
@@ -150,7 +158,15 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<(), ApiError> {
     if let Some(name) = &query.name {
         crate::store::check_name(name)?;
     }
-    Ok(())
+    let Some(definitions) = &query.message_definitions else { return Ok(Vec::new()) };
+    if definitions.len() > DEFINITIONS_MAX {
+        return Err(ApiError::bad_request(format!("`message_definitions`: allowed are {DEFINITIONS_MAX} bytes")));
+    }
+    serde_json::from_str(definitions).map_err(|error| {
+        ApiError::bad_request(format!(
+            "`message_definitions`: {error}; expected a JSON list of {{\"name\": \"package/msg/Name\", \"text\": \"…\"}}"
+        ))
+    })
 }
 
 /// Writes the body to the file, at the disk's pace and no faster than [`BYTES_PER_S`]; one piece is in memory at a time.

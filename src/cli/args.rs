@@ -223,6 +223,10 @@ pub struct ImportArgs {
     /// '#3=gyro_x_dps' by position. May be given several times
     #[arg(long, value_name = "FOREIGN=NAME,…")]
     pub columns: Vec<String>,
+    /// Definition of a message type that a bag does not bring along: the type's .msg file, called after the type, or
+    /// 'package/msg/Name=FILE.msg'. May be given several times
+    #[arg(long, value_name = "[TYPE=]FILE.msg")]
+    pub message_definition: Vec<String>,
     /// Name of the capture (default: the file's name)
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,

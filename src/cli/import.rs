@@ -4,13 +4,15 @@ use super::args::ImportArgs;
 use super::client;
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
-use crate::control::ImportReport;
+use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
-use crate::recording::{ColumnMap, KeepOn, open_regular};
+use crate::recording::{
+    ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, detect, is_type_name, open_regular,
+};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::{IsTerminal as _, Write as _};
+use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::path::Path;
 
 /// Who writes the database.
@@ -24,6 +26,8 @@ enum Writer {
 /// Rejected lines that a person is shown, and how much of each.
 const REJECTED_SHOWN: usize = 5;
 const REJECTED_CHARS: usize = 90;
+/// More of a file is not read as a message's definition, which may not have as much.
+const DEFINITION_BYTES: u64 = 1 << 20;
 
 /// Imports each file; a file that was imported before is named, not doubled.
 pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcome> {
@@ -34,12 +38,15 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
     // A daemon is sent what was understood here.
     let columns = ColumnMap::parse(&args.columns)
         .map_err(|error| CliError { failure: Failure::Usage, message: format!("--{error}") })?;
+    let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
+    let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
+    let told = Told { columns, definitions };
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
         let report = match &writer {
-            Writer::Own(store) => import_here(store, file, args, &columns)?,
-            Writer::Daemon { base_url, token } => send((base_url, token), file, args, &columns)?,
+            Writer::Own(store) => import_here(store, file, args, &told)?,
+            Writer::Daemon { base_url, token } => send((base_url, token), file, args, &told)?,
         };
         if report.rejected.values().any(|count| *count > 0) {
             outcome = Outcome::WithLoss;
@@ -57,6 +64,31 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         print_json(&answers)?;
     }
     Ok(outcome)
+}
+
+/// What the user says of the recordings.
+struct Told {
+    columns: ColumnMap,
+    definitions: Vec<MessageDefinition>,
+}
+
+/// Reads `FILE.msg` or `TYPE=FILE.msg`; without a type the file is called after it.
+fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
+    let (name, file) = match given.split_once('=') {
+        Some((name, file)) if is_type_name(name.trim()) && !Path::new(given).is_file() => (Some(name), Path::new(file)),
+        _ => (None, Path::new(given)),
+    };
+    let unreadable = || format!("--message-definition: {} cannot be read", file.display());
+    let mut bytes = Vec::new();
+    open_regular(file)?.take(DEFINITION_BYTES).read_to_end(&mut bytes).with_context(unreadable)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let stem = file.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
+    let definition = MessageDefinition::new(name.unwrap_or(&stem), &text).map_err(no_definition);
+    definition.with_context(|| format!("--message-definition {given}"))
+}
+
+fn no_definition(error: DefinitionError) -> CliError {
+    CliError { failure: Failure::Usage, message: error.to_string() }
 }
 
 /// The daemon that was named, or the one that has the database; without one the database itself.
@@ -104,12 +136,19 @@ fn is_somebody_elses(error: &StoreError) -> bool {
     }
 }
 
-fn import_here(store: &Store, file: &Path, args: &ImportArgs, columns: &ColumnMap) -> anyhow::Result<ImportReport> {
+fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Told) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples");
     // Another instance's daemon may capture beside it.
     crate::jobs::step_back();
-    let (columns, keep_on) = (columns.clone(), KeepOn::default());
-    let source = Source { file, called: file, rate_hz: args.rate, columns, keep_on };
+    let Told { columns, definitions } = told;
+    let source = Source {
+        file,
+        called: file,
+        rate_hz: args.rate,
+        columns: columns.clone(),
+        definitions: definitions.clone(),
+        keep_on: KeepOn::default(),
+    };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -123,13 +162,10 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, columns: &ColumnMa
 }
 
 /// Sends the recording's bytes to the daemon (its address and token), which may not be able to read the user's files.
-fn send(
-    (base_url, token): (&str, &str),
-    file: &Path,
-    args: &ImportArgs,
-    columns: &ColumnMap,
-) -> anyhow::Result<ImportReport> {
+fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &Told) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
+    // What is no recording is not sent.
+    detect(&Input::file(file).with_columns(told.columns.clone()))?;
     let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();
     let bar = bar("{bar:40} {percent} %  {bytes} sent");
@@ -137,8 +173,14 @@ fn send(
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
-    if !columns.is_empty() {
-        query.push(("columns", columns.to_string()));
+    if !told.columns.is_empty() {
+        query.push(("columns", told.columns.to_string()));
+    }
+    if !told.definitions.is_empty() {
+        let text =
+            |given: &MessageDefinition| MessageText { name: given.name().to_owned(), text: given.text().to_owned() };
+        let texts: Vec<MessageText> = told.definitions.iter().map(text).collect();
+        query.push(("message_definitions", serde_json::to_string(&texts)?));
     }
     let body = bar.wrap_read(opened);
     let answer = client::send(base_url, "/v1/imports", &query, token, length, body);
@@ -149,11 +191,12 @@ fn send(
 
 fn tell(report: &ImportReport) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    let rate = if report.rate_assumed {
-        format!("{} Hz (assumed: neither stamps nor --rate tell it)", report.rate_hz)
-    } else {
-        format!("{} Hz", report.rate_hz)
-    };
+    // Four decimals: more are the recording's jitter.
+    let rate_hz = format!("{:.4}", report.rate_hz);
+    let rate_hz = if report.rate_hz < 0.01 { report.rate_hz.to_string() } else { rate_hz };
+    let rate_hz = if rate_hz.contains('.') { rate_hz.trim_end_matches('0').trim_end_matches('.') } else { &rate_hz };
+    let assumed = if report.rate_assumed { " (assumed: neither stamps nor --rate tell it)" } else { "" };
+    let rate = format!("{rate_hz} Hz{assumed}");
     let how = if report.new { "is capture" } else { "was imported before, as capture" };
     let ImportReport { file, capture, samples, missing, gaps, .. } = report;
     writeln!(stdout, "{file} {how} {capture}: {samples} samples at {rate}, {missing} missing in {gaps} gaps")?;
@@ -210,6 +253,7 @@ mod tests {
             files: vec!["desk.csv".into()],
             rate: None,
             columns: Vec::new(),
+            message_definition: Vec::new(),
             name: None,
             listen: listen.map(str::to_owned),
         };

@@ -4,8 +4,8 @@ use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
 use crate::jobs::Jobs;
 use crate::recording::{
-    ColumnMap, ColumnsError, Input, KeepOn, Options, Recording, RecordingAccountant, RecordingError, RecordingInfo,
-    Rejected, open_regular,
+    ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
+    RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular,
 };
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
@@ -26,6 +26,9 @@ pub enum ImportError {
     /// What its columns were said to be.
     #[error(transparent)]
     Columns(#[from] ColumnsError),
+    /// What its messages were said to be.
+    #[error(transparent)]
+    Definition(#[from] DefinitionError),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -115,6 +118,8 @@ pub struct Source<'a> {
     pub rate_hz: Option<f64>,
     /// What the columns of a foreign CSV are.
     pub columns: ColumnMap,
+    /// Definitions of messages that a bag does not bring along.
+    pub definitions: Vec<MessageDefinition>,
     /// Whether it is still wanted.
     pub keep_on: KeepOn,
 }
@@ -130,21 +135,26 @@ pub fn import(
     name: Option<String>,
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
-    let Source { file, called, rate_hz, columns, keep_on } = source;
+    let Source { file, called, rate_hz, columns, definitions, keep_on } = source;
     // What is refused for its name is refused before anything is read.
     if let Some(name) = &name {
         check_name(name)?;
     }
-    let fingerprint = fingerprint(file, rate_hz, &columns, &keep_on)?;
+    // What is no recording is refused before all of it is read.
+    let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
+    detect(&input)?;
+    let fingerprint = fingerprint(file, (rate_hz, &columns, &definitions), &keep_on)?;
     if let Some(name) = &name
         && store.imported(&fingerprint)?.is_none()
         && is_taken(store, name)?
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
     }
-    let told: Vec<String> = columns.pairs().collect();
-    let input = Input::file(file).while_wanted(keep_on).with_columns(columns);
-    let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), ..Options::default() })?;
+    let told = Told {
+        columns: columns.pairs().collect(),
+        definitions: definitions.iter().map(|definition| definition.name().to_owned()).collect(),
+    };
+    let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), definitions })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     let mut accountant = RecordingAccountant::new(&info);
@@ -229,7 +239,10 @@ impl Importer for DaemonImporter {
         let called = Path::new(&request.called);
         let columns = ColumnMap::parse(request.columns.as_slice());
         let columns = columns.map_err(|error| refused(&error.into(), &request))?;
-        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, columns, keep_on };
+        let definitions = request.definitions.iter().map(|given| MessageDefinition::new(&given.name, &given.text));
+        let definitions = definitions.collect::<Result<_, _>>().and_then(MessageDefinition::list);
+        let definitions = definitions.map_err(|error| refused(&error.into(), &request))?;
+        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, columns, definitions, keep_on };
         let mut room = |_, _| {
             let free_bytes = self.store.progress().free_bytes;
             if free_bytes < self.reserve_bytes {
@@ -258,7 +271,9 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
         ImportError::Recording(RecordingError::Unwanted { .. }) => control::ImportError::Stopping,
-        ImportError::Recording(_) | ImportError::Columns(_) => control::ImportError::Recording { reason },
+        ImportError::Recording(_) | ImportError::Columns(_) | ImportError::Definition(_) => {
+            control::ImportError::Recording { reason }
+        }
         ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
         ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused { reason },
         ImportError::Store(_) | ImportError::Read { .. } | ImportError::NoRoom { .. } => {
@@ -270,8 +285,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
 /// Names the recording's content and how it is read.
 fn fingerprint(
     file: &Path,
-    rate_hz: Option<f64>,
-    columns: &ColumnMap,
+    (rate_hz, columns, definitions): (Option<f64>, &ColumnMap, &[MessageDefinition]),
     keep_on: &KeepOn,
 ) -> Result<String, ImportError> {
     let mut bytes = open_regular(file)?;
@@ -287,10 +301,20 @@ fn fingerprint(
             Err(source) => return Err(ImportError::Read { path: file.display().to_string(), source }),
         }
     }
-    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let hex = |hash: Sha256| -> String { hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect() };
+    let digest = hex(hash);
     let rate = rate_hz.map(|rate_hz| format!(" rate {rate_hz}")).unwrap_or_default();
     let columns = if columns.is_empty() { String::new() } else { format!(" columns {columns}") };
-    Ok(format!("sha256:{digest}{rate}{columns}"))
+    let mut texts = Sha256::new();
+    for definition in definitions {
+        // With the lengths, so that no two lists are the same bytes.
+        for text in [definition.name(), definition.text()] {
+            texts.update((text.len() as u64).to_le_bytes());
+            texts.update(text);
+        }
+    }
+    let definitions = if definitions.is_empty() { String::new() } else { format!(" definitions {}", hex(texts)) };
+    Ok(format!("sha256:{digest}{rate}{columns}{definitions}"))
 }
 
 /// A name for the capture, after the file, where that can be one and no capture has it yet.
@@ -299,10 +323,13 @@ fn free_name(store: &Store, file: &Path) -> Result<Option<String>, StoreError> {
     Ok(if check_name(&name).is_err() || is_taken(store, &name)? { None } else { Some(name) })
 }
 
+/// Endings that are no part of a name.
+const ENDINGS: [&str; 7] = [".gz", ".csv", ".txt", ".bag", ".db3", ".mcap", ".bin"];
+
 /// The file's name without its endings, and without what no capture's name may hold.
 fn name_of(file: &Path) -> String {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let stem = name.trim_end_matches(".gz").trim_end_matches(".csv").trim_end_matches(".txt").trim_end_matches(".bag");
+    let stem = ENDINGS.iter().fold(name.as_str(), |stem, ending| stem.trim_end_matches(ending));
     let kept: String = stem.chars().filter(|character| !character.is_control()).take(NAME_MAX).collect();
     kept.trim().to_owned()
 }
@@ -316,12 +343,19 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     }
 }
 
-/// What the capture's configuration says; `told` is what was said of the columns.
-fn description(info: &RecordingInfo, told: &[String]) -> serde_json::Value {
+/// What the user said of a recording: pairs of columns, names of message types.
+struct Told {
+    columns: Vec<String>,
+    definitions: Vec<String>,
+}
+
+/// What the capture's configuration says.
+fn description(info: &RecordingInfo, told: &Told) -> serde_json::Value {
     serde_json::json!({
         "file": info.file.display().to_string(),
         "kind": info.kind,
-        "columns": told,
+        "columns": told.columns,
+        "message_definitions": told.definitions,
         "stamps": info.stamps,
         "rate_hz": info.rate_hz,
         "ignored_columns": info.ignored_columns,
@@ -359,67 +393,4 @@ fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::clock::SystemClock;
-    use crate::jobs::JobsOptions;
-    use crate::store::StoreOptions;
-
-    /// An import that outlives the daemon's patience finds the store closed; whoever sent it hears that the daemon stops.
-    #[test]
-    fn an_import_that_fails_because_the_daemon_ends_says_so() {
-        let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
-        let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
-        let importer = DaemonImporter::new(store.clone(), jobs.clone(), Arc::new(SystemClock), 0);
-        let import = |file: &Path| {
-            let request = ImportRequest {
-                file: file.to_owned(),
-                called: "desk.csv".to_owned(),
-                name: None,
-                rate_hz: None,
-                columns: None,
-                abandoned: CancellationToken::new(),
-            };
-            importer.import(request).unwrap_err()
-        };
-        let missing = folder.path().join("none.csv");
-        let error = import(&missing);
-        assert!(
-            matches!(error, control::ImportError::Recording { .. } | control::ImportError::Store { .. }),
-            "{error}"
-        );
-        jobs.stop();
-        store.close().unwrap();
-        let (file, mut text) = (folder.path().join("desk.csv"), String::from("time_s,gyro_x_rad_s\n"));
-        for row in 0..400 {
-            text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
-        }
-        std::fs::write(&file, text).unwrap();
-        assert!(matches!(import(&file), control::ImportError::Store { .. }), "the store is closed, and nobody ends");
-        importer.call_off();
-        for file in [&file, &missing] {
-            assert!(matches!(import(file), control::ImportError::Stopping));
-        }
-    }
-
-    #[test]
-    fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
-        for (file, name) in [
-            ("/data/desk.csv", "desk"),
-            ("run.imu.raw.txt.gz", "run.imu.raw"),
-            (" night 1 .csv", "night 1"),
-            ("a\nb\u{7}.bag", "ab"),
-        ] {
-            assert_eq!(name_of(Path::new(file)), name);
-            check_name(name).unwrap();
-        }
-        let long = name_of(Path::new(&format!("{} {}.csv", "ä".repeat(99), "b".repeat(40))));
-        assert_eq!(long, "ä".repeat(99), "no space at the end is left by the cut");
-        check_name(&long).unwrap();
-        // These are no names: such a capture is called after the time.
-        for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
-            check_name(&name_of(Path::new(file))).unwrap_err();
-        }
-    }
-}
+mod tests;

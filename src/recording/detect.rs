@@ -116,6 +116,7 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     if head.trim_ascii().is_empty() && (head.len() as u64) < LOOK_AT_BYTES {
         return Err(RecordingError::Empty { file: file.to_owned() });
     }
+    let (bytes_seen, has_ends) = (head.len() as u64, head.iter().any(|byte| matches!(byte, b'\n' | b'\r')));
     let map = input.columns();
     let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
     let first = lines().next().map(text).unwrap_or_default();
@@ -126,7 +127,9 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     if Header::is_known(&head, map) {
         return Ok(Kind::Csv);
     }
-    if let Some(found) = foreign_names(&head) {
+    // A table has lines.
+    let is_line = bytes_seen < LOOK_AT_BYTES || has_ends;
+    if let Some(found) = foreign_names(&head).filter(|_| is_line) {
         return Err(RecordingError::ForeignColumns { file: file.to_owned(), found });
     }
     let found = first.chars().take(SHOWN_CHARS).collect();

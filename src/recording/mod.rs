@@ -25,6 +25,8 @@ pub mod rows;
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod told_tests;
 
 mod between;
 mod csv;
@@ -54,7 +56,7 @@ pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use mapping::{ColumnMap, ColumnsError};
 pub use meter::KeepOn;
-pub use ros::MessageDefinition;
+pub use ros::{DefinitionError, MessageDefinition, is_type_name};
 pub use rows::Rejected;
 
 use crate::sample::Sample;

@@ -10,6 +10,7 @@
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
 
 use super::super::header::known_column;
+use super::given::MessageDefinition;
 use super::known::standard_definition;
 use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
 use crate::sample::{Channel, Triad};
@@ -23,15 +24,6 @@ const DEPTH_MAX: usize = 16;
 pub(super) const FIELDS_MAX: usize = 4000;
 /// Kilopascal in one pascal.
 const KPA_PER_PA: f64 = 1e-3;
-
-/// The definition of a message type that a recording does not bring along.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MessageDefinition {
-    /// The type's name without its package: that of its `.msg` file.
-    pub name: String,
-    /// The file's text; further types may follow as in a bag's definitions.
-    pub text: String,
-}
 
 /// Reads the definition of `message_type`; what `text` lacks is looked up in `given`.
 pub(super) fn layout(
@@ -52,13 +44,13 @@ pub(super) fn layout(
 }
 
 /// `package/Name` of `package/msg/Name`.
-fn plain_name(name: &str) -> String {
+pub(super) fn plain_name(name: &str) -> String {
     name.trim().replacen("/msg/", "/", 1)
 }
 
 /// A field of a type.
 #[derive(Debug, Clone)]
-struct Field {
+pub(super) struct Field {
     kind: String,
     name: String,
     repeat: Repeat,
@@ -193,8 +185,7 @@ impl Types<'_> {
     /// The fields of the type `name`, of the definition, of what was given, or of the standard types.
     fn fields(&mut self, name: &str) -> Result<Option<Rc<[Field]>>, MessageError> {
         if !self.known.contains_key(name) {
-            let own = name.rsplit('/').next().unwrap_or_default();
-            let given = self.given.iter().find(|given| given.name == own).map(|given| given.text.as_str());
+            let given = MessageDefinition::text_of(self.given, name);
             let Some(text) = given.or_else(|| standard_definition(name, self.encoding)) else { return Ok(None) };
             self.parse(name, text)?;
         }
@@ -333,7 +324,7 @@ fn has(ops: &[Op], wanted: Channel) -> bool {
 }
 
 /// A line of a definition; `None` where it is empty, a comment or a constant.
-fn parse_field(line: &str, encoding: Encoding) -> Result<Option<Field>, MessageError> {
+pub(super) fn parse_field(line: &str, encoding: Encoding) -> Result<Option<Field>, MessageError> {
     let line = line.split('#').next().unwrap_or_default().trim();
     // Bounds of ROS 2 change nothing in the bytes.
     let unbounded = line.replace("<=", "≤");

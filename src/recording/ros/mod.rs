@@ -7,6 +7,7 @@
 mod bag;
 mod db3;
 mod definition;
+mod given;
 mod known;
 mod layout;
 mod mcap;
@@ -16,7 +17,7 @@ mod topics;
 #[cfg(test)]
 mod tests;
 
-pub use definition::MessageDefinition;
+pub use given::{DefinitionError, MessageDefinition, is_type_name};
 
 pub(super) use bag::MAGIC as BAG_MAGIC;
 pub(super) use db3::{MAGIC as SQLITE_MAGIC, check as check_db3};

@@ -189,7 +189,7 @@ fn a_type_that_is_not_known_can_be_given() {
     let error = load(bytes.clone(), Options::default()).unwrap_err().to_string();
     assert!(error.contains("/own") && error.contains("--message-definition"), "{error}");
     let text = "uint8 LIMIT=3\nuint8 kind 7\nstring<=10 name \"a b\"\nstd_msgs/Header header\nbool on\nfloat64 gyro_x_deg_s\nfloat32 temperature_c";
-    let definitions = vec![MessageDefinition { name: "Reading".to_owned(), text: text.to_owned() }];
+    let definitions = vec![MessageDefinition::new("own_msgs/msg/Reading", text).unwrap()];
     let loaded = load(bytes, Options { definitions, ..Options::default() }).unwrap();
     assert_eq!((loaded.samples, loaded.info.rate_hz), (40, 40.0));
     assert_eq!(column(&loaded, Channel::GyroX)[2], 2.0_f64.to_radians());

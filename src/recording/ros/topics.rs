@@ -5,7 +5,8 @@
 //! with the most messages. Topics that give further channels under the same stamps (drivers send a magnetic field and a
 //! temperature on their own) go with it; the others are named.
 
-use super::definition::{self, MessageDefinition};
+use super::definition;
+use super::given::MessageDefinition;
 use super::layout::{Layout, MessageError};
 use super::{Connection, Entry};
 use crate::recording::detect::Kind;

@@ -1,0 +1,220 @@
+//! Imports into a database of their own.
+
+use super::*;
+use crate::clock::SystemClock;
+use crate::jobs::JobsOptions;
+use crate::store::StoreOptions;
+use std::path::PathBuf;
+
+/// An import that outlives the daemon's patience finds the store closed; whoever sent it hears that the daemon stops.
+#[test]
+fn an_import_that_fails_because_the_daemon_ends_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+    let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
+    let importer = DaemonImporter::new(store.clone(), jobs.clone(), Arc::new(SystemClock), 0);
+    let import = |file: &Path| {
+        let request = ImportRequest {
+            file: file.to_owned(),
+            called: "desk.csv".to_owned(),
+            name: None,
+            rate_hz: None,
+            columns: None,
+            definitions: Vec::new(),
+            abandoned: CancellationToken::new(),
+        };
+        importer.import(request).unwrap_err()
+    };
+    let missing = folder.path().join("none.csv");
+    let error = import(&missing);
+    assert!(matches!(error, control::ImportError::Recording { .. } | control::ImportError::Store { .. }), "{error}");
+    jobs.stop();
+    store.close().unwrap();
+    let (file, mut text) = (folder.path().join("desk.csv"), String::from("time_s,gyro_x_rad_s\n"));
+    for row in 0..400 {
+        text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
+    }
+    std::fs::write(&file, text).unwrap();
+    assert!(matches!(import(&file), control::ImportError::Store { .. }), "the store is closed, and nobody ends");
+    importer.call_off();
+    for file in [&file, &missing] {
+        assert!(matches!(import(file), control::ImportError::Stopping));
+    }
+}
+
+#[test]
+fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
+    for (file, name) in [
+        ("/data/desk.csv", "desk"),
+        ("run.imu.raw.txt.gz", "run.imu.raw"),
+        (" night 1 .csv", "night 1"),
+        ("a\nb\u{7}.bag", "ab"),
+        ("circles_0.db3", "circles_0"),
+        ("desk.mcap", "desk"),
+        ("port.bin", "port"),
+    ] {
+        assert_eq!(name_of(Path::new(file)), name);
+        check_name(name).unwrap();
+    }
+    let long = name_of(Path::new(&format!("{} {}.csv", "ä".repeat(99), "b".repeat(40))));
+    assert_eq!(long, "ä".repeat(99), "no space at the end is left by the cut");
+    check_name(&long).unwrap();
+    // These are no names: such a capture is called after the time.
+    for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
+        check_name(&name_of(Path::new(file))).unwrap_err();
+    }
+}
+
+#[allow(clippy::duplicate_mod, reason = "the ROS readers' tests have it for themselves")]
+#[path = "../../../tests/world/ros2.rs"]
+mod ros2;
+
+/// A world of one database.
+struct World {
+    folder: tempfile::TempDir,
+    store: Store,
+}
+
+impl World {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+        Self { folder, store }
+    }
+    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = self.folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+    fn import(&self, file: &Path, pairs: &[&str], definitions: &[(&str, &str)]) -> Result<Imported, ImportError> {
+        let definitions = definitions.iter().map(|(name, text)| MessageDefinition::new(name, text).unwrap()).collect();
+        let source = Source {
+            file,
+            called: file,
+            rate_hz: None,
+            columns: ColumnMap::parse(pairs).unwrap(),
+            definitions: MessageDefinition::list(definitions).unwrap(),
+            keep_on: KeepOn::default(),
+        };
+        import(&self.store, &SystemClock, source, None, &mut |_, _| Ok(()))
+    }
+    fn count(&self, table: &str) -> i64 {
+        let database = rusqlite::Connection::open(self.folder.path().join("vn100d.db")).unwrap();
+        database.query_row(&format!("SELECT count(*) FROM {table}"), [], |row| row.get(0)).unwrap()
+    }
+}
+
+fn foreign() -> String {
+    let mut text = String::from("t;gx;az\n");
+    for row in 0..4000 {
+        text.push_str(&format!(
+            "{};{:.2};{:.4}\n",
+            row * 25,
+            0.05 * f64::from(row * 7919 % 101),
+            1.0 + 1e-4 * f64::from(row % 3)
+        ));
+    }
+    text
+}
+
+#[test]
+fn the_same_file_read_the_same_way_is_one_capture_and_another_reading_another() {
+    let world = World::new();
+    let file = world.file("desk.csv", foreign().as_bytes());
+    let of = |pairs: &[&str]| world.import(&file, pairs, &[]).unwrap();
+    let first = of(&["t=time_ms,gx=gyro_x_dps"]);
+    assert!(matches!(first.end, ImportEnd::Created(_)) && first.counts == (4000, 0, 0), "{first:?}");
+    let again = of(&["gx=gyro_x_dps", "t=time_ms"]);
+    assert!(matches!(again.end, ImportEnd::Known(_)) && again.end.id() == first.end.id(), "{again:?}");
+    let other = of(&["gx=gyro_y_dps", "t=time_ms"]);
+    assert!(matches!(other.end, ImportEnd::Created(_)) && other.end.id() != first.end.id(), "{other:?}");
+    // What the values' steps are is each channel's resolution.
+    let database = rusqlite::Connection::open(world.folder.path().join("vn100d.db")).unwrap();
+    let resolution: f64 = database
+        .query_row("SELECT resolution FROM channel WHERE capture_id = ?1", [first.end.id()], |row| row.get(0))
+        .unwrap();
+    assert!((resolution / 0.05_f64.to_radians() - 1.0).abs() < 1e-6, "{resolution}");
+    world.store.close().unwrap();
+}
+
+#[test]
+fn a_message_that_the_bag_does_not_define_is_read_by_the_users_definition() {
+    let world = World::new();
+    let data = |index: usize| {
+        ros2::Cdr::little_endian()
+            .header(1_729_716_663_000_000_000 + 25_000_000 * index as u64)
+            .wide(&[index as f64])
+            .bytes()
+    };
+    let messages: Vec<_> =
+        (0..40).map(|index| (0, 1_729_716_663_000_000_000 + 25_000_000 * index as i64, data(index))).collect();
+    let file = world.file("own.db3", &ros2::db3(&[("/own", "own_msgs/msg/Reading", None)], &messages));
+    let error = world.import(&file, &[], &[]).unwrap_err().to_string();
+    assert!(
+        error.contains("own.db3") && error.contains("own_msgs") && error.contains("--message-definition"),
+        "{error}"
+    );
+    let text = "std_msgs/Header header\nfloat64 gyro_x_rad_s\n";
+    let first = world.import(&file, &[], &[("own_msgs/msg/Reading", text)]).unwrap();
+    assert_eq!((first.counts, first.info.rate_hz), ((40, 0, 0), 40.0));
+    let again = world.import(&file, &[], &[("own_msgs/Reading", text)]).unwrap();
+    assert_eq!(again.end.id(), first.end.id());
+    let other = world.import(&file, &[], &[("own_msgs/Reading", &text.replace("gyro_x", "gyro_y"))]).unwrap();
+    assert_ne!(other.end.id(), first.end.id());
+    world.store.close().unwrap();
+}
+
+#[test]
+fn an_import_that_fails_on_its_way_leaves_nothing_in_the_database() {
+    let world = World::new();
+    let mut text = String::from("time_s,gyro_x_rad_s\n");
+    for row in 0..60_000 {
+        text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
+    }
+    let file = world.file("desk.csv", text.as_bytes());
+    let written = std::cell::Cell::new(0);
+    let source = Source {
+        file: &file,
+        called: &file,
+        rate_hz: None,
+        columns: ColumnMap::default(),
+        definitions: Vec::new(),
+        keep_on: KeepOn::default(),
+    };
+    let mut full = |samples, _| {
+        written.set(samples);
+        if samples < 40_000 { Ok(()) } else { Err(ImportError::NoRoom { free_mib: 1, reserve_mib: 2 }) }
+    };
+    let error = import(&world.store, &SystemClock, source, None, &mut full).unwrap_err();
+    assert!(matches!(error, ImportError::NoRoom { .. }) && written.get() >= 40_000, "{error}");
+    while world.store.purge_step().unwrap() {}
+    assert_eq!(["capture", "sample", "segment", "gap", "event", "channel"].map(|table| world.count(table)), [0; 6]);
+    // It is no known recording either.
+    let taken = world.import(&file, &[], &[]).unwrap();
+    assert!(matches!(taken.end, ImportEnd::Created(_)) && taken.counts.0 == 60_000);
+    world.store.close().unwrap();
+}
+
+#[test]
+fn what_is_no_recording_is_refused_before_all_of_it_is_read_and_leaves_nothing() {
+    let world = World::new();
+    let file = world.file("zeros", &[]);
+    std::fs::OpenOptions::new().write(true).open(&file).unwrap().set_len(10 << 30).unwrap();
+    let begun = std::time::Instant::now();
+    let error = world.import(&file, &[], &[]).unwrap_err().to_string();
+    assert!(error.contains("zeros") && error.contains("expected raw `$VN…` lines"), "{error}");
+    assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
+    for (name, bytes, words) in [
+        ("empty.csv", &b""[..], "is empty"),
+        ("header.csv", b"time_s,gyro_x_rad_s\n", "has no sample"),
+        ("words.csv", b"time_s,gyro_x_rad_s\na,b\nc,d\n", "line 2 (malformed)"),
+        ("foreign.csv", b"t,gx\n0,1\n", "--columns"),
+        ("one.csv", b"time_s,gyro_x_rad_s\n0,1\n", "no two stamps"),
+        ("cut.csv.gz", b"\x1F\x8B\x08\x00", "ends in the middle of its compressed data"),
+    ] {
+        let error = world.import(&world.file(name, bytes), &[], &[]).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains(words), "{name}: {error}");
+    }
+    assert_eq!(["capture", "sample", "event"].map(|table| world.count(table)), [0; 3]);
+    world.store.close().unwrap();
+}

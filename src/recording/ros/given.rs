@@ -1,0 +1,170 @@
+//! Definitions of messages that the user gives, for bags that do not bring them along. Pure.
+//!
+//! In: a type's name (`Reading`, `own_msgs/Reading`, `own_msgs/msg/Reading`) and the text of its `.msg` file. A name without
+//! a package is that of a type in any package. Out: a [`MessageDefinition`] of which every line can be read.
+
+use super::definition::parse_field;
+use super::layout::Encoding;
+
+/// Bytes of a definition's text at most.
+pub(in crate::recording) const TEXT_MAX: usize = 64 * 1024;
+/// Definitions at most.
+const COUNT_MAX: usize = 100;
+
+/// The definition of a message type that a recording does not bring along.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MessageDefinition {
+    name: String,
+    text: String,
+}
+
+/// Why a definition cannot be taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DefinitionError {
+    /// The name is none of a type.
+    #[error("message definition: {name:?} is no type's name, such as Reading or own_msgs/msg/Reading")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// A line is no field.
+    #[error(
+        "message definition of {name}: line {line} is no field of a .msg file ('float64 gyro_x_rad_s', say): {text:?}"
+    )]
+    Line {
+        /// The type.
+        name: String,
+        /// The line's number.
+        line: usize,
+        /// How it begins.
+        text: String,
+    },
+    /// The text is too long to be one.
+    #[error("message definition of {name}: {bytes} bytes are more than the {TEXT_MAX} that a .msg file may have")]
+    Long {
+        /// The type.
+        name: String,
+        /// Bytes of the text.
+        bytes: usize,
+    },
+    /// A type is given twice.
+    #[error("message definition: {name} is given twice")]
+    Twice {
+        /// The type.
+        name: String,
+    },
+    /// More than are taken.
+    #[error("{count} message definitions are more than {COUNT_MAX}")]
+    Many {
+        /// How many.
+        count: usize,
+    },
+}
+
+impl MessageDefinition {
+    /// The definition of the type `name` by the text of its `.msg` file; further types may follow in it as in a bag's
+    /// definitions.
+    ///
+    /// # Errors
+    /// [`DefinitionError`] where the name is none, or a line of the text no field.
+    pub fn new(name: &str, text: &str) -> Result<Self, DefinitionError> {
+        let name = name.trim();
+        if !is_type_name(name) {
+            return Err(DefinitionError::Name { name: name.chars().take(80).collect() });
+        }
+        let plain = super::definition::plain_name(name);
+        if text.len() > TEXT_MAX {
+            return Err(DefinitionError::Long { name: plain, bytes: text.len() });
+        }
+        for (index, line) in text.lines().enumerate().map(|(index, line)| (index, line.trim())) {
+            let divides = line.starts_with("MSG:") || line.len() >= 3 && line.bytes().all(|byte| byte == b'=');
+            if !divides && parse_field(line, Encoding::Cdr).is_err() {
+                let text = line.chars().take(80).collect();
+                return Err(DefinitionError::Line { name: plain, line: index + 1, text });
+            }
+        }
+        Ok(Self { name: plain, text: text.to_owned() })
+    }
+
+    /// Definitions in a fixed order, of which no two are of one name.
+    ///
+    /// # Errors
+    /// [`DefinitionError::Twice`] and [`DefinitionError::Many`].
+    pub fn list(mut definitions: Vec<Self>) -> Result<Vec<Self>, DefinitionError> {
+        if definitions.len() > COUNT_MAX {
+            return Err(DefinitionError::Many { count: definitions.len() });
+        }
+        definitions.sort();
+        match definitions.windows(2).find(|two| two[0].name == two[1].name) {
+            Some(twice) => Err(DefinitionError::Twice { name: twice[0].name.clone() }),
+            None => Ok(definitions),
+        }
+    }
+
+    /// The type: `package/Name`, or `Name` in any package.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The text of the type's `.msg` file.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The text of the type `package/Name` among these; one that was given with its package comes first.
+    pub(super) fn text_of<'a>(definitions: &'a [Self], name: &str) -> Option<&'a str> {
+        let own = name.rsplit('/').next().unwrap_or_default();
+        let find = |wanted: &str| definitions.iter().find(|definition| definition.name == wanted);
+        find(name).or_else(|| find(own)).map(|definition| definition.text.as_str())
+    }
+}
+
+/// Whether this is `Name`, `package/Name` or `package/msg/Name`.
+#[must_use]
+pub fn is_type_name(name: &str) -> bool {
+    let parts: Vec<&str> = name.split('/').collect();
+    let is_word = |part: &&str| {
+        part.starts_with(|first: char| first.is_ascii_alphabetic())
+            && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+    };
+    (parts.len() < 3 || parts.len() == 3 && parts[1] == "msg") && name.len() <= 200 && parts.iter().all(is_word)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_texts_that_cannot_be_are_refused_with_the_line() {
+        for (name, plain) in [("Reading", "Reading"), ("a/Reading", "a/Reading"), (" a_1/msg/Reading ", "a_1/Reading")]
+        {
+            assert_eq!(MessageDefinition::new(name, "float64 x").unwrap().name(), plain);
+        }
+        for name in ["", "a b", "a/b/c", "/a", "a//b", "1a", "a-b", &"a".repeat(201)] {
+            assert!(matches!(MessageDefinition::new(name, ""), Err(DefinitionError::Name { .. })), "{name}");
+        }
+        let error = MessageDefinition::new("a/msg/Reading", "float64 x\n\n\u{FFFD}PNG\n").unwrap_err().to_string();
+        assert!(error.contains("a/Reading") && error.contains("line 3") && error.contains("PNG"), "{error}");
+        let long = "#".repeat(TEXT_MAX + 1);
+        assert!(matches!(MessageDefinition::new("a", &long), Err(DefinitionError::Long { .. })));
+        let text = "# what it is\nuint8 LIMIT=3\nstring<=10 name \"a b\"\nfloat64[<=3] y\n===\nMSG: other/Type\nint8 z";
+        assert!(MessageDefinition::new("a", text).is_ok());
+    }
+
+    #[test]
+    fn each_type_is_given_once_and_the_one_with_its_package_counts() {
+        let of = |name: &str, text: &str| MessageDefinition::new(name, text).unwrap();
+        let list = MessageDefinition::list(vec![of("b/msg/T", "int8 x"), of("T", "int8 y")]).unwrap();
+        assert_eq!(list[0].name(), "T", "in any order the same");
+        assert_eq!(MessageDefinition::text_of(&list, "b/T"), Some("int8 x"));
+        assert_eq!(MessageDefinition::text_of(&list, "c/T"), Some("int8 y"));
+        assert_eq!(MessageDefinition::text_of(&list, "c/U"), None);
+        let twice = MessageDefinition::list(vec![of("b/T", "int8 x"), of("b/msg/T", "int8 y")]).unwrap_err();
+        assert_eq!(twice, DefinitionError::Twice { name: "b/T".to_owned() });
+        let many = vec![of("T", ""); COUNT_MAX + 1];
+        assert!(matches!(MessageDefinition::list(many), Err(DefinitionError::Many { .. })));
+    }
+}
