@@ -38,7 +38,7 @@ const CALLED_MAX: usize = 4096;
 /// Bytes of what the columns are at most.
 const COLUMNS_MAX: usize = 16 * 1024;
 /// Bytes of definitions of messages at most: they come in the address.
-const DEFINITIONS_MAX: usize = 16 * 1024;
+const DEFINITIONS_MAX: usize = 8 * 1024;
 
 /// How the recording is to be read.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -245,4 +245,31 @@ fn too_slow() -> ApiError {
 
 fn no_room(error: &std::io::Error) -> ApiError {
     ApiError::unavailable(format!("the recording cannot be put aside beside the database: {error}"), 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_said_of_a_recording_is_checked_before_its_body_comes() {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/csv"));
+        let asked = |columns: Option<String>, definitions: Option<String>| {
+            let query =
+                ImportQuery { file: None, name: None, rate_hz: None, columns, message_definitions: definitions };
+            check(&query, &headers).map_err(|error| format!("{error:?}"))
+        };
+        let text = r#"[{"name": "own_msgs/msg/Reading", "text": "float64 gyro_x_rad_s"}]"#;
+        let expected = MessageText { name: "own_msgs/msg/Reading".to_owned(), text: "float64 gyro_x_rad_s".to_owned() };
+        assert_eq!(asked(None, Some(text.to_owned())), Ok(vec![expected]));
+        assert_eq!(asked(Some("t=time_s".to_owned()), None), Ok(Vec::new()));
+        for wrong in ["", "[1]", r#"{"name": "a"}"#, r#"[{"name": "a", "text": "", "more": 1}]"#] {
+            let error = asked(None, Some(wrong.to_owned())).unwrap_err();
+            assert!(error.contains("message_definitions") && error.contains("JSON list"), "{error}");
+        }
+        let long = asked(None, Some(" ".repeat(DEFINITIONS_MAX + 1))).unwrap_err();
+        assert!(long.contains("allowed are 8192 bytes"), "{long}");
+        assert!(asked(Some("x".repeat(COLUMNS_MAX + 1)), None).unwrap_err().contains("columns"));
+    }
 }

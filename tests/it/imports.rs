@@ -1,5 +1,6 @@
 //! Imports through the daemon: who may, how they end, and what a user is told.
 
+use crate::ros2;
 use crate::world::{Process, World, program};
 use rusqlite::types::Value;
 use std::path::{Path, PathBuf};
@@ -210,5 +211,62 @@ fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() 
         "named as far as a name may go"
     );
     assert_eq!(world.get("/v1/captures/2")["samples"], 401);
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+/// What the user says of foreign columns and messages reaches the daemon, and is part of what makes a recording the same.
+#[test]
+fn foreign_columns_and_messages_are_told_to_the_daemon() {
+    let world = World::new();
+    let mut daemon = world.daemon(&listening(&world), &[]);
+    let configuration = world.path("vn100d.toml");
+    let table = world.path("table.csv");
+    let rows: String = (0..400).map(|row| format!("{};{:.2}\n", row * 25, f64::from(row % 7) * 0.05)).collect();
+    std::fs::write(&table, format!("Time [ms];GyroX(dps)\n{rows}")).unwrap();
+    let bag = world.path("own.db3");
+    let stamp_ns = |index: u64| 1_729_716_663_000_000_000 + 25_000_000 * index;
+    let message = |index: u64| {
+        let data = ros2::Cdr::little_endian().header(stamp_ns(index)).wide(&[index as f64]).bytes();
+        (0, stamp_ns(index) as i64, data)
+    };
+    let messages: Vec<_> = (0..40).map(message).collect();
+    std::fs::write(&bag, ros2::db3(&[("/own", "own_msgs/msg/Reading", None)], &messages)).unwrap();
+    let definition = world.path("Reading.msg");
+    std::fs::write(&definition, "# what it is\nstd_msgs/Header header\n\nfloat64 gyro_x_rad_s # rad/s\n").unwrap();
+    let named = format!("own_msgs/msg/Reading={}", definition.display());
+    let of = |arguments: &[&str]| -> (serde_json::Value, String) {
+        let output = import(&world, &configuration, arguments);
+        let report = serde_json::from_slice(&output.stdout).unwrap_or_default();
+        (report, format!("{:?} {}", output.status.code(), said(&output)))
+    };
+    let (table, bag, definition) = (table.to_str().unwrap(), bag.to_str().unwrap(), definition.to_str().unwrap());
+    for (refused, words) in [
+        (&[table][..], ["Some(1)", "Time [ms] | GyroX(dps)"]),
+        (&[table, "--columns", "GyroX=gyro_x_dps"], ["Some(1)", "no column is \"GyroX\""]),
+        (&[table, "--columns", "GyroX(dps)=gyro_x"], ["Some(2)", "is no column's name"]),
+        (&[bag], ["Some(1)", "--message-definition"]),
+        (&[bag, "--message-definition", table], ["Some(2)", "line 2 is no field"]),
+    ] {
+        let (_, said) = of(refused);
+        assert!(words.iter().all(|word| said.contains(word)), "{refused:?}: {said}");
+    }
+    for (first, again, samples) in [
+        (
+            &[table, "--columns", "Time [ms]=time_ms,GyroX(dps)=gyro_x_dps"][..],
+            &[table, "--columns", "GyroX(dps)=gyro_x_dps", "--columns", "Time [ms]=time_ms"][..],
+            400,
+        ),
+        (&[bag, "--message-definition", &named], &[bag, "--message-definition", &named], 40),
+    ] {
+        let (report, said) = of(first);
+        assert_eq!((&report[0]["samples"], &report[0]["new"]), (&samples.into(), &true.into()), "{said}");
+        assert_eq!(report[0]["rate_hz"], 40.0);
+        let (second, said) = of(again);
+        assert_eq!((&second[0]["capture"], &second[0]["new"]), (&report[0]["capture"], &false.into()), "{said}");
+    }
+    // Without its package the type is another reading of it.
+    let (other, said) = of(&[bag, "--message-definition", definition]);
+    assert_eq!(other[0]["new"], true, "{said}");
+    assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "GyroX(dps)=gyro_x_dps");
     assert_eq!(daemon.terminate(), Some(0));
 }

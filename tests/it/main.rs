@@ -17,6 +17,8 @@ mod night;
 mod recordings;
 mod replay;
 mod restart;
+#[path = "../world/ros2.rs"]
+mod ros2;
 mod simulation;
 mod tidy;
 mod trial;

@@ -149,7 +149,7 @@ fn a_definition_that_contains_itself_or_grows_without_end_is_refused() {
         let mut records = bag::connection(0, "/imu", ("x/Root", definition));
         records.extend(bag::message(0, MARCH_2024_NS, &[0; 64]));
         let error = load(bag::bag(&[bag::chunk("none", &records)])).unwrap_err().to_string();
-        assert!(error.contains("not read: the definition"), "{error}");
+        assert!(error.contains("not read: ") && error.contains("definition"), "{error}");
     }
 }
 

@@ -352,6 +352,10 @@ impl Head {
                 _ => {}
             }
         }
+        // Zeros would be records without end: every record tells its kind.
+        if head.op == 0 {
+            return Err(Fault::Damaged("a record without its kind".to_owned()));
+        }
         Ok(head)
     }
 }

@@ -77,14 +77,20 @@ impl MessageDefinition {
         if text.len() > TEXT_MAX {
             return Err(DefinitionError::Long { name: plain, bytes: text.len() });
         }
-        for (index, line) in text.lines().enumerate().map(|(index, line)| (index, line.trim())) {
+        let mut kept = String::new();
+        for (index, line) in text.lines().enumerate() {
+            let line = line.split('#').next().unwrap_or_default().trim();
             let divides = line.starts_with("MSG:") || line.len() >= 3 && line.bytes().all(|byte| byte == b'=');
             if !divides && parse_field(line, Encoding::Cdr).is_err() {
                 let text = line.chars().take(80).collect();
                 return Err(DefinitionError::Line { name: plain, line: index + 1, text });
             }
+            if !line.is_empty() {
+                kept.push_str(line);
+                kept.push('\n');
+            }
         }
-        Ok(Self { name: plain, text: text.to_owned() })
+        Ok(Self { name: plain, text: kept })
     }
 
     /// Definitions in a fixed order, of which no two are of one name.
@@ -108,7 +114,7 @@ impl MessageDefinition {
         &self.name
     }
 
-    /// The text of the type's `.msg` file.
+    /// The text of the type's `.msg` file without comments and empty lines, which change nothing.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
@@ -151,7 +157,9 @@ mod tests {
         let long = "#".repeat(TEXT_MAX + 1);
         assert!(matches!(MessageDefinition::new("a", &long), Err(DefinitionError::Long { .. })));
         let text = "# what it is\nuint8 LIMIT=3\nstring<=10 name \"a b\"\nfloat64[<=3] y\n===\nMSG: other/Type\nint8 z";
-        assert!(MessageDefinition::new("a", text).is_ok());
+        let definition = MessageDefinition::new("a", text).unwrap();
+        assert!(definition.text().starts_with("uint8 LIMIT=3\nstring<=10 name"), "{}", definition.text());
+        assert_eq!(MessageDefinition::new("a", definition.text()).unwrap(), definition, "comments change nothing");
     }
 
     #[test]
@@ -159,8 +167,8 @@ mod tests {
         let of = |name: &str, text: &str| MessageDefinition::new(name, text).unwrap();
         let list = MessageDefinition::list(vec![of("b/msg/T", "int8 x"), of("T", "int8 y")]).unwrap();
         assert_eq!(list[0].name(), "T", "in any order the same");
-        assert_eq!(MessageDefinition::text_of(&list, "b/T"), Some("int8 x"));
-        assert_eq!(MessageDefinition::text_of(&list, "c/T"), Some("int8 y"));
+        assert_eq!(MessageDefinition::text_of(&list, "b/T"), Some("int8 x\n"));
+        assert_eq!(MessageDefinition::text_of(&list, "c/T"), Some("int8 y\n"));
         assert_eq!(MessageDefinition::text_of(&list, "c/U"), None);
         let twice = MessageDefinition::list(vec![of("b/T", "int8 x"), of("b/msg/T", "int8 y")]).unwrap_err();
         assert_eq!(twice, DefinitionError::Twice { name: "b/T".to_owned() });

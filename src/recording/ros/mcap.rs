@@ -135,6 +135,11 @@ impl McapReader {
                 self.ended = true;
                 Ok(())
             }
+            // Zeros would be records without end.
+            (0, _) => {
+                self.ended = true;
+                Err("a record without its kind".to_owned())
+            }
             _ => Ok(()),
         }
     }
