@@ -6,7 +6,6 @@
 //! the figures are left there.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
-#![expect(clippy::expect_used, reason = "what the shared builders do")]
 
 #[path = "../tests/world/bag.rs"]
 mod bag;
