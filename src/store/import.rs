@@ -2,18 +2,20 @@
 //!
 //! Records come in the order of a capture's (segment, samples, gap, segment…) and are written in steps of a few tens of
 //! milliseconds, each in a transaction of its own, so that the running capture's commits are not held up. While a step is
-//! written the next one is gathered; no step is given to the writer before the one ahead of it is committed. Until
+//! written the next one is gathered; no step is given to the writer before the one ahead of it is committed. Steps are synced
+//! with what is committed next, at the latest when the import is finished: nobody was told of them before. Until
 //! [`Import::finish`] nobody sees the new capture; an import that is dropped, fails or is killed leaves only rows that
 //! [`Store::purge_step`] takes away.
 
 use super::captures::{check_name, create, name_is_free};
 use super::insert::insert;
+use super::schema::Durability;
 use super::{Begun, NewCapture, Store, StoreError};
 use crate::sample::Record;
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, OptionalExtension, Transaction, params};
 
 /// Records written in one transaction.
-const STEP: usize = 4000;
+const STEP: usize = 8000;
 
 /// A capture that is being imported.
 #[derive(Debug)]
@@ -108,7 +110,8 @@ impl Import {
         self.settle()?;
         let records = std::mem::replace(&mut self.pending, Vec::with_capacity(STEP));
         let utc_ns = self.store.utc_ns();
-        self.begun = Some(self.store.begin(move |transaction| insert(transaction, &records, utc_ns, 0).map(drop))?);
+        let insert = move |transaction: &Transaction<'_>| insert(transaction, &records, utc_ns, 0).map(drop);
+        self.begun = Some(self.store.begin(Durability::Later, insert)?);
         Ok(())
     }
 

@@ -282,17 +282,18 @@ impl Store {
         &self,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        self.begin(work)?.wait()
+        self.begin(schema::Durability::AtCommit, work)?.wait()
     }
 
     /// As [`Self::execute`], without waiting: what was begun first is done first.
     pub(crate) fn begin<T: Send + 'static>(
         &self,
+        durability: schema::Durability,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<Begun<T>, StoreError> {
         let (reply, answer) = std::sync::mpsc::sync_channel(1);
         let job = move |connection: Result<&mut rusqlite::Connection, StoreError>| {
-            let result = connection.and_then(|connection| writer::in_transaction(connection, work));
+            let result = connection.and_then(|connection| writer::in_transaction(connection, durability, work));
             let failure = result.as_ref().err().filter(|error| writer::concerns_storage(error)).map(Failure::of);
             // Whoever asked may be gone.
             let _ = reply.send(result);

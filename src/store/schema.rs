@@ -130,11 +130,30 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
         connection.pragma_update(None, "application_id", APPLICATION_ID)?;
     }
     connection.pragma_update(None, "journal_mode", "WAL")?;
-    connection.pragma_update(None, "synchronous", "FULL")?;
+    set_durability(connection, Durability::AtCommit)?;
     connection.pragma_update(None, "wal_autocheckpoint", 1000)?;
     connection.pragma_update(None, "journal_size_limit", 64 << 20)?;
     connection.pragma_update(None, "foreign_keys", true)?;
     common_pragmas(connection)
+}
+
+/// When the pages of a transaction reach the disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Durability {
+    /// Before its commit answers.
+    AtCommit,
+    /// With the next transaction that is synced: a loss of power before it takes this one back, whole.
+    Later,
+}
+
+/// Said before each transaction, so that none has another one's. The log is synced before a checkpoint and a file after it
+/// either way, so that the file stays whole.
+pub(super) fn set_durability(connection: &Connection, durability: Durability) -> Result<(), rusqlite::Error> {
+    let synchronous = match durability {
+        Durability::AtCommit => "FULL",
+        Durability::Later => "NORMAL",
+    };
+    connection.pragma_update(None, "synchronous", synchronous)
 }
 
 /// A connection that can only read. It never checkpoints: that is the writer's.

@@ -27,6 +27,7 @@ use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::Lost;
 use super::progress::{SLOW, SharedProgress, locked};
+use super::schema::{Durability, set_durability};
 use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
@@ -73,8 +74,10 @@ pub(super) enum Command {
 /// Runs `work` in a transaction of its own.
 pub(super) fn in_transaction<T>(
     connection: &mut Connection,
+    durability: Durability,
     work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {
+    set_durability(connection, durability)?;
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let value = work(&transaction)?;
     transaction.commit()?;
@@ -409,7 +412,7 @@ impl Writer {
                 return false;
             }
         };
-        let done = in_transaction(connection, |step| utc::step(step));
+        let done = in_transaction(connection, Durability::AtCommit, |step| utc::step(step));
         if done.is_ok() {
             self.correction_failures = 0;
         }
@@ -464,7 +467,7 @@ impl Writer {
             make_durable(connection, &self.path)?;
             committed_of(connection, &batch)?
         } else {
-            in_transaction(connection, |transaction| {
+            in_transaction(connection, Durability::AtCommit, |transaction| {
                 let inserted = insert(transaction, &batch, utc_ns, number)?;
                 transaction.prepare_cached("UPDATE writer SET batch = ?1")?.execute([number])?;
                 Ok(inserted)
