@@ -125,9 +125,7 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
         if source.rejected {
             outcome = Outcome::WithLoss;
         }
-        let about = &source.about;
-        let serial_number = about.sensor["serial_number"].as_str();
-        let path = folder.join(partition_path(serial_number, about.origin_ns, id, &about.name));
+        let path = folder.join(partition_path(&source.about));
         let report = place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder))?;
         if !context.json {
             tell(&report)?;
@@ -201,10 +199,12 @@ fn write(
 ) -> anyhow::Result<Report> {
     let bar = bar(source.samples);
     let about = source.about.clone();
-    let mut counted = Counted { to: BufWriter::with_capacity(WRITE_BYTES, to), bytes: 0 };
+    let abandoned = AtomicBool::new(false);
+    let to = BufWriter::with_capacity(WRITE_BYTES, to);
+    let mut counted = Counted { to, bytes: 0, abandoned: &abandoned };
     let (pieces, read) = mpsc::sync_channel(BLOCKS_AHEAD);
     let tally = std::thread::scope(|scope| {
-        let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted));
+        let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted, &abandoned));
         let tally = source.each(&mut |block| {
             if stop.load(Ordering::Relaxed) {
                 let message = "stopped before the end: nothing is kept".to_owned();
@@ -246,25 +246,41 @@ fn all(
     about: &About,
     utc: bool,
     to: impl Write + Send,
+    abandoned: &AtomicBool,
 ) -> Result<(), ExportError> {
     let mut sink = format.begin(to, about, utc)?;
-    for piece in pieces {
-        match piece {
-            Piece::Samples(block) => sink.rows(block.rows())?,
-            Piece::End(tally) => return sink.finish(&tally),
+    let until_end = || {
+        for piece in pieces {
+            match piece {
+                Piece::Samples(block) => sink.rows(block.rows())?,
+                Piece::End(tally) => return Ok(Some(tally)),
+            }
+        }
+        Ok(None)
+    };
+    match until_end() {
+        Ok(Some(tally)) => sink.finish(&tally),
+        ended => {
+            // MCAP's writer finishes a file when it is dropped: what went to a pipe would look whole.
+            abandoned.store(true, Ordering::Relaxed);
+            ended.map(drop)
         }
     }
-    Ok(())
 }
 
 /// Counts what is written through it.
-struct Counted<W> {
+struct Counted<'a, W> {
     to: W,
     bytes: u64,
+    /// Nothing more is to be written.
+    abandoned: &'a AtomicBool,
 }
 
-impl<W: Write> Write for Counted<W> {
+impl<W: Write> Write for Counted<'_, W> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if self.abandoned.load(Ordering::Relaxed) {
+            return Err(std::io::ErrorKind::Other.into());
+        }
         let written = self.to.write(bytes)?;
         self.bytes += written as u64;
         Ok(written)

@@ -4,7 +4,7 @@ use super::Context;
 use crate::clock::{Clock as _, SystemClock};
 use crate::export::samples::{About, Rows, Tally};
 use crate::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
-use crate::sample::{Channel, Gap, Record, Sample};
+use crate::sample::{Channel, DiscardCause, Gap, Record, Sample};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use std::path::Path;
 
@@ -54,7 +54,7 @@ impl Source {
         let reader = context.reader()?;
         let range = SampleRange::read(&reader, named, part.from, part.to)?;
         let channels = Channel::chosen(part.channels.as_deref(), &range.capture.channels)?;
-        Ok(Self::of_range(reader, range, channels))
+        Ok(Self::of_range(reader, range, channels)?)
     }
 
     /// A whole capture with these columns, whether it has them or not.
@@ -64,13 +64,14 @@ impl Source {
     pub(super) fn of_capture(context: &Context, id: i64, channels: Vec<Channel>) -> anyhow::Result<Self> {
         let reader = context.reader()?;
         let range = SampleRange::read(&reader, &id.to_string(), None, None)?;
-        Ok(Self::of_range(reader, range, channels))
+        Ok(Self::of_range(reader, range, channels)?)
     }
 
-    fn of_range(reader: Reader, range: SampleRange, channels: Vec<Channel>) -> Self {
+    fn of_range(reader: Reader, range: SampleRange, channels: Vec<Channel>) -> Result<Self, StoreError> {
         let capture = &range.capture;
         let about = About {
             id: Some(capture.id),
+            database: reader.identity()?,
             name: capture.name.clone(),
             origin_ns: range.axis.origin_ns(),
             rate_hz: capture.rate_hz,
@@ -79,12 +80,14 @@ impl Source {
             software: capture.software.clone(),
             writer: SOFTWARE.to_owned(),
         };
-        Self {
+        // What was sent before the capture began is no loss of its samples.
+        let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
+        Ok(Self {
             about,
             samples: range.samples(),
-            rejected: capture.rejected.values().any(|count| *count > 0),
+            rejected: capture.rejected.iter().any(|(cause, count)| *count > 0 && !apart.contains(&cause.as_str())),
             held: Held::Capture { reader: Box::new(reader), range: Box::new(range) },
-        }
+        })
     }
 
     fn of_recording(named: &str, rate_hz: Option<f64>, part: Part, keep_on: KeepOn) -> anyhow::Result<Self> {
@@ -100,6 +103,7 @@ impl Source {
         }
         let about = About {
             id: None,
+            database: String::new(),
             name: named.to_owned(),
             origin_ns: info.started_utc_ns,
             rate_hz: Some(info.rate_hz),
@@ -129,6 +133,21 @@ impl Source {
 }
 
 fn of_capture(
+    reader: &Reader,
+    range: SampleRange,
+    channels: &[Channel],
+    take: &mut dyn FnMut(Block) -> anyhow::Result<()>,
+) -> anyhow::Result<Tally> {
+    let id = range.capture.id;
+    let read = read_capture(reader, range, channels, take);
+    // Deleted meanwhile, its rows go step by step: what is left is no damage, and no capture either.
+    match reader.capture(id) {
+        Err(gone @ StoreError::NoSuchCapture { .. }) => Err(gone.into()),
+        _ => read,
+    }
+}
+
+fn read_capture(
     reader: &Reader,
     range: SampleRange,
     channels: &[Channel],
@@ -189,7 +208,8 @@ impl Block {
         self.time_ns.push(time_ns);
         self.device_ns.push(sample.device_time_ns);
         for (column, channel) in self.columns.iter_mut().zip(channels) {
-            column.push(sample.get(*channel).unwrap_or(f64::NAN));
+            // A database keeps no sign of a zero: the same values leave without one.
+            column.push(sample.get(*channel).unwrap_or(f64::NAN) + 0.0);
         }
     }
 

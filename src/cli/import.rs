@@ -7,7 +7,7 @@ use crate::clock::SystemClock;
 use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
 use crate::recording::{
-    ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, detect, is_type_name, open_regular,
+    ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
 };
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
@@ -166,6 +166,15 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
     let unreadable = || format!("{} cannot be read", file.display());
     // What is no recording is not sent.
     detect(&Input::file(file).with_columns(told.columns.clone()))?;
+    if let Some(log) = unmerged_log(file) {
+        // The daemon gets one file: what is in the log alone would be missing without a word.
+        let (file, log) = (file.display(), log.display());
+        let message = format!(
+            "{file} was not closed by its recorder: {log} holds what is not in it yet. `sqlite3 '{file}' .tables` puts it \
+             there; then import it"
+        );
+        return Err(CliError { failure: Failure::Usage, message }.into());
+    }
     let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();
     let bar = bar("{bar:40} {percent} %  {bytes} sent");

@@ -2,6 +2,7 @@
 //! that is read.
 
 use super::{CliError, Failure};
+use crate::store::is_database;
 use anyhow::Context as _;
 use std::fs::{File, Permissions};
 use std::os::unix::fs::PermissionsExt as _;
@@ -28,8 +29,8 @@ enum To {
 }
 
 impl Output {
-    /// Makes what is written to, once it is clear that `path` may be: it is none of `read`, and there is no such file or `force`
-    /// is said.
+    /// Makes what is written to, once it is clear that `path` may be: it is none of `read` and no database of captures, and
+    /// there is no such file or `force` is said.
     ///
     /// # Errors
     /// [`CliError`] for a file in the way; what the system says about the folder.
@@ -38,6 +39,11 @@ impl Output {
         let shown = path.display();
         if read.iter().any(|other| is_same(path, other)) {
             return Err(refuse(Failure::Usage, format!("{shown} is read: write to another file")));
+        }
+        if is_database(path) {
+            let message =
+                format!("{shown} is a database of captures, which --force does not replace: choose another name");
+            return Err(refuse(Failure::Usage, message));
         }
         let cannot = || format!("{shown} cannot be written");
         let to = match path.metadata() {

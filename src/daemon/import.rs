@@ -5,7 +5,7 @@ use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Import
 use crate::jobs::Jobs;
 use crate::recording::{
     ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
-    RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular,
+    RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
 };
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
@@ -157,6 +157,12 @@ pub fn import(
     let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), definitions })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
+    // What is there already is not written a second time; what it has is what the database says.
+    if let Some(id) = store.imported(&fingerprint)? {
+        let capture = store.reader()?.capture(id)?;
+        let counts = (capture.samples, capture.missing, capture.gaps);
+        return Ok(Imported { end: ImportEnd::Known(id), counts, info });
+    }
     let mut accountant = RecordingAccountant::new(&info);
     let mut capture = NewCapture::new(&called.display().to_string(), CaptureState::Imported);
     capture.name = match name {
@@ -288,18 +294,11 @@ fn fingerprint(
     (rate_hz, columns, definitions): (Option<f64>, &ColumnMap, &[MessageDefinition]),
     keep_on: &KeepOn,
 ) -> Result<String, ImportError> {
-    let mut bytes = open_regular(file)?;
-    let (mut hash, mut buffer) = (Sha256::new(), vec![0; HASH_BYTES]);
-    loop {
-        if !keep_on.is_wanted() {
-            return Err(RecordingError::Unwanted { file: file.to_owned() }.into());
-        }
-        match bytes.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(read) => hash.update(&buffer[..read]),
-            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-            Err(source) => return Err(ImportError::Read { path: file.display().to_string(), source }),
-        }
+    let mut hash = Sha256::new();
+    update(&mut hash, file, keep_on)?;
+    // What a recorder that was killed had not yet put into the file is read with it.
+    if let Some(log) = unmerged_log(file) {
+        update(&mut hash, &log, keep_on)?;
     }
     let hex = |hash: Sha256| -> String { hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect() };
     let digest = hex(hash);
@@ -315,6 +314,22 @@ fn fingerprint(
     }
     let definitions = if definitions.is_empty() { String::new() } else { format!(" definitions {}", hex(texts)) };
     Ok(format!("sha256:{digest}{rate}{columns}{definitions}"))
+}
+
+/// Takes a file's bytes into a digest.
+fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), ImportError> {
+    let (mut bytes, mut buffer) = (open_regular(file)?, vec![0; HASH_BYTES]);
+    loop {
+        if !keep_on.is_wanted() {
+            return Err(RecordingError::Unwanted { file: file.to_owned() }.into());
+        }
+        match bytes.read(&mut buffer) {
+            Ok(0) => return Ok(()),
+            Ok(read) => hash.update(&buffer[..read]),
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(source) => return Err(ImportError::Read { path: file.display().to_string(), source }),
+        }
+    }
 }
 
 /// A name for the capture, after the file, where that can be one and no capture has it yet.

@@ -56,7 +56,7 @@ pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use mapping::{ColumnMap, ColumnsError};
 pub use meter::KeepOn;
-pub use ros::{DefinitionError, MessageDefinition, is_type_name};
+pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
 pub use rows::Rejected;
 
 use crate::sample::Sample;

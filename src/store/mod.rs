@@ -67,7 +67,7 @@ pub use recover::{RecoverReport, RecoveredCapture, recover};
 pub use results::ResultRow;
 pub use retention::RetentionRow;
 pub use samples::{Chunk, SeqRange, Times};
-pub use schema::{APPLICATION_ID, schema_version};
+pub use schema::{APPLICATION_ID, is_database, schema_version};
 pub use time_axis::{Moment, SampleRange, TimeAxis};
 pub use times::UtcNs;
 pub use trail::{ConfigurationRow, EventRow, GapRow, Missing, SegmentRow};

@@ -31,6 +31,14 @@ impl Reader {
         Ok(Self { connection: schema::reader_connection(path)?, file })
     }
 
+    /// What tells this database from all others, also from one whose captures have the same ids; copies have the same.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn identity(&self) -> Result<String, StoreError> {
+        super::writer::identity_of(&self.connection)
+    }
+
     /// A handle with which another thread ends a query of this reader that takes too long.
     #[must_use]
     pub fn interrupt(&self) -> Interrupt {

@@ -147,24 +147,6 @@ impl Reader {
         })
     }
 
-    /// `seq` of the first sample at or after `utc_ns` (one past the last where none is); found by bisection, so that
-    /// where the host's clock was stepped back it is one of the places in question.
-    ///
-    /// # Errors
-    /// What the database says.
-    pub fn seq_at(&self, capture_id: i64, utc_ns: i64) -> Result<u64, StoreError> {
-        let Some(range) = self.seq_range(capture_id)? else { return Ok(0) };
-        let mut statement =
-            self.connection.prepare_cached("SELECT host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2")?;
-        let (mut low, mut high) = (range.first, range.last + 1);
-        while low < high {
-            let middle = low + (high - low) / 2;
-            let at: i64 = statement.query_row(params![capture_id, middle as i64], |row| row.get(0))?;
-            if at < utc_ns { low = middle + 1 } else { high = middle }
-        }
-        Ok(low)
-    }
-
     /// Segment, device time and civil time of one sample.
     ///
     /// # Errors

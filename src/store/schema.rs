@@ -6,6 +6,7 @@ use super::lock::Mark;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
+use std::io::Read as _;
 use std::path::Path;
 use std::time::Duration;
 
@@ -135,6 +136,15 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.pragma_update(None, "journal_size_limit", 64 << 20)?;
     connection.pragma_update(None, "foreign_keys", true)?;
     common_pragmas(connection)
+}
+
+/// Whether a file is a database of captures, whatever its version: by SQLite's header (its first 16 bytes, and the
+/// application's id in bytes 68 to 71, big endian).
+#[must_use]
+pub fn is_database(path: &Path) -> bool {
+    let mut head = [0; 72];
+    let read = path.is_file() && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
+    read && head.starts_with(b"SQLite format 3\0") && head[68..] == APPLICATION_ID.to_be_bytes()
 }
 
 /// When the pages of a transaction reach the disk.

@@ -288,6 +288,51 @@ fn what_cannot_be_is_refused_and_leaves_nothing() {
 }
 
 #[test]
+fn a_database_of_captures_is_never_replaced() {
+    let place = with_capture(400);
+    let before = std::fs::read(place.path("data/vn100d.db")).unwrap();
+    for arguments in [
+        ["export", "night", "--out", "data/vn100d.db", "--format", "csv", "--force"].as_slice(),
+        &["simulate", "--duration", "1s", "--out", "data/vn100d.db", "--force"],
+    ] {
+        place.refused(2, arguments, "is a database of captures");
+    }
+    assert!(std::fs::read(place.path("data/vn100d.db")).unwrap() == before);
+}
+
+#[test]
+fn captures_of_two_databases_are_two_files_of_a_data_set() {
+    let place = with_capture(400);
+    place.done(&["export", "--all", "--partitioned", "lake"]);
+    std::fs::rename(place.path("data"), place.path("other")).unwrap();
+    let recording = place.text("night.csv");
+    std::fs::write(place.path("night.csv"), recording.lines().take(200).collect::<Vec<_>>().join("\n")).unwrap();
+    place.done(&["import", "night.csv"]);
+    place.done(&["export", "--all", "--partitioned", "lake"]);
+    let files: Vec<String> = place.files().into_iter().filter(|file| file.contains("capture-1-night-")).collect();
+    assert_eq!(files.len(), 2, "{files:?}");
+}
+
+#[test]
+fn an_mcap_file_that_was_not_finished_does_not_look_whole() {
+    let place = Place::new();
+    place.done(&["simulate", "--duration", "2h", "--into-db", "long"]);
+    let file = std::fs::File::create(place.path("half.mcap")).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_vn100d"));
+    command.current_dir(place.path("")).args(["--data-dir", "data", "export", "long", "--format", "mcap"]);
+    let mut child = command.stdout(file).stderr(std::process::Stdio::null()).spawn().unwrap();
+    while std::fs::metadata(place.path("half.mcap")).unwrap().len() == 0 {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    let status = child.wait().unwrap();
+    let written = std::fs::read(place.path("half.mcap")).unwrap();
+    // A machine that was done before the signal came has written a whole one.
+    assert_eq!(written.ends_with(mcap::MAGIC), status.success(), "{status}");
+}
+
+#[test]
 fn a_data_set_has_a_file_per_capture_where_its_sensor_and_day_say() {
     let place = with_capture(400);
     let simulated = ["simulate", "--duration", "5s", "--into-db", "sim one"];
@@ -295,16 +340,18 @@ fn a_data_set_has_a_file_per_capture_where_its_sensor_and_day_say() {
     let reports = place.done(&["--json", "export", "--all", "--partitioned", "lake"]);
     let reports: Vec<serde_json::Value> = serde_json::from_str(&reports).unwrap();
     assert_eq!(reports.len(), 2);
-    let night = "lake/sensor=unknown/date=2026-11-21/capture-1-night.parquet";
-    assert_eq!(reports[0]["file"], night);
-    assert!(reports[1]["file"].as_str().unwrap().ends_with("capture-2-sim_one.parquet"), "{}", reports[1]["file"]);
+    let night = reports[0]["file"].as_str().unwrap();
+    let of_database = night.strip_prefix("lake/sensor=unknown/date=2026-11-21/capture-1-night-").unwrap();
+    assert_eq!(of_database.len(), 8 + ".parquet".len());
+    let other = reports[1]["file"].as_str().unwrap();
+    assert!(other.ends_with(&format!("capture-2-sim_one-{of_database}")), "{other}");
     let schema = |file: &str| {
         let file = std::fs::File::open(place.path(file)).unwrap();
         // What the file says of its capture is its own.
         ParquetRecordBatchReaderBuilder::try_new(file).unwrap().schema().fields().clone()
     };
     assert_eq!(schema(night), schema(reports[1]["file"].as_str().unwrap()), "one schema for all files");
-    assert_eq!(schema(night).len(), 6 + 14);
+    assert_eq!(schema(night).len(), 7 + 14);
     // The same capture again: the same file, replaced; nothing else in its folder.
     let first = std::fs::read(place.path(night)).unwrap();
     let files = place.files();

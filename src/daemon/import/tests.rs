@@ -138,6 +138,31 @@ fn the_same_file_read_the_same_way_is_one_capture_and_another_reading_another() 
 }
 
 #[test]
+fn what_a_killed_recorder_left_in_the_log_beside_a_bag_makes_it_another_recording() {
+    let world = World::new();
+    let stamp_ns = |index: usize| 1_729_716_663_000_000_000 + 25_000_000 * index as u64;
+    let data = |index: usize| ros2::Cdr::little_endian().imu(stamp_ns(index), [0.0; 3], [9.8; 3]).bytes();
+    let messages: Vec<_> = (0..40).map(|index| (0, stamp_ns(index) as i64, data(index))).collect();
+    let file = world.file("run.db3", &ros2::db3(&[("/imu", "sensor_msgs/msg/Imu", None)], &messages));
+    let bag = rusqlite::Connection::open(&file).unwrap();
+    bag.pragma_update(None, "journal_mode", "wal").unwrap();
+    let log = |index: usize| {
+        let sql = "INSERT INTO messages VALUES (NULL, 1, ?1, ?2)";
+        bag.execute(sql, rusqlite::params![stamp_ns(index) as i64, data(index)]).unwrap();
+    };
+    log(40);
+    let first = world.import(&file, &[], &[]).unwrap();
+    assert_eq!(first.counts, (41, 0, 0));
+    log(41);
+    let second = world.import(&file, &[], &[]).unwrap();
+    assert!(matches!(second.end, ImportEnd::Created(_)) && second.counts == (42, 0, 0), "{second:?}");
+    let again = world.import(&file, &[], &[]).unwrap();
+    assert!(matches!(again.end, ImportEnd::Known(_)) && again.end.id() == second.end.id(), "{again:?}");
+    assert_eq!(again.counts, (42, 0, 0), "as the database has it");
+    world.store.close().unwrap();
+}
+
+#[test]
 fn a_message_that_the_bag_does_not_define_is_read_by_the_users_definition() {
     let world = World::new();
     let data = |index: usize| {

@@ -32,6 +32,8 @@ use std::io::Write;
 pub struct About {
     /// Its id; `None` for a recording that is in no database.
     pub id: Option<i64>,
+    /// What tells its database from others; empty for a recording that is in none.
+    pub database: String,
     /// Its name, or the recording's file.
     pub name: String,
     /// UTC of what times count from (its first sample), ns since 1970.
@@ -53,6 +55,7 @@ impl About {
     fn said(&self, tally: &Tally) -> Vec<(&'static str, String)> {
         let mut said = vec![
             ("capture", self.name.clone()),
+            ("database", self.database.clone()),
             ("started_at", rfc3339(self.origin_ns)),
             ("samples", tally.samples.to_string()),
             ("missing", tally.missing.to_string()),

@@ -1,20 +1,29 @@
-//! Where a capture's file lies in a data set of many: `sensor=…/date=…/capture-….parquet`, as Hive names partitions.
+//! Where a capture's file lies in a data set of many: `sensor=…/date=…/capture-….parquet`, as Hive names partitions. The
+//! beginning of its database's identity is part of the name, so that the captures 1 of two machines are two files.
 //!
 //! Programs that read such folders take the values from the names and undo `%XX`, so that any serial number is safe there.
 
+use super::About;
 use chrono::DateTime;
 
 /// Characters of a capture's name that stand in its file's.
 const NAME_CHARS: usize = 80;
+/// Characters of a database's identity that stand there: 32 bits.
+const IDENTITY_CHARS: usize = 8;
 
 /// The file's path inside the data set: of a sensor (`None` where its serial number is not known), of the day in UTC on which
-/// the capture began, of its id and name.
+/// the capture began, of its database, id and name.
 #[must_use]
-pub fn partition_path(serial_number: Option<&str>, started_utc_ns: i64, id: i64, name: &str) -> String {
+pub fn partition_path(about: &About) -> String {
+    let About { id, database, name, origin_ns, sensor, .. } = about;
+    let serial_number = sensor["serial_number"].as_str();
     let sensor = escaped(serial_number.filter(|serial| !serial.is_empty()).unwrap_or("unknown"));
-    let date = DateTime::from_timestamp_nanos(started_utc_ns).format("%Y-%m-%d");
-    let name: String = name.chars().take(NAME_CHARS).map(|c| if is_plain(c) { c } else { '_' }).collect();
-    format!("sensor={sensor}/date={date}/capture-{id}-{name}.parquet")
+    let date = DateTime::from_timestamp_nanos(*origin_ns).format("%Y-%m-%d");
+    let plain = |text: &str, count: usize| -> String {
+        text.chars().take(count).map(|c| if is_plain(c) { c } else { '_' }).collect()
+    };
+    let (id, name, database) = (id.unwrap_or_default(), plain(name, NAME_CHARS), plain(database, IDENTITY_CHARS));
+    format!("sensor={sensor}/date={date}/capture-{id}-{name}-{database}.parquet")
 }
 
 fn is_plain(character: char) -> bool {
@@ -34,29 +43,43 @@ mod tests {
 
     const EVENING_NS: i64 = 1_795_305_599_999_999_999;
 
+    fn path(serial_number: Option<&str>, origin_ns: i64, id: i64, name: &str) -> String {
+        partition_path(&About {
+            id: Some(id),
+            database: "0123456789abcdef0123456789abcdef".to_owned(),
+            name: name.to_owned(),
+            origin_ns,
+            rate_hz: None,
+            channels: Vec::new(),
+            sensor: serde_json::json!({ "serial_number": serial_number }),
+            software: String::new(),
+            writer: String::new(),
+        })
+    }
+
     #[test]
     fn a_path_has_the_sensor_the_day_in_utc_and_the_capture() {
         assert_eq!(
-            partition_path(Some("0100012345"), EVENING_NS, 7, "night 1/desk"),
-            "sensor=0100012345/date=2026-11-21/capture-7-night_1_desk.parquet"
+            path(Some("0100012345"), EVENING_NS, 7, "night 1/desk"),
+            "sensor=0100012345/date=2026-11-21/capture-7-night_1_desk-01234567.parquet"
         );
         assert_eq!(
-            partition_path(None, EVENING_NS + 1, 8, ""),
-            "sensor=unknown/date=2026-11-22/capture-8-.parquet",
+            path(None, EVENING_NS + 1, 8, ""),
+            "sensor=unknown/date=2026-11-22/capture-8--01234567.parquet",
             "midnight belongs to the day that begins"
         );
-        assert_eq!(partition_path(Some(""), 0, 1, "a"), "sensor=unknown/date=1970-01-01/capture-1-a.parquet");
+        assert_eq!(path(Some(""), 0, 1, "a"), "sensor=unknown/date=1970-01-01/capture-1-a-01234567.parquet");
     }
 
     #[test]
     fn no_name_leads_out_of_its_folder() {
         for evil in ["../../etc", "a/b", "a=b", "%2F", "ä\n\0", "..", "."] {
-            let path = partition_path(Some(evil), 0, 1, evil);
+            let path = path(Some(evil), 0, 1, evil);
             assert_eq!(path.split('/').count(), 3, "{path}");
             assert!(path.is_ascii() && !path.contains("/.") && !path.contains(['\n', '\0']), "{path}");
         }
         assert_eq!(escaped("a b%/ä"), "a%20b%25%2F%C3%A4");
-        let long = partition_path(None, 0, 1, &"x".repeat(500));
+        let long = path(None, 0, 1, &"x".repeat(500));
         assert!(long.rsplit('/').next().is_some_and(|file| file.len() < 128), "{long}");
     }
 }

@@ -12,6 +12,7 @@ const ORIGIN_NS: i64 = 1_800_000_000_123_456_789;
 fn about(channels: &[Channel]) -> About {
     About {
         id: Some(7),
+        database: "d0d0".to_owned(),
         name: "night \"1\"".to_owned(),
         origin_ns: ORIGIN_NS,
         rate_hz: Some(40.0),
@@ -91,10 +92,10 @@ fn parquet_gives_back_every_bit_and_says_units_and_gaps() {
     let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
     assert_eq!(
         names,
-        ["capture", "segment", "seq", "time_s", "utc", "device_time_ns", "gyro_x_rad_s", "temperature_c"]
+        ["database", "capture", "segment", "seq", "time_s", "utc", "device_time_ns", "gyro_x_rad_s", "temperature_c"]
     );
-    assert_eq!(schema.field(6).metadata()["unit"], "rad/s");
-    assert_eq!(schema.field(7).metadata()["unit"], "°C");
+    assert_eq!(schema.field(7).metadata()["unit"], "rad/s");
+    assert_eq!(schema.field(8).metadata()["unit"], "°C");
     let said = builder.metadata().file_metadata().key_value_metadata().unwrap();
     let said = |key: &str| said.iter().find(|pair| pair.key == key).unwrap().value.clone().unwrap();
     assert_eq!(
@@ -106,16 +107,17 @@ fn parquet_gives_back_every_bit_and_says_units_and_gaps() {
     let gaps: serde_json::Value = serde_json::from_str(&said("gaps")).unwrap();
     assert_eq!((&gaps[0]["cause"], &gaps[0]["missing"]), (&"unplugged".into(), &4.into()));
     let [batch] = batches.as_slice() else { panic!("{} batches", batches.len()) };
-    assert_eq!(batch.column(0).as_primitive::<Int64Type>().values(), &[7, 7, 7]);
-    assert_eq!(batch.column(1).as_primitive::<Int32Type>().values(), &[1, 1, 2]);
-    assert_eq!(batch.column(2).as_primitive::<Int64Type>().values(), &[10, 11, 12]);
-    assert_eq!(batch.column(3).as_primitive::<Float64Type>().values(), &[0.0, 0.025_000_001, 0.050_000_002]);
-    let utc = batch.column(4).as_primitive::<TimestampNanosecondType>();
+    assert!(batch.column(0).as_string::<i32>().iter().all(|database| database == Some("d0d0")));
+    assert_eq!(batch.column(1).as_primitive::<Int64Type>().values(), &[7, 7, 7]);
+    assert_eq!(batch.column(2).as_primitive::<Int32Type>().values(), &[1, 1, 2]);
+    assert_eq!(batch.column(3).as_primitive::<Int64Type>().values(), &[10, 11, 12]);
+    assert_eq!(batch.column(4).as_primitive::<Float64Type>().values(), &[0.0, 0.025_000_001, 0.050_000_002]);
+    let utc = batch.column(5).as_primitive::<TimestampNanosecondType>();
     assert_eq!((utc.value(2), utc.timezone()), (ORIGIN_NS + 50_000_002, Some("UTC")));
-    let device = batch.column(5).as_primitive::<Int64Type>();
+    let device = batch.column(6).as_primitive::<Int64Type>();
     assert!(device.is_null(1) && device.value(2) == 50_000_000);
     for (place, column) in made.columns.iter().enumerate() {
-        let read = batch.column(6 + place).as_primitive::<Float64Type>();
+        let read = batch.column(7 + place).as_primitive::<Float64Type>();
         for (row, value) in column.iter().enumerate() {
             assert_eq!(read.is_null(row), value.is_nan());
             assert!(value.is_nan() || read.value(row).to_bits() == value.to_bits(), "{place} {row}");
@@ -125,11 +127,11 @@ fn parquet_gives_back_every_bit_and_says_units_and_gaps() {
 
 #[test]
 fn a_recording_without_a_database_has_no_id_and_an_empty_range_no_rows() {
-    let about = About { id: None, rate_hz: None, ..about(&[Channel::GyroX]) };
+    let about = About { id: None, database: String::new(), rate_hz: None, ..about(&[Channel::GyroX]) };
     let (_, batches) = parquet_of(&written(SampleFormat::Parquet, &about, &made(vec![vec![1.0]])));
-    assert_eq!(batches[0].column(0).null_count(), 1);
+    assert_eq!((batches[0].column(0).null_count(), batches[0].column(1).null_count()), (1, 1));
     let (builder, batches) = parquet_of(&written(SampleFormat::Parquet, &about, &made(vec![Vec::new()])));
-    assert_eq!((builder.schema().fields().len(), batches.len()), (7, 0));
+    assert_eq!((builder.schema().fields().len(), batches.len()), (8, 0));
     let csv = written(SampleFormat::Csv, &about, &made(vec![Vec::new()]));
     assert_eq!(csv, b"time_s,gyro_x_rad_s\n");
     let bytes = written(SampleFormat::Mcap, &about, &made(vec![Vec::new()]));
@@ -148,7 +150,7 @@ fn values_that_differ_from_row_to_row_survive_where_the_dictionary_gives_up() {
         parquet_of(&written(SampleFormat::Parquet, &about(&[Channel::GyroX]), &made(vec![column.clone()])));
     assert_eq!(builder.metadata().num_row_groups(), 2);
     let read: Vec<f64> =
-        batches.iter().flat_map(|b| b.column(6).as_primitive::<Float64Type>().values().to_vec()).collect();
+        batches.iter().flat_map(|b| b.column(7).as_primitive::<Float64Type>().values().to_vec()).collect();
     assert!(read == column);
 }
 

@@ -17,6 +17,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection as Database, MAIN_DB, OpenFlags, params};
 use std::collections::{HashMap, VecDeque};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
@@ -108,6 +109,18 @@ fn open(input: &Input) -> Result<Database, RecordingError> {
     Ok(database)
 }
 
+/// The log beside a bag with what its recorder, when it was killed, had not yet put into the bag itself; `None` where there is
+/// none, or the file is no database.
+#[must_use]
+pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
+    let mut begin = Vec::new();
+    std::fs::File::open(file).ok()?.take(MAGIC.len() as u64).read_to_end(&mut begin).ok()?;
+    let mut log = file.as_os_str().to_owned();
+    log.push("-wal");
+    let log = PathBuf::from(log);
+    (begin == MAGIC && std::fs::metadata(&log).is_ok_and(|log| log.len() > 0)).then_some(log)
+}
+
 /// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads; where that cannot be (a
 /// folder that may only be read), the file counts as it is.
 fn open_file(path: &Path) -> rusqlite::Result<Database> {
@@ -122,9 +135,13 @@ fn open_file(path: &Path) -> rusqlite::Result<Database> {
     let database = Database::open_with_flags(format!("file:{text}?mode=ro"), flags)?;
     let readable = database.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0));
     match readable {
-        Err(rusqlite::Error::SqliteFailure(error, _)) if error.code == rusqlite::ErrorCode::CannotOpen => {
+        // Never without a log that has something in it: messages would be missing without a word.
+        Err(rusqlite::Error::SqliteFailure(error, _))
+            if error.code == rusqlite::ErrorCode::CannotOpen && unmerged_log(path).is_none() =>
+        {
             Database::open_with_flags(format!("file:{text}?mode=ro&immutable=1"), flags)
         }
+        Err(error) if unmerged_log(path).is_some() => Err(error),
         _ => Ok(database),
     }
 }

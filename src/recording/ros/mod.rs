@@ -20,6 +20,7 @@ mod tests;
 pub use given::{DefinitionError, MessageDefinition, is_type_name};
 
 pub(super) use bag::MAGIC as BAG_MAGIC;
+pub use db3::unmerged_log;
 pub(super) use db3::{MAGIC as SQLITE_MAGIC, check as check_db3};
 pub(super) use mcap::MAGIC as MCAP_MAGIC;
 pub(super) use rows::{RosRows, STAMP_NAMES};
