@@ -2,7 +2,9 @@
 //!
 //! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted to
 //! the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its channel absent; a row
-//! with another number of cells, a cell that is no number or no stamp is rejected.
+//! with another number of cells, a cell that is no number or no stamp is rejected, and so is a line that ends within quotation
+//! marks: a cell does not run over a line's end, or a mark left open would take the rows behind it along. A rejected row's
+//! stamp still tells when it stood there.
 //!
 //! Rows of plain numbers are read as they stand; only those with quotation marks are copied. Memory is bounded by the
 //! longest row, 64 KiB.
@@ -22,7 +24,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 /// A row of all channels has some 300 bytes; foreign columns may make it longer. A longer line is no row: a file does not
-/// decide how much memory is taken by one without end, or by a quotation mark that is never closed.
+/// decide how much memory is taken by one without end.
 const ROW_BYTES: usize = 64 * 1024;
 
 /// The lines of a file, one at a time.
@@ -36,24 +38,49 @@ struct Lines {
     next: usize,
     /// Its number, from 1.
     number: u64,
+    /// Lines end with a carriage return alone, as the first one does.
+    by_return: bool,
+    /// What was read last ends within a line, not behind it.
+    partial: bool,
 }
 
 impl Lines {
+    fn new(input: &Input) -> Result<Self, RecordingError> {
+        Ok(Self {
+            file: input.path().to_owned(),
+            reader: input.open()?,
+            bytes: Vec::new(),
+            current: 0..0,
+            next: 0,
+            number: 0,
+            by_return: false,
+            partial: false,
+        })
+    }
+
     /// Goes to the next line that is not empty; whether there is one.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         loop {
-            let rest = self.next..self.bytes.len();
-            if rest.is_empty() {
+            let rest = self.bytes.get(self.next..).unwrap_or_default();
+            let fresh = rest.is_empty();
+            if fresh {
                 self.bytes.clear();
+                self.next = 0;
                 if self.read()? == 0 {
-                    (self.current, self.next) = (0..0, 0);
+                    self.current = 0..0;
                     return Ok(false);
                 }
+            } else if self.partial && !rest.contains(&b'\r') {
+                // The line goes on behind what was read.
+                self.bytes.drain(..self.next);
+                self.next = 0;
+                self.read()?;
             }
-            let begin = if rest.is_empty() { 0 } else { rest.start };
+            let begin = self.next;
             let text = self.bytes.get(begin..).unwrap_or_default();
             let empty = text.iter().take_while(|byte| is_end(**byte)).count();
             let end = text.iter().rposition(|byte| !is_end(*byte)).map_or(empty, |last| last + 1);
+            self.number += if self.by_return { u64::from(!fresh) + empty as u64 } else { 0 };
             self.current = begin + empty.min(end)..begin + end;
             self.next = self.bytes.len();
             if !self.current.is_empty() {
@@ -67,12 +94,11 @@ impl Lines {
         let room = (ROW_BYTES + 1).saturating_sub(self.bytes.len());
         let read = self.reader.by_ref().take(room as u64).read_until(b'\n', &mut self.bytes);
         let read = read.map_err(|source| read_error(&self.file, self.number, source))?;
-        self.number += u64::from(read > 0);
-        if self.bytes.len() > ROW_BYTES {
-            let source = std::io::Error::other(format!(
-                "a row of more than {ROW_BYTES} bytes: expected one sample a line (is a quotation mark left open?)"
-            ));
-            return Err(read_error(&self.file, self.number - 1, source));
+        self.number += u64::from(read > 0 && !(self.by_return && self.partial));
+        self.partial = self.bytes.len() > ROW_BYTES && !self.bytes.ends_with(b"\n");
+        if self.partial && !self.bytes.contains(&b'\r') {
+            let text = format!("a row of more than {ROW_BYTES} bytes: expected one sample a line");
+            return Err(read_error(&self.file, self.number - 1, std::io::Error::other(text)));
         }
         Ok(read)
     }
@@ -119,15 +145,14 @@ pub(super) struct CsvRows {
 impl CsvRows {
     pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
         let (file, map) = (input.path(), input.columns());
-        let reader = input.open()?;
-        let mut lines = Lines { file: file.to_owned(), reader, bytes: Vec::new(), current: 0..0, next: 0, number: 0 };
+        let mut lines = Lines::new(input)?;
         let mut told_rate_hz = None;
         let header = loop {
             if !lines.advance()? {
                 // Nothing but comments.
                 break Header::understand("", map, file)?;
             }
-            lines.cut();
+            lines.by_return = lines.cut() || lines.by_return;
             let line = String::from_utf8_lossy(lines.current()).into_owned();
             if !Header::is_comment(&line, map) {
                 break Header::understand(&line, map, file)?;
@@ -183,42 +208,39 @@ impl CsvRows {
         if special { Found::Special } else { Found::Bad }
     }
 
-    /// The same of a line with quotation marks, which may go on behind its end.
-    fn quoted(&mut self) -> Result<Found, RecordingError> {
+    /// The same of a line with quotation marks.
+    fn quoted(&mut self) -> Found {
         self.split.clear();
-        let mut read = 0;
-        loop {
-            let line = self.lines.current();
-            if let Some(end) = self.split.push(&line[read..], self.header.delimiter) {
-                self.lines.current.end = self.lines.current.start + read + end;
-                self.lines.next = self.lines.current.end + 1;
-                break;
-            }
-            read = line.len();
-            if !self.split.is_open() {
-                break;
-            }
-            // What the line's end was belongs to the cell.
-            let begin = self.lines.current.start;
-            if self.lines.current.end == self.lines.bytes.len() && self.lines.read()? == 0 {
-                break;
-            }
-            self.lines.current = begin..self.lines.bytes.len();
-            self.lines.next = self.lines.bytes.len();
+        self.split.push(self.lines.current(), self.header.delimiter);
+        if self.split.is_open() {
+            return Found::Bad;
         }
         self.split.finish();
         let cells = self.split.cells();
         let mut sample = Sample::at(0, 0);
         let mut stamp_ns = None;
         if cells.len() != self.header.columns.len() {
-            return Ok(Found::Bad);
+            return Found::Bad;
         }
         for (cell, column) in cells.zip(&self.header.columns) {
             if take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals).is_none() {
-                return Ok(Found::Bad);
+                return Found::Bad;
             }
         }
-        Ok(if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) })
+        if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) }
+    }
+
+    /// The stamp of a line that is no row: of one with all its cells, or whole in the first cell of another.
+    fn stamp_of_rejected(&self) -> RowStamps {
+        let cells = || self.lines.current().split(|byte| *byte == self.header.delimiter);
+        let place = self.header.columns.iter().position(|column| matches!(column, Column::Stamp { .. }));
+        let stamp_ns = place.and_then(|place| {
+            let Column::Stamp { places } = *self.header.columns.get(place)? else { return None };
+            let count = cells().count();
+            let is_its_own = count == self.header.columns.len() || (place == 0 && count > 1);
+            parse_stamp(cells().nth(place).filter(|_| is_its_own)?.trim_ascii(), places)
+        });
+        stamp_ns.map(RowStamps::one).unwrap_or_default()
     }
 
     /// A first row whose numbers have decimal commas: so have all the others.
@@ -285,20 +307,16 @@ impl Rows for CsvRows {
         let line = self.lines.number;
         let mut found = self.plain();
         if matches!(found, Found::Special) {
-            found = if self.lines.current().contains(&b'"') {
-                self.quoted()?
-            } else {
-                self.lines.cut();
-                self.plain()
-            };
+            self.lines.cut();
+            found = if self.lines.current().contains(&b'"') { self.quoted() } else { self.plain() };
         }
         if let Found::Sample(stamp_ns, sample) = found {
             self.unproven = false;
             return Ok(Some(Row::Sample { line, stamps: stamp_ns.map(RowStamps::one).unwrap_or_default(), sample }));
         }
         self.decimal_commas()?;
-        let text = String::from_utf8_lossy(self.lines.current());
-        Ok(Some(Row::Rejected(Rejected::new(line, DiscardCause::Malformed, &text, true))))
+        let rejected = Rejected::of_line(line, DiscardCause::Malformed, self.lines.current(), true);
+        Ok(Some(Row::Rejected(rejected.stamped(self.stamp_of_rejected()))))
     }
     fn decimals(&self) -> &Decimals {
         &self.decimals

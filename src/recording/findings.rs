@@ -61,6 +61,8 @@ pub struct Findings {
     pub stray_stamps: u64,
     /// Samples that repeat the one before in every channel.
     pub repeated_samples: u64,
+    /// The rate that is used where a comment in the file told it, Hz.
+    pub commented_rate_hz: Option<f64>,
     /// How often the sensor's own clock restarted: what was missed there nothing tells.
     pub restarts: u64,
     /// Samples with a magnetic field above 25 gauss: the unit is not what it was taken for.
@@ -177,6 +179,11 @@ impl RecordingInfo {
             let bursts = if bursts { ": they come in bursts, or most samples are missing" } else { "" };
             let (mean, median) = (rate(mean_hz), rate(self.rate_hz));
             remarks.push(format!("{mean} stamps a second on average, {median} by the median step{bursts}"));
+        }
+        if let Some(commented_hz) = found.commented_rate_hz {
+            remarks.push(format!(
+                "the rate of {commented_hz} Hz is that of a comment before the header (--rate HZ tells another)"
+            ));
         }
         if let Some(told_hz) = self.unused_rate_hz {
             let differs = (told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS;

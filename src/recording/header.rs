@@ -176,10 +176,23 @@ pub(super) fn foreign_names(line: &str) -> Option<String> {
     (cells.len() > 1 && cells.iter().all(is_word)).then(|| shown(&cells))
 }
 
+/// What stands before `rate` where samples are meant: not a baud rate, nor that of a gyro's turning.
+const RATES_OF: [&str; 9] =
+    ["sample", "samples", "sampling", "output", "imu", "sensor", "update", "measurement", "acquisition"];
+
 /// The rate that a comment tells: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
 pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
     let lower = line.to_ascii_lowercase();
-    let (_, behind) = lower.rsplit_once("rate")?;
+    lower.match_indices("rate").find_map(|(place, rate)| {
+        let before = lower[..place].trim_end_matches([' ', '\t', '_', '-']);
+        let word = before.rsplit(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
+        let is_meant = word.is_empty() || RATES_OF.contains(&word);
+        rate_behind(&lower[place + rate.len()..]).filter(|_| is_meant)
+    })
+}
+
+/// The number behind the word, if it is no other unit's.
+fn rate_behind(behind: &str) -> Option<f64> {
     let is_filler = |c: char| c.is_whitespace() || matches!(c, ':' | '=' | '_' | ',' | ';' | '(' | ')' | '[' | ']');
     let mut words = behind.split(is_filler).filter(|word| !word.is_empty()).skip_while(|word| *word == "hz");
     let number: f64 = words.next()?.trim_end_matches("hz").parse().ok()?;
@@ -230,8 +243,8 @@ fn shown(cells: &[String]) -> String {
     names.join(" | ")
 }
 
-/// Splits a row with quotation marks: they stand around a whole cell, may hold the delimiter and line ends, and are
-/// doubled to stand for themselves.
+/// Splits a row with quotation marks: they stand around a whole cell, may hold the delimiter, and are doubled to stand
+/// for themselves.
 #[derive(Debug, Default)]
 pub(super) struct Split {
     bytes: Vec<u8>,
@@ -244,9 +257,9 @@ pub(super) struct Split {
 }
 
 impl Split {
-    /// Takes bytes; answers how many of them the row has, `None` where it goes on behind them.
-    pub(super) fn push(&mut self, bytes: &[u8], delimiter: u8) -> Option<usize> {
-        for (place, byte) in bytes.iter().copied().enumerate() {
+    /// Takes the bytes of a line.
+    pub(super) fn push(&mut self, bytes: &[u8], delimiter: u8) {
+        for byte in bytes.iter().copied() {
             let closed = std::mem::take(&mut self.closed);
             match byte {
                 b'"' if self.quoted => (self.quoted, self.closed) = (false, true),
@@ -256,7 +269,6 @@ impl Split {
                     self.quoted = true;
                 }
                 b'"' if !self.inside => self.quoted = true,
-                b'\n' | b'\r' => return Some(place),
                 _ if byte == delimiter => {
                     self.finish();
                     continue;
@@ -265,7 +277,6 @@ impl Split {
             }
             self.inside = true;
         }
-        None
     }
 
     /// Whether a quotation mark is open.

@@ -24,6 +24,8 @@ pub mod load;
 pub mod rows;
 
 #[cfg(test)]
+mod odd_tests;
+#[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod told_tests;
@@ -123,7 +125,8 @@ impl Recording {
         let file = input.path();
         let layout = Layout::find(&input, &options.definitions)?;
         let mut source = layout.open(&input)?;
-        let told_rate_hz = options.rate_hz.or(source.told_rate_hz());
+        let commented_rate_hz = source.told_rate_hz().filter(|_| options.rate_hz.is_none());
+        let told_rate_hz = options.rate_hz.or(commented_rate_hz);
         let survey = Survey::of(source.rows(), &layout.chosen)?;
         if survey.samples == 0 {
             return Err(survey.no_sample(file));
@@ -159,7 +162,11 @@ impl Recording {
             ignored_columns,
             stamps,
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
-            findings: Findings { restarts: source.restarts(), ..findings },
+            findings: Findings {
+                restarts: source.restarts(),
+                commented_rate_hz: commented_rate_hz.filter(|_| !stamped),
+                ..findings
+            },
             rate_hz,
             rate_assumed,
             unused_rate_hz: told_rate_hz.filter(|_| stamped),

@@ -51,6 +51,12 @@ impl Rejected {
         }
     }
 
+    /// Of a line as it stands in the file, of which the bytes are counted, whether they are text or not.
+    pub(super) fn of_line(line: u64, cause: DiscardCause, bytes: &[u8], stands_for_sample: bool) -> Self {
+        let text = String::from_utf8_lossy(bytes.get(..4 * TEXT_CHARS).unwrap_or(bytes));
+        Self { bytes: bytes.len() as u64, ..Self::new(line, cause, &text, stands_for_sample) }
+    }
+
     /// With the stamps that the line carries.
     pub(super) fn stamped(mut self, stamps: RowStamps) -> Self {
         self.stamps = stamps;

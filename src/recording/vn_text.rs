@@ -85,8 +85,7 @@ impl VnRows {
     fn understand(&mut self) -> Row {
         let line = self.bytes.trim_ascii();
         let number = self.line;
-        let rejected =
-            |cause, stands_for_sample| Rejected::new(number, cause, &String::from_utf8_lossy(line), stands_for_sample);
+        let rejected = |cause, stands_for_sample| Rejected::of_line(number, cause, line, stands_for_sample);
         let garbage = |cause| rejected(cause, false);
         let Some(start) = line.windows(START.len()).position(|window| window == START) else {
             return Row::Rejected(garbage(DiscardCause::GarbageBytes));
