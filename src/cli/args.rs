@@ -52,7 +52,7 @@ pub enum Command {
     Status(ClientArgs),
     /// List the running daemon's background jobs
     Jobs(ClientArgs),
-    /// Make a recording a capture: CSV, or raw $VN… lines, plain or .gz
+    /// Make a recording a capture: CSV or raw $VN… lines (plain or .gz), raw bytes of the port, ROS bags (.bag, .db3, .mcap)
     Import(ImportArgs),
     /// Write a capture's samples for other programs: CSV, NDJSON, Parquet, MCAP
     Export(ExportArgs),

@@ -3,7 +3,8 @@
 //! Drivers write the time at which they received a message and the time which they assigned to the measurement. The one
 //! that was assigned is the smoother: arrival comes in bursts. So of the columns that tell the same time (their spans
 //! agree to 1 %: a line number does not) the one with the most regular steps is taken; among equals the last, as drivers
-//! write them in that order.
+//! write them in that order. A column that never advances is no time; of columns that tell different ones those since 1970
+//! count before others, and a line number last.
 //!
 //! Stamps are of one clock: since 1970 or from another origin, as most are. One of the other kind is a cut or garbled number
 //! ([`super::order`]).
@@ -13,6 +14,7 @@ use super::findings::Pairs;
 use super::pairs::Pairing;
 use super::rows::{Row, Rows};
 use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS, median_of};
+use crate::units::NANOS_PER_SECOND;
 
 /// How many samples are looked at.
 const LOOK_AT: usize = 20_000;
@@ -78,6 +80,15 @@ impl Column {
     fn span_ns(&self) -> f64 {
         self.first.map_or(0.0, |first| self.last.saturating_sub(first) as f64)
     }
+    fn same_time(&self, other: &Self) -> bool {
+        (self.span_ns() - other.span_ns()).abs() <= SAME_SPAN_WITHIN * other.span_ns()
+    }
+    /// Whether it goes up by whole ones, nearly always by a single one, as the number of a line does.
+    fn counts(&self) -> bool {
+        let counted = self.steps.counted();
+        median_of(&counted) == Some(NANOS_PER_SECOND as f64)
+            && counted.iter().all(|(step, _)| step % NANOS_PER_SECOND == 0)
+    }
     fn regular(&self) -> f64 {
         let counted = self.steps.counted();
         let Some(median) = median_of(&counted) else { return 0.0 };
@@ -85,6 +96,16 @@ impl Column {
         let near: u64 = counted.iter().filter(|(step, _)| is_near(*step)).map(|(_, count)| count).sum();
         near as f64 / (self.steps.total() + self.backward) as f64
     }
+}
+
+/// The column whose time counts, among those of `rows` rows.
+fn reference(columns: &[Column], rows: u64) -> Option<usize> {
+    let advancing = || (0..columns.len()).rev().filter(|index| columns[*index].steps.total() > 0);
+    let differ = advancing().any(|one| advancing().any(|other| !columns[one].same_time(&columns[other])));
+    let unix = || advancing().find(|index| 2 * columns[*index].unix >= rows);
+    let other = || advancing().find(|index| !columns[*index].counts());
+    let of_several = if differ { unix().or_else(other) } else { None };
+    of_several.or_else(|| advancing().next()).or(columns.len().checked_sub(1))
 }
 
 /// Looks at the first rows.
@@ -114,11 +135,12 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let columns = &columns[..count];
     let regular: Vec<f64> = columns.iter().map(Column::regular).collect();
     let pairs = columns.iter().map(|column| column.pairing.pairs(&column.steps.counted())).collect();
-    let Some(last) = columns.last() else { return Ok(Chosen { count, column: None, unix: false, regular, pairs }) };
-    let same_time = |column: &Column| (column.span_ns() - last.span_ns()).abs() <= SAME_SPAN_WITHIN * last.span_ns();
-    let mut column = count - 1;
-    for earlier in (0..count - 1).rev() {
-        if same_time(&columns[earlier]) && regular[earlier] > regular[column] + CLEARLY {
+    let Some(reference) = reference(columns, *rows) else {
+        return Ok(Chosen { count, column: None, unix: false, regular, pairs });
+    };
+    let mut column = reference;
+    for earlier in (0..reference).rev() {
+        if columns[earlier].same_time(&columns[reference]) && regular[earlier] > regular[column] + CLEARLY {
             column = earlier;
         }
     }

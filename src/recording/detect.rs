@@ -110,6 +110,16 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
         return Ok(Kind::RawBytes);
     }
     let lines = || head.split(|byte| *byte == b'\n').filter(|line| !line.trim_ascii().is_empty());
+    let map = input.columns();
+    let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
+    // Old files end their lines with a carriage return alone.
+    let mut heads =
+        lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());
+    let heading = heads.find(|line| !Header::is_comment(line, map)).unwrap_or_default();
+    // A table may have the raw line as a column, or tell of `$VN` in a comment.
+    if Header::names_channels(&heading, map) {
+        return Ok(Kind::Csv);
+    }
     if lines().take(LOOK_AT_LINES).any(|line| line.windows(3).any(|window| window == b"$VN")) {
         return Ok(Kind::VnText);
     }
@@ -117,19 +127,13 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
         return Err(RecordingError::Empty { file: file.to_owned() });
     }
     let (bytes_seen, has_ends) = (head.len() as u64, head.iter().any(|byte| matches!(byte, b'\n' | b'\r')));
-    let map = input.columns();
-    let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
     let first = lines().next().map(text).unwrap_or_default();
-    // Old files end their lines with a carriage return alone.
-    let mut heads =
-        lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());
-    let head = heads.find(|line| !Header::is_comment(line, map)).unwrap_or_default();
-    if Header::is_known(&head, map) {
+    if Header::is_known(&heading, map) {
         return Ok(Kind::Csv);
     }
     // A table has lines.
     let is_line = bytes_seen < LOOK_AT_BYTES || has_ends;
-    if let Some(found) = foreign_names(&head).filter(|_| is_line) {
+    if let Some(found) = foreign_names(&heading).filter(|_| is_line) {
         return Err(RecordingError::ForeignColumns { file: file.to_owned(), found });
     }
     let found = first.chars().take(SHOWN_CHARS).collect();

@@ -19,7 +19,7 @@ const LEAST_SAMPLES: usize = 32;
 const STEADY: f64 = 0.03;
 /// What a sensor at rest may make of gravity, of it.
 const GRAVITY: Range<f64> = 0.85..1.15;
-/// Gravity is also 1000 times as much where somebody writes milli-units.
+/// What the Earth's field is, from the equator to the poles, gauss.
 const EARTH_FIELD_GAUSS: Range<f64> = 0.25..0.65;
 /// What an indoor or uncalibrated field may be, gauss.
 const FIELD_GAUSS: Range<f64> = 0.1..2.5;
@@ -160,7 +160,8 @@ fn rotation(values: &Values, conversions: &[Conversion], turned_s: f64) -> Optio
     Some(Doubt::new("gyro", unit, Some(("_rad_s", "rad/s")), turned(ratio)))
 }
 
-/// The gyro's standard deviation about its median, all axes together, rad/s, where the sensor is at rest most of the time.
+/// The gyro's noise, rad/s, where the accelerometer says that the sensor rests most of the time. It may still turn about the
+/// vertical: noise is what three neighbouring samples do not agree on, on the middle one of the axes.
 fn noise_at_rest(values: &Values) -> Option<f64> {
     let spreads = |triad: Triad| -> Option<Vec<(f64, f64)>> {
         let of = |channel| Some(values.of(channel)).filter(|of| of.len() >= LEAST_SAMPLES).and_then(median_and_spread);
@@ -171,8 +172,13 @@ fn noise_at_rest(values: &Values) -> Option<f64> {
     if length == 0.0 || accel.iter().any(|(_, spread)| *spread > REST * length) {
         return None;
     }
-    let gyro = spreads(Triad::Gyro)?;
-    Some(STD_OF_SPREAD * gyro.iter().map(|(_, spread)| spread * spread).sum::<f64>().sqrt() / 3_f64.sqrt())
+    let mut axes = [0, 1, 2].map(|axis| {
+        let bends: Vec<f64> = values.bends.iter().flatten().map(|bend| bend[axis].abs()).collect();
+        (bends.len() >= LEAST_SAMPLES).then(|| median_and_spread(bends)).flatten().map_or(0.0, |(median, _)| median)
+    });
+    axes.sort_unstable_by(f64::total_cmp);
+    // The variance of x − 2y + z is six times that of each.
+    Some(STD_OF_SPREAD * axes[1] / 6_f64.sqrt())
 }
 
 /// Four digits of a number, as a person writes it.

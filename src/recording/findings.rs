@@ -16,6 +16,8 @@ const TOLD_DIFFERS: f64 = 0.005;
 const BURSTS_FROM: f64 = 0.05;
 /// Below this share of the rate that the median step tells, so few stamps a second come in bursts.
 const BURSTS_BELOW: f64 = 0.5;
+/// From this share of the samples on, late stamps are no strays but another run.
+const LATE_FROM: f64 = 0.05;
 /// From this share of repeating samples on they are no chance: a coarse sensor's values repeat now and then.
 const REPEATED_FROM: f64 = 1e-5;
 /// A sensor that sends less than this share of its default rate was set to it, or not all of it was recorded.
@@ -57,6 +59,8 @@ pub struct Findings {
     pub late_stamps: u64,
     /// The farthest, s.
     pub latest_by_s: Option<f64>,
+    /// The line (a bag's message) of the first of them.
+    pub first_late_line: Option<u64>,
     /// Stamps far ahead of those that follow, or of another clock; rejected as malformed.
     pub stray_stamps: u64,
     /// Samples that repeat the one before in every channel.
@@ -65,6 +69,8 @@ pub struct Findings {
     pub commented_rate_hz: Option<f64>,
     /// How often the sensor's own clock restarted: what was missed there nothing tells.
     pub restarts: u64,
+    /// Samples in which a channel has no finite value, of those channels that lack some.
+    pub absent: BTreeMap<Channel, u64>,
     /// Samples with a magnetic field above 25 gauss: the unit is not what it was taken for.
     pub strong_fields: u64,
     /// The step of each channel's values, where one is seen.
@@ -136,12 +142,34 @@ impl RecordingInfo {
     /// What a person should know about the recording, a sentence each.
     #[must_use]
     pub fn remarks(&self) -> Vec<String> {
-        let mut remarks: Vec<String> = self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)).collect();
+        // What makes other figures worthless comes first.
+        let mut remarks: Vec<String> = self.pairs().into_iter().collect();
+        remarks.extend(self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)));
         self.remark_rate(&mut remarks);
         self.remark_steps(&mut remarks);
         self.remark_rejected_stamps(&mut remarks);
         self.remark_values(&mut remarks);
         remarks
+    }
+
+    fn pairs(&self) -> Option<String> {
+        let Pairs { short_s, long_s } = self.findings.pairs?;
+        let likely = rate(2.0 / (short_s + long_s));
+        let way = match self.kind {
+            Kind::Csv => format!(
+                "leave the stamps out (a header without time_s, no column given as time by --columns) and tell --rate \
+                 {likely}, or give another column of stamps by --columns"
+            ),
+            Kind::VnText => format!("cut off what stands before `$VN` and tell --rate {likely}"),
+            _ => "the file has no better stamps".to_owned(),
+        };
+        Some(format!(
+            "stamps come in pairs: steps of {} ms and of {} ms take turns, as where two messages are received at once. The \
+             rate of {} Hz and what is counted as missing are not to be believed, likely are {likely} Hz: {way}",
+            shown(1e3 * short_s),
+            shown(1e3 * long_s),
+            rate(self.rate_hz)
+        ))
     }
 
     fn remark_rate(&self, remarks: &mut Vec<String>) {
@@ -215,13 +243,7 @@ impl RecordingInfo {
                 if found.irregular_steps == 1 { "is" } else { "are" }
             ));
         }
-        if let Some(Pairs { short_s, long_s }) = found.pairs {
-            remarks.push(format!(
-                "stamps come in pairs: steps of {} ms and of {} ms take turns, as where two messages are received at once",
-                shown(1e3 * short_s),
-                shown(1e3 * long_s)
-            ));
-        } else if found.short_steps as f64 > BURSTS_FROM * found.steps as f64 {
+        if found.pairs.is_none() && found.short_steps as f64 > BURSTS_FROM * found.steps as f64 {
             remarks.push(format!(
                 "stamps come in pairs or bursts: {} of {} steps are below a tenth of the median step",
                 found.short_steps, found.steps
@@ -245,6 +267,15 @@ impl RecordingInfo {
                 found.late_stamps,
                 shown(latest_by_s)
             ));
+            let share = found.late_stamps as f64 / (self.samples + found.late_stamps) as f64;
+            if let Some(line) = found.first_late_line.filter(|_| share > LATE_FROM) {
+                let entry = self.kind.entry();
+                remarks.push(format!(
+                    "{:.0} % of the samples were rejected because stamps go back: are these two runs in one file? Split it at \
+                     {entry} {line}",
+                    100.0 * share
+                ));
+            }
         }
         if found.stray_stamps > 0 {
             remarks.push(format!(
@@ -256,6 +287,7 @@ impl RecordingInfo {
 
     fn remark_values(&self, remarks: &mut Vec<String>) {
         let found = &self.findings;
+        remarks.extend(self.absent());
         remarks.extend(self.mixed_units());
         remarks.extend(self.quantisation());
         if found.repeated_samples as f64 > REPEATED_FROM * self.samples as f64 {
@@ -276,6 +308,20 @@ impl RecordingInfo {
                 found.strong_fields
             ));
         }
+    }
+
+    /// Channels that lack values, those that lack equally many together.
+    fn absent(&self) -> Vec<String> {
+        let mut groups: BTreeMap<u64, Vec<&'static str>> = BTreeMap::new();
+        for (channel, count) in &self.findings.absent {
+            groups.entry(*count).or_default().push(channel.name());
+        }
+        let samples = self.samples;
+        let say = |(count, names): (u64, Vec<&str>)| {
+            let has = if names.len() == 1 { "has" } else { "have" };
+            format!("{} {has} no value in {count} of {samples} samples", names.join(" "))
+        };
+        groups.into_iter().map(say).collect()
     }
 
     /// Axes of one quantity that came in different units: it may be meant, but seldom is.

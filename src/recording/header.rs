@@ -154,9 +154,14 @@ impl Header {
         Ok(header)
     }
 
-    /// Whether a line, as the header of a CSV, names at least one channel with its unit or is told by the user.
+    /// Whether a line, as the header of a CSV, names at least one channel with its unit or a column that the user told.
+    pub(super) fn names_channels(line: &str, map: &ColumnMap) -> bool {
+        delimiter(without_comment_sign(line, map), map).1 > 0
+    }
+
+    /// The same, or may be a row of a table whose columns are told by their places.
     pub(super) fn is_known(line: &str, map: &ColumnMap) -> bool {
-        !map.is_empty() || delimiter(without_comment_sign(line, map), map).1 > 0
+        !map.is_empty() || Self::names_channels(line, map)
     }
 
     /// Whether a line is a comment before the header.

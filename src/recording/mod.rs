@@ -61,7 +61,7 @@ pub use meter::KeepOn;
 pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
 pub use rows::Rejected;
 
-use crate::sample::Sample;
+use crate::sample::{ChannelSet, Sample};
 use crate::units::{NANOS_PER_SECOND, period_ns};
 use choice::{Chosen, choose};
 use order::{Entry, Order};
@@ -164,6 +164,7 @@ impl Recording {
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
             findings: Findings {
                 restarts: source.restarts(),
+                absent: survey.absent(survey.channels.union(source.claimed())),
                 commented_rate_hz: commented_rate_hz.filter(|_| !stamped),
                 ..findings
             },
@@ -332,6 +333,15 @@ impl Source {
             Self::RawBytes(_) => (Vec::new(), Vec::new()),
             Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
         }
+    }
+    /// Channels that the file claims to have.
+    fn claimed(&self) -> ChannelSet {
+        let Self::Csv(rows) = self else { return ChannelSet::default() };
+        let channel = |column: &header::Column| match column {
+            header::Column::Value { channel, .. } => Some(*channel),
+            _ => None,
+        };
+        rows.header.columns.iter().filter_map(channel).collect()
     }
     /// How often the sensor's clock restarted.
     fn restarts(&self) -> u64 {

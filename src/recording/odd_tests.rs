@@ -125,3 +125,90 @@ fn the_bytes_of_garbage_are_those_of_the_file() {
     let recording = read(&text, Options::default()).unwrap();
     assert_eq!(recording.info().rejected, [(DiscardCause::GarbageBytes, 10)].into());
 }
+
+/// A valid `$VNYMR` line.
+fn line(index: usize) -> String {
+    let gyro = index as f64 * 1e-6;
+    let body = format!(
+        "VNYMR,-134.051,-000.443,-000.892,-00.1575,+00.1599,+00.3040,-00.077,+00.164,-09.965,{gyro:+010.6},+00.001325,+00.000043"
+    );
+    format!("${body}*{:02X}", body.bytes().fold(0, |sum, byte| sum ^ byte))
+}
+
+#[test]
+fn a_line_number_or_a_constant_beside_the_time_is_no_time() {
+    let lines = |prefix: &dyn Fn(usize, f64) -> String| -> String {
+        (0..400).map(|index| format!("{} {}\n", prefix(index, index as f64 * 0.025), line(index))).collect()
+    };
+    for (column, text) in [
+        (1, lines(&|index, time| format!("{:.6} {index}", 1.7e9 + time))),
+        (2, lines(&|index, time| format!("{index} {:.6}", 1.7e9 + time))),
+        (1, lines(&|_, time| format!("{:.6} 0", 1.7e9 + time))),
+        (1, lines(&|index, time| format!("{time:.6} {index}"))),
+        (1, lines(&|index, time| format!("{time:.6} {}", index + index / 50))),
+        (2, lines(&|_, time| format!("{:.6} {:.6}", 7.0 + 2.0 * time, 1.7e9 + time))),
+        (1, lines(&|_, time| format!("{:.6} {:.6}", 1.7e9 + time, 7.0 + 2.0 * time))),
+    ] {
+        let recording = read(text.as_bytes(), Options::default()).unwrap();
+        let info = recording.info();
+        assert_eq!((info.rate_hz, info.samples), (40.0, 400), "{}", &text[..40]);
+        assert_eq!(info.stamp_choice.as_ref().unwrap().column, column, "{}", &text[..40]);
+    }
+    // Alone it is what there is.
+    let text = lines(&|index, _| index.to_string());
+    assert_eq!(read(text.as_bytes(), Options::default()).unwrap().info().rate_hz, 1.0);
+}
+
+#[test]
+fn stamps_in_pairs_are_said_first_with_the_likely_rate_and_what_to_do() {
+    let mut text = String::from("time_s,gyro_x_rad_s\n");
+    let mut time = 0.0;
+    for index in 0..400 {
+        text += &format!("{time:.6},{index}\n");
+        time += if index % 2 == 0 { 1e-5 } else { 0.04999 };
+    }
+    let recording = read(text.as_bytes(), Options::default()).unwrap();
+    let first = &recording.info().remarks()[0];
+    for words in ["stamps come in pairs", "not to be believed", "likely are 40.0 Hz", "--rate 40.0", "--columns"] {
+        assert!(first.contains(words), "{words}: {first}");
+    }
+}
+
+#[test]
+fn a_header_with_channels_makes_a_table_whatever_its_comments_and_columns_hold() {
+    let commented = "# converted from $VNYMR lines\ntime_s,gyro_x_rad_s\n0,1\n0.025,2\n0.05,3\n".to_owned();
+    let beside: String =
+        (0..3).map(|index| format!("{:.3},{index},\"{}\"\n", f64::from(index) * 0.025, line(1))).collect();
+    for text in [commented, format!("time_s,gyro_x_rad_s,raw\n{beside}")] {
+        let recording = read(text.as_bytes(), Options::default()).unwrap();
+        let info = recording.info();
+        assert_eq!((info.kind, info.samples, info.rate_hz), (Kind::Csv, 3, 40.0), "{text}");
+    }
+    let lines: String = (0..3).map(|index| format!("{}\n", line(index))).collect();
+    for comment in ["# a terminal's log\n", ""] {
+        let recording = read(format!("{comment}{lines}").as_bytes(), Options::default()).unwrap();
+        assert_eq!(recording.info().kind, Kind::VnText);
+    }
+}
+
+#[test]
+fn two_runs_in_one_file_are_said_with_the_line_that_divides_them() {
+    let run: String = (0..200).map(|index| format!("{:.3},{index}\n", f64::from(index) * 0.025)).collect();
+    let recording = read(format!("time_s,gyro_x_rad_s\n{run}{run}").as_bytes(), Options::default()).unwrap();
+    assert_eq!(recording.info().samples, 200);
+    says(&recording, &["50 % of the samples were rejected", "two runs", "line 202"]);
+}
+
+#[test]
+fn channels_without_a_value_are_counted_and_said() {
+    let mut text = String::from("time_s,accel_x_m_s2,accel_y_m_s2,gyro_x_rad_s,gyro_y_rad_s\n");
+    for index in 0..200 {
+        let x = if index % 10 == 0 { "NaN".to_owned() } else { format!("{index}") };
+        text += &format!("{:.3},{x},{x},{index},\n", f64::from(index) * 0.025);
+    }
+    let recording = read(text.as_bytes(), Options::default()).unwrap();
+    says(&recording, &["accel_x accel_y have no value in 20 of 200 samples"]);
+    says(&recording, &["gyro_y has no value in 200 of 200 samples"]);
+    let absent: Vec<u64> = recording.info().findings.absent.values().copied().collect();
+    assert_eq!(absent, [20, 20, 200]);
+}

@@ -9,6 +9,13 @@
 const LEAST_VALUES: usize = 32;
 /// A value that lies farther from the grid, in steps, is beside it.
 const BESIDE: f64 = 0.25;
+/// Values lie scattered where the spread of their distances from the grid, of one that is even between its points, is larger:
+/// a grid of another step that was rounded again makes a fifth at most.
+const SCATTERED: f64 = 0.25;
+/// Gaps are of one length, rounded again, where they differ by no more from one.
+const ALIKE: f64 = 0.3;
+/// Values from which distances are taken, as a share of all: one that was rounded again may lie badly.
+const ORIGINS: [f64; 3] = [0.5, 0.45, 0.55];
 /// Values that may lie beside the grid.
 const BESIDE_SHARE: f64 = 0.02;
 /// The greatest chance of being on a grid by accident.
@@ -23,7 +30,6 @@ pub(super) fn step_of(values: &[f64]) -> Option<f64> {
     }
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
-    let origin = sorted[sorted.len() / 2];
     let size = sorted.iter().fold(0.0, |size: f64, value| size.max(value.abs()));
     let mut gaps: Vec<f64> =
         sorted.windows(2).map(|two| two[1] - two[0]).filter(|gap| *gap > ROUNDING * size).collect();
@@ -31,19 +37,31 @@ pub(super) fn step_of(values: &[f64]) -> Option<f64> {
         return None;
     }
     gaps.sort_unstable_by(f64::total_cmp);
-    let mut distances: Vec<f64> = sorted.iter().map(|value| value - origin).collect();
-    distances.sort_unstable_by(|one, other| one.abs().total_cmp(&other.abs()));
+    let origins = ORIGINS.map(|share| {
+        let origin = sorted[(share * sorted.len() as f64) as usize];
+        let mut distances: Vec<f64> = sorted.iter().map(|value| value - origin).collect();
+        distances.sort_unstable_by(|one, other| one.abs().total_cmp(&other.abs()));
+        distances
+    });
     let count = gaps.len();
     let places = [0, 1, 3, 7, 15, count / 100, count / 20, count / 10, count / 4, count / 2];
     let mut candidates: Vec<f64> = places
         .iter()
         .filter_map(|place| gaps.get(*place))
-        .flat_map(|gap| [*gap, gap / 2.0, gap / 3.0])
+        .flat_map(|gap| [*gap, gap / 2.0, gap / 3.0, mean_about(&gaps, *gap)])
         .filter(|step| *step > ROUNDING * size)
         .collect();
     candidates.sort_unstable_by(|one, other| other.total_cmp(one));
     candidates.dedup_by(|next, kept| (*kept - *next).abs() < 1e-3 * *kept);
-    candidates.into_iter().find_map(|step| fitted(&distances, step))
+    candidates.into_iter().find_map(|step| origins.iter().find_map(|distances| fitted(distances, step)))
+}
+
+/// The mean of the gaps, the smallest first, that are about as large as this one.
+fn mean_about(gaps: &[f64], gap: f64) -> f64 {
+    let begin = gaps.partition_point(|other| *other < (1.0 - ALIKE) * gap);
+    let end = gaps.partition_point(|other| *other <= (1.0 + ALIKE) * gap);
+    let alike = gaps.get(begin..end).unwrap_or_default();
+    alike.iter().sum::<f64>() / alike.len().max(1) as f64
 }
 
 /// The step near this one that the distances, the smallest first, are multiples of.
@@ -64,12 +82,13 @@ fn fitted(distances: &[f64], first: f64) -> Option<f64> {
         }
     }
     // Once more with the step that was found.
-    let (mut on, mut squares, mut distinct) = (0_usize, 0.0, Vec::new());
+    let (mut on, mut sum, mut squares, mut distinct) = (0_usize, 0.0, 0.0, Vec::new());
     for distance in distances {
         let multiple = (distance / step).round();
         let error = distance / step - multiple;
         if error.abs() <= BESIDE {
             on += 1;
+            sum += error;
             squares += error * error;
             distinct.push(multiple as i64);
         }
@@ -78,9 +97,11 @@ fn fitted(distances: &[f64], first: f64) -> Option<f64> {
     distinct.dedup();
     let nearly_all = distances.len() - on <= may_be_beside;
     // Two values make a step of their own; each other one lies within the spread of the errors by accident with this chance.
-    let spread = (12.0 * squares / on as f64).sqrt().min(1.0);
+    // What is common to all errors is that of the value from which distances are taken.
+    let variance = (squares / on as f64 - (sum / on as f64).powi(2)).max(0.0);
+    let spread = (12.0 * variance).sqrt().min(1.0);
     let chance = spread.max(ROUNDING).powi(i32::try_from(distinct.len()).unwrap_or(i32::MAX).saturating_sub(2));
-    (nearly_all && distinct.len() > 2 && chance < CHANCE).then_some(step)
+    (nearly_all && spread < SCATTERED && distinct.len() > 2 && chance < CHANCE).then_some(step)
 }
 
 #[cfg(test)]
@@ -124,6 +145,18 @@ mod tests {
         }
         let found = step_of(&values).unwrap().to_degrees();
         assert!((found / step - 1.0).abs() < 1e-3, "{found}");
+    }
+
+    #[test]
+    fn a_grid_rounded_again_to_a_fifth_of_its_step_is_found_and_no_finer_one() {
+        // Steps of 0.004790 m/s², written in mg.
+        let (step, written) = (0.004_790_2, 0.000_981);
+        for seed in 0..40 {
+            let rounded = |value: f64| ((value / step).round() * step / written).round() * written;
+            let values: Vec<f64> = noise(300 + seed, 4096).iter().map(|noise| rounded(1.5 * noise)).collect();
+            let found = step_of(&values).unwrap();
+            assert!((found / step - 1.0).abs() < 1e-3, "{seed}: {found}");
+        }
     }
 
     #[test]

@@ -45,6 +45,8 @@ pub(super) struct Survey {
     frozen: Frozen,
     /// Stamps before that of the last sample, and the farthest, ns.
     late: (u64, u64),
+    first_late_line: Option<u64>,
+    present: Present,
     /// Stamps that lie ahead of those that follow, or are of another clock.
     astray: u64,
     pub(super) rejected: BTreeMap<DiscardCause, u64>,
@@ -71,6 +73,32 @@ impl Frozen {
     }
 }
 
+/// How many samples have each channel.
+#[derive(Debug, Default)]
+struct Present {
+    counts: [u64; Channel::COUNT],
+    /// The channels of the last samples, and how many of them: nearly all have the same.
+    run: (ChannelSet, u64),
+}
+
+impl Present {
+    fn take(&mut self, channels: ChannelSet) {
+        if self.run.0 != channels {
+            self.counts = self.counts();
+            self.run = (channels, 0);
+        }
+        self.run.1 += 1;
+    }
+
+    fn counts(&self) -> [u64; Channel::COUNT] {
+        let mut counts = self.counts;
+        for channel in self.run.0.iter() {
+            counts[channel as usize] += self.run.1;
+        }
+        counts
+    }
+}
+
 impl Survey {
     pub(super) fn of(rows: &mut dyn Rows, chosen: &Chosen) -> Result<Self, RecordingError> {
         let mut survey = Self::default();
@@ -83,6 +111,7 @@ impl Survey {
                     survey.samples += 1;
                     survey.frozen.run = 0;
                     survey.channels = survey.channels.union(sample.channels());
+                    survey.present.take(sample.channels());
                     survey.first_stamp_ns = survey.first_stamp_ns.or(stamp_ns);
                     survey.take_stamp(stamp_ns);
                     survey.values.take(stamp_ns, sample);
@@ -98,7 +127,10 @@ impl Survey {
         *self.rejected.entry(rejected.cause).or_default() += rejected.amount();
         match rejected.late_ns {
             Some(0) => self.frozen.repeats(),
-            Some(late_ns) => self.late = (self.late.0 + 1, self.late.1.max(late_ns)),
+            Some(late_ns) => {
+                self.late = (self.late.0 + 1, self.late.1.max(late_ns));
+                self.first_late_line = self.first_late_line.or(Some(rejected.line));
+            }
             None => self.astray += u64::from(rejected.astray),
         }
         if stamp_ns.is_some() {
@@ -177,6 +209,7 @@ impl Survey {
             longest_frozen_run: self.frozen.longest,
             late_stamps: self.late.0,
             latest_by_s: (self.late.0 > 0).then(|| seconds(self.late.1 as f64)),
+            first_late_line: self.first_late_line,
             stray_stamps: self.astray,
             repeated_samples: self.values.repeated,
             strong_fields: self.values.strong_fields,
@@ -184,6 +217,13 @@ impl Survey {
             doubts: doubts(&self.values, conversions, turned_s),
             ..Findings::default()
         }
+    }
+
+    /// In how many samples each of these channels is absent, where in some.
+    pub(super) fn absent(&self, of: ChannelSet) -> BTreeMap<Channel, u64> {
+        let counts = self.present.counts();
+        let absent = of.iter().map(|channel| (channel, self.samples - counts[channel as usize]));
+        absent.filter(|(_, count)| *count > 0).collect()
     }
 
     /// The step of each channel's values, where one is seen.

@@ -98,6 +98,22 @@ fn a_unit_that_the_values_contradict_is_said_with_the_one_that_fits_and_nothing_
     says(&told(&claimed(false, [1.0, 1.0, 100.0])), &["mag does not look like gauss", "mag_x_ut", "|m| is 47"]);
 }
 
+/// About the vertical gravity tells no turning: what a rate table does is no noise.
+#[test]
+fn turning_about_the_vertical_is_no_noise() {
+    let mut text = format!("time_s,{},accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n", GYRO.join(","));
+    let mut state = 5;
+    for index in 0..20_000 {
+        let time = f64::from(index) * 0.01;
+        let turned =
+            [0.0, 0.0, (time * std::f64::consts::TAU / 10.0).sin()].map(|rate| rate + 0.001 * noise(&mut state));
+        let felt = [0.0, 0.0, -9.8].map(|accel| accel + 0.02 * noise(&mut state));
+        let cells: Vec<String> = turned.iter().chain(&felt).map(|value| format!("{value:.6}")).collect();
+        text += &format!("{time:.3},{}\n", cells.join(","));
+    }
+    says_not(&told(&text), "does not look like");
+}
+
 #[test]
 fn stamps_that_stand_still_or_come_late_are_counted_and_said() {
     let mut text = String::from("time_s,gyro_x_rad_s\n");

@@ -4,7 +4,7 @@
 //! and running counts for what lies between neighbours. Pure.
 
 use super::turning::Turning;
-use crate::sample::{Channel, Sample};
+use crate::sample::{Channel, Sample, Triad};
 
 /// Samples that are kept.
 const KEPT: usize = 4096;
@@ -26,7 +26,11 @@ pub(super) struct Values {
     /// Samples with a field of more than [`MAG_MAX_GAUSS`].
     pub(super) strong_fields: u64,
     pub(super) turning: Turning,
+    /// By how much the gyro's axes bend at each of the kept samples: the difference of its steps from the one before and
+    /// to it.
+    pub(super) bends: Vec<Option<[f64; 3]>>,
     last: Option<Sample>,
+    before_last: Option<Sample>,
 }
 
 impl Values {
@@ -44,7 +48,7 @@ impl Values {
             self.keep(&sample);
         }
         self.seen += 1;
-        self.last = Some(sample);
+        self.before_last = self.last.replace(sample);
     }
 
     fn keep(&mut self, sample: &Sample) {
@@ -55,11 +59,24 @@ impl Values {
                 place += 1;
                 place % 2 == 1
             });
+            let mut place = 0;
+            self.bends.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
             self.mask = 2 * self.mask + 1;
         }
         if self.seen & self.mask == 0 {
             self.spread.push(sample.clone());
+            self.bends.push(self.bend(sample));
         }
+    }
+
+    fn bend(&self, sample: &Sample) -> Option<[f64; 3]> {
+        let (last, before) = (self.last.as_ref()?, self.before_last.as_ref()?);
+        let [x, y, z] =
+            Triad::Gyro.channels().map(|axis| Some(before.get(axis)? - 2.0 * last.get(axis)? + sample.get(axis)?));
+        Some([x?, y?, z?])
     }
 
     /// The kept values of a channel.

@@ -4,7 +4,8 @@
 //! messages; for older ones they are standard or given ([`super::definition`]).
 //!
 //! The file is not trusted: it is opened for reading alone, without what a schema may run; views and triggers have no rows of
-//! their own to be read by; a value longer than [`MESSAGE_BYTES`] is passed over. A statement ends when the reading is called
+//! their own to be read by; a value longer than [`MESSAGE_BYTES`] is passed over, and so are rows that cannot be read, up to
+//! the next one that can. A statement ends when the reading is called
 //! off. Format: <https://github.com/ros2/rosbag2>, `rosbag2_storage_sqlite3`.
 
 use super::super::detect::refused;
@@ -29,6 +30,8 @@ const MESSAGE_BYTES: i64 = 1024 * 1024;
 const ROWS: i64 = 512;
 /// Topics that are looked at.
 const TOPICS_MAX: i64 = 4096;
+/// Holes behind which reading goes on.
+const HOLES_MAX: u32 = 1000;
 /// Steps of SQLite's virtual machine after which it is asked whether the reading is still wanted.
 const ASK_STEPS: i32 = 100_000;
 
@@ -50,6 +53,11 @@ pub(super) struct Db3Reader {
     /// Topics by their ids, which need not fit a connection's number.
     numbers: HashMap<i64, u32>,
     last_row: i64,
+    /// The last row that there is, where that can be told.
+    end_row: Option<i64>,
+    holes: u32,
+    /// Why nothing more can be read behind the messages that wait.
+    broken: Option<String>,
     ended: bool,
     current: Vec<u8>,
 }
@@ -81,7 +89,13 @@ pub(in crate::recording) fn check(input: &Input) -> Result<(), RecordingError> {
 }
 
 fn fault(path: &Path, error: &rusqlite::Error) -> RecordingError {
-    RecordingError::Database { file: path.to_owned(), reason: error.to_string() }
+    let is_damaged = matches!(
+        error.sqlite_error_code(),
+        Some(rusqlite::ErrorCode::DatabaseCorrupt | rusqlite::ErrorCode::NotADatabase)
+    );
+    let advice =
+        if is_damaged { "; was it cut off? `sqlite3 FILE .recover | sqlite3 whole.db3` may save some" } else { "" };
+    RecordingError::Database { file: path.to_owned(), reason: format!("{error}{advice}") }
 }
 
 /// Opens it for reading alone.
@@ -162,10 +176,16 @@ impl Db3Reader {
             messages: VecDeque::new(),
             numbers: HashMap::new(),
             last_row: i64::MIN,
+            end_row: None,
+            holes: 0,
+            broken: None,
             ended: false,
             current: Vec::new(),
         };
         reader.read_topics().map_err(|error| fault(input.path(), &error))?;
+        // In a damaged file it may not be there to be read.
+        let end_row = reader.database.query_row("SELECT max(rowid) FROM messages", [], |row| row.get(0));
+        reader.end_row = end_row.unwrap_or_default();
         Ok(reader)
     }
 
@@ -222,6 +242,67 @@ impl Db3Reader {
         self.ended = self.messages.is_empty();
         Ok(true)
     }
+
+    /// Reads the next rows, where some cannot be read those behind them; answers what was passed over.
+    fn read_on(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<String> {
+        if self.broken.is_none() {
+            self.broken = match self.fill(wanted) {
+                Ok(true) => None,
+                Ok(false) => Some("its rows are out of order".to_owned()),
+                Err(error) => Some(error.to_string()),
+            };
+            if !self.messages.is_empty() {
+                // These come first.
+                return None;
+            }
+        }
+        let why = self.broken.take()?;
+        let good = self.last_row.max(0);
+        self.holes += 1;
+        let found = if self.holes > HOLES_MAX { None } else { self.find_behind(good, wanted) };
+        // What was tried last may have found nothing.
+        self.ended = found.is_none();
+        Some(match found {
+            Some(found) => format!("rows {} to {found} cannot be read and are passed over: {why}", good + 1),
+            None => format!("what lies behind row {good} was not read: {why} (`sqlite3 FILE .recover` may save some)"),
+        })
+    }
+
+    /// Finds the first row behind this one from which on can be read, in steps that grow and then halve, and reads there;
+    /// answers the last row that was passed over. Each reading begins behind the last: it cannot go round.
+    fn find_behind(&mut self, good: i64, wanted: &dyn Fn(u32) -> bool) -> Option<i64> {
+        let last_start = self.end_row.unwrap_or(i64::MAX).saturating_sub(1);
+        let (mut bad, mut step) = (good, 1_i64);
+        let mut start = loop {
+            let start = good.saturating_add(step).min(last_start);
+            if start <= bad || self.meter.check().is_err() {
+                return None;
+            }
+            if self.begins(start, wanted) {
+                break start;
+            }
+            bad = start;
+            step = step.saturating_mul(2);
+        };
+        while start - bad > 1 {
+            let middle = bad + (start - bad) / 2;
+            if self.begins(middle, wanted) {
+                start = middle;
+            } else {
+                bad = middle;
+            }
+        }
+        self.begins(start, wanted).then_some(start)
+    }
+
+    /// Whether rows can be read from behind this one on; then they are.
+    fn begins(&mut self, row: i64, wanted: &dyn Fn(u32) -> bool) -> bool {
+        self.messages.clear();
+        self.last_row = row;
+        // Rows before an error are rows.
+        let _ = self.fill(wanted);
+        !self.messages.is_empty()
+    }
 }
 
 impl Messages for Db3Reader {
@@ -233,17 +314,11 @@ impl Messages for Db3Reader {
         if let Some(connection) = self.connections.pop_front() {
             return Some(Entry::Connection(connection));
         }
-        if self.messages.is_empty() && !self.ended {
-            let why = match self.fill(wanted) {
-                Ok(true) => None,
-                Ok(false) => Some("its rows are out of order".to_owned()),
-                Err(error) => Some(error.to_string()),
-            };
-            if let Some(why) = why {
-                // Read on from there it might go round for ever.
-                self.ended = true;
-                return Some(Entry::Damaged { at: 0, what: format!("behind row {}: {why}", self.last_row) });
-            }
+        if self.messages.is_empty()
+            && !self.ended
+            && let Some(what) = self.read_on(wanted)
+        {
+            return Some(Entry::Damaged { at: 0, what });
         }
         let Message { topic, received_ns, data } = self.messages.pop_front()?;
         let Some(data) = data else {

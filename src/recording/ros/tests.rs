@@ -233,6 +233,62 @@ fn a_database_whose_rows_are_out_of_order_ends() {
     assert!(rejected.iter().any(|rejected| rejected.text.contains("out of order")), "{rejected:?}");
 }
 
+/// The leaves (kind 13) of the table of messages, from the first on.
+fn leaves(bytes: &[u8]) -> (usize, Vec<usize>) {
+    let page_bytes = usize::from(u16::from_be_bytes([bytes[16], bytes[17]]));
+    let pages = (1..bytes.len() / page_bytes).map(|page| page * page_bytes);
+    (page_bytes, pages.filter(|at| bytes[*at] == 13 && bytes[at + 3..at + 5] > [0, 3][..]).collect())
+}
+
+#[test]
+fn a_hole_in_a_database_costs_its_own_rows_and_is_said() {
+    let messages: Vec<_> = (0..2000).map(|index| message(0, index, imu(index))).collect();
+    let bytes = db3(&[IMU], &messages);
+    let (page_bytes, leaves) = leaves(&bytes);
+    let whole = |holes: &[usize]| {
+        let mut bytes = bytes.clone();
+        for leaf in holes {
+            bytes[*leaf..leaf + page_bytes].fill(0);
+        }
+        load(bytes, Options::default()).unwrap()
+    };
+    let middle = leaves.len() / 2;
+    for holes in [&leaves[middle..=middle], &leaves[middle..middle + 3], &leaves[..1], &[leaves[5], leaves[50]]] {
+        let loaded = whole(holes);
+        let (rows, samples) = (loaded.column(Channel::GyroX).unwrap(), loaded.info.samples);
+        assert!(samples >= 2000 - 12 * holes.len() as u64 && samples < 2000, "{samples}");
+        assert_eq!(*rows.values.last().unwrap(), GYRO[0] + 1999.0);
+        let said: Vec<_> = loaded.info.first_rejected.iter().map(|rejected| rejected.text.as_str()).collect();
+        assert!(!said.is_empty() && said.iter().all(|text| text.contains("passed over")), "{said:?}");
+    }
+    let loaded = whole(&leaves[middle..]);
+    assert!((900..1100).contains(&loaded.info.samples), "{}", loaded.info.samples);
+    assert!(loaded.info.first_rejected[0].text.contains("was not read"), "{:?}", loaded.info.first_rejected);
+}
+
+#[test]
+fn a_database_that_was_cut_off_says_what_may_save_it() {
+    let messages: Vec<_> = (0..200).map(|index| message(0, index, imu(index))).collect();
+    let bytes = db3(&[IMU], &messages);
+    let told = match load(bytes[..bytes.len() / 2].to_vec(), Options::default()) {
+        Err(error) => error.to_string(),
+        Ok(loaded) => loaded.info.first_rejected[0].text.clone(),
+    };
+    assert!(told.contains(".recover"), "{told}");
+}
+
+#[test]
+fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
+    let names: Vec<String> = (0..400).map(|index| format!("/camera{index}")).collect();
+    let mut topics: Vec<Topic<'_>> = names.iter().map(|name| (name.as_str(), "std_msgs/msg/Header", None)).collect();
+    topics.push(IMU);
+    let messages: Vec<_> = (0..40).map(|index| message(400, index, imu(index))).collect();
+    let loaded = load(db3(&topics, &messages), Options::default()).unwrap();
+    assert_eq!(loaded.samples, 40);
+    let ignored = &loaded.info.ignored_columns;
+    assert!(ignored.iter().any(|said| said.contains("144 more connections")), "{ignored:?}");
+}
+
 #[test]
 fn databases_that_are_no_bag_and_bags_without_an_imu_are_refused_with_what_they_hold() {
     let database = rusqlite::Connection::open_in_memory().unwrap();

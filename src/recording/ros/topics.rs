@@ -16,8 +16,10 @@ use crate::recording::input::Input;
 use crate::sample::{Channel, ChannelSet};
 use std::collections::{HashMap, HashSet, VecDeque};
 
-/// Connections that are looked at; a bag has one per topic and publisher.
+/// Connections that are looked at, of those that could be read, and of others; a bag has one per topic and publisher.
 const CONNECTIONS_MAX: usize = 256;
+/// Connections whose numbers are remembered.
+const KNOWN_MAX: usize = 65_536;
 /// Other topics that are named.
 const NAMED_MAX: usize = 20;
 /// Topics whose stamps are compared.
@@ -145,6 +147,10 @@ struct Search {
     candidates: Vec<Candidate>,
     connections: HashMap<u32, (usize, Layout)>,
     known: HashSet<u32>,
+    /// Connections that were not looked at.
+    passed_over: u64,
+    /// Candidates that cannot be read.
+    refused: usize,
 }
 
 impl Search {
@@ -162,7 +168,7 @@ impl Search {
                 Entry::Connection(connection) => self.connect(&connection, given),
                 Entry::Message { connection, data, .. } => self.take(connection, data),
                 Entry::Damaged { at, what } => {
-                    damage.get_or_insert(format!("at byte {at}: {what}"));
+                    damage.get_or_insert(if at == 0 { what } else { format!("at byte {at}: {what}") });
                     reader.check()?;
                 }
             }
@@ -172,15 +178,29 @@ impl Search {
     }
 
     fn connect(&mut self, connection: &Connection, given: &[MessageDefinition]) {
-        if self.known.len() >= CONNECTIONS_MAX || !self.known.insert(connection.number) {
+        if self.known.len() >= KNOWN_MAX || !self.known.insert(connection.number) {
+            return;
+        }
+        if self.connections.len() >= CONNECTIONS_MAX {
+            self.passed_over += 1;
             return;
         }
         let layout = layout_of(connection, given);
         let same = self.candidates.iter().position(|candidate| candidate.topic.has(connection));
-        let index = same.unwrap_or_else(|| {
-            self.candidates.push(Candidate::new(connection, &layout));
-            self.candidates.len() - 1
-        });
+        let index = match same {
+            Some(index) => index,
+            None => {
+                let candidate = Candidate::new(connection, &layout);
+                // Cameras and the like are many: they take no place of what can be read.
+                if candidate.refused.is_some() && self.refused >= CONNECTIONS_MAX {
+                    self.passed_over += 1;
+                    return;
+                }
+                self.refused += usize::from(candidate.refused.is_some());
+                self.candidates.push(candidate);
+                self.candidates.len() - 1
+            }
+        };
         if let (Ok(layout), None) = (layout, &self.candidates[index].refused) {
             self.connections.insert(connection.number, (index, layout));
         }
@@ -241,6 +261,8 @@ impl Topics {
             }
             search.pass(kind, input, given)?;
         }
+        let passed_over = (search.passed_over > 0)
+            .then(|| format!("{} more connections, which were not looked at", search.passed_over));
         let connections = search.connections;
         let mut candidates = search.candidates;
         let rank = |candidate: &Candidate| {
@@ -250,10 +272,10 @@ impl Topics {
         // Of equals the first.
         let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
         let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
-            let names: Vec<_> = candidates.iter().take(NAMED_MAX).map(Candidate::describe).collect();
+            let names: Vec<_> = candidates.iter().take(NAMED_MAX).map(Candidate::describe).chain(passed_over).collect();
             let mut found = if names.is_empty() { "no topics".to_owned() } else { names.join(", ") };
             if let Some(damage) = damage {
-                found.push_str(&format!("; it is damaged {damage}"));
+                found.push_str(&format!("; it is damaged: {damage}"));
             }
             return Err(RecordingError::NoTopic { file: input.path().to_owned(), found });
         };
@@ -281,6 +303,7 @@ impl Topics {
                 others.push(format!("topic {}", candidate.describe()));
             }
         }
+        others.extend(passed_over);
         let main = candidates.swap_remove(main).topic;
         let layouts = connections.into_iter().filter_map(|(number, (index, layout))| {
             roles.get(index).copied().flatten().map(|role| (number, (role, layout)))
