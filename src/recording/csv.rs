@@ -66,6 +66,7 @@ impl Lines {
             if fresh {
                 self.bytes.clear();
                 self.next = 0;
+                self.pass_empty()?;
                 if self.read()? == 0 {
                     self.current = 0..0;
                     return Ok(false);
@@ -87,6 +88,23 @@ impl Lines {
                 return Ok(true);
             }
         }
+    }
+
+    /// Passes over lines without a character, a buffer at a time: compressed, there may be hundreds of millions.
+    fn pass_empty(&mut self) -> Result<(), RecordingError> {
+        while !self.by_return {
+            let bytes = match self.reader.fill_buf() {
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+                bytes => bytes.map_err(|source| read_error(&self.file, self.number, source))?,
+            };
+            let empty = bytes.iter().take_while(|byte| **byte == b'\n').count();
+            if empty == 0 {
+                break;
+            }
+            self.reader.consume(empty);
+            self.number += empty as u64;
+        }
+        Ok(())
     }
 
     /// Reads up to the next line end behind what is there; how many bytes.
