@@ -323,9 +323,12 @@ impl Rows for CsvRows {
             return Ok(None);
         }
         let line = self.lines.number;
+        // A carriage return inside is where a line of an old file ends, whatever could be read across it.
+        if self.lines.current().contains(&b'\r') {
+            self.lines.cut();
+        }
         let mut found = self.plain();
         if matches!(found, Found::Special) {
-            self.lines.cut();
             found = if self.lines.current().contains(&b'"') { self.quoted() } else { self.plain() };
         }
         if let Found::Sample(stamp_ns, sample) = found {
