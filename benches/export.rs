@@ -7,16 +7,15 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
+mod made;
+
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
-use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
-use vn100d::simulator::{Simulator, default_model};
+use vn100d::sample::Channel;
 use vn100d::store::{CaptureState, NewCapture, Reader, Store, StoreOptions};
 
 const RATE_HZ: f64 = 40.0;
-const PERIOD_NS: u64 = 25_000_000;
-const START_NS: i64 = 1_800_000_000_000_000_000;
 const FORMATS: [&str; 4] = ["parquet", "csv", "ndjson", "mcap"];
 
 fn main() {
@@ -33,7 +32,9 @@ fn main() {
     let channels: Vec<Channel> = Channel::ANALYSED.into_iter().chain([Channel::Temperature]).collect();
     let store = Store::open(&database, StoreOptions::default()).unwrap();
     for (name, binary) in [("decimals", false), ("floats", true)] {
-        record(&store, name, &channels, samples, binary);
+        let mut capture = NewCapture::new("bench", CaptureState::Imported);
+        capture.name = Some(name.to_owned());
+        made::capture(&store, capture, &channels, RATE_HZ, samples, |channel, value| written(channel, value, binary));
     }
     store.close().unwrap();
     println!("{samples} samples, {} channels and their times, median of {rounds}", channels.len());
@@ -74,46 +75,18 @@ fn median(times: &mut [f64]) -> f64 {
     times[times.len() / 2]
 }
 
-/// A capture of the demonstration's sensor.
-fn record(store: &Store, name: &str, channels: &[Channel], samples: u64, binary: bool) {
-    let mut model = default_model();
-    model.channels.retain(|channel, _| channels.contains(channel));
-    let mut simulator = Simulator::new(&model, 1, RATE_HZ, samples as f64 / RATE_HZ).unwrap();
-    let mut capture = NewCapture::new("bench", CaptureState::Imported);
-    capture.name = Some(name.to_owned());
-    let mut import = store.begin_import(capture, None).unwrap();
-    import
-        .push(Record::Segment(Segment {
-            number: 1,
-            epoch: 1,
-            first_seq: 0,
-            rate_hz: RATE_HZ,
-            timebase: Timebase::Device,
-            channels: channels.iter().copied().collect(),
-            first_device_time_ns: Some(0),
-            first_utc_ns: START_NS,
-            boot_id: None,
-        }))
-        .unwrap();
-    for seq in 0..samples {
-        let mut sample = Sample::at(1_000_000_000_000 + seq * PERIOD_NS, START_NS + (seq * PERIOD_NS) as i64);
-        sample.device_time_ns = Some(seq * PERIOD_NS);
-        let values = simulator.next_values();
-        for channel in channels {
-            let value = values[*channel as usize];
-            // What `$VN…` lines have behind the point.
-            let steps = match channel.unit() {
-                "rad/s" => 1e6,
-                "gauss" => 1e4,
-                "m/s²" => 1e3,
-                _ => 10.0,
-            };
-            let rounded = if binary { f64::from(value as f32) } else { (value * steps).round() / steps };
-            sample.set(*channel, rounded);
-        }
-        import.push(Record::Sample { seq, segment: 1, sample }).unwrap();
+/// A value as the sensor's binary output has it, or as its `$VN…` lines have it behind the point.
+fn written(channel: Channel, value: f64, binary: bool) -> f64 {
+    if binary {
+        return f64::from(value as f32);
     }
-    import.finish(None).unwrap();
+    let steps = match channel.unit() {
+        "rad/s" => 1e6,
+        "gauss" => 1e4,
+        "m/s²" => 1e3,
+        _ => 10.0,
+    };
+    (value * steps).round() / steps
 }
 
 /// Reads the samples with their clocks; seconds.

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use vn100d::clock::SystemClock;
 use vn100d::daemon::import::{Source, import};
-use vn100d::recording::{ColumnMap, KeepOn, Options, Recording};
+use vn100d::recording::{Options, Recording};
 use vn100d::store::{Store, StoreOptions};
 
 /// What a row has behind its stamp: a column, its decimals, the size of its values.
@@ -92,16 +92,8 @@ fn main() {
     let mut imports = Vec::new();
     for round in 0..rounds.min(3) {
         let store = Store::open(&folder.path().join(format!("{round}.db")), StoreOptions::default()).unwrap();
-        let source = Source {
-            file: &file,
-            called: &file,
-            rate_hz: None,
-            columns: ColumnMap::default(),
-            definitions: Vec::new(),
-            keep_on: KeepOn::default(),
-        };
         let (took_s, worked_s, imported) =
-            timed(|| import(&store, &SystemClock, source, None, &mut |_, _| Ok(())).unwrap());
+            timed(|| import(&store, &SystemClock, Source::of(&file), None, &mut |_, _| Ok(())).unwrap());
         assert_eq!(imported.counts, (rows, 0, 0));
         imports.push((took_s, worked_s));
         store.close().unwrap();

@@ -6,12 +6,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
+mod made;
+
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use vn100d::jobs::{JobKind, Jobs, JobsOptions};
-use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
-use vn100d::simulator::{Simulator, default_model};
+use vn100d::sample::Channel;
 use vn100d::store::{CaptureState, JobState, NewCapture, Store, StoreOptions};
 
 fn main() {
@@ -35,7 +36,8 @@ fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds:
     let (mut reading, mut working, mut waiting, mut job_peak, mut command_peak) = (vec![], vec![], vec![], 0, 0);
     for _ in 0..rounds {
         // The same wish twice is the same job, so each round has a capture of its own.
-        let id = record(&store, channels, rate_hz, samples);
+        let capture = NewCapture::new("bench", CaptureState::Imported);
+        let id = made::capture(&store, capture, channels, rate_hz, samples, |_, value| f64::from(value as f32));
         let begun = Instant::now();
         let mut seq = 0;
         while seq < samples {
@@ -69,36 +71,6 @@ fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds:
         waiting / reading,
         command_peak / 1000
     );
-}
-
-/// A capture of the demonstration's sensor.
-fn record(store: &Store, channels: &[Channel], rate_hz: f64, samples: u64) -> i64 {
-    let mut model = default_model();
-    model.channels.retain(|channel, _| channels.contains(channel));
-    let mut simulator = Simulator::new(&model, 1, rate_hz, samples as f64 / rate_hz).unwrap();
-    let mut import = store.begin_import(NewCapture::new("bench", CaptureState::Imported), None).unwrap();
-    let (start_ns, period_ns) = (1_800_000_000_000_000_000, (1e9 / rate_hz) as u64);
-    import
-        .push(Record::Segment(Segment {
-            number: 1,
-            epoch: 1,
-            first_seq: 0,
-            rate_hz,
-            timebase: Timebase::Device,
-            channels: channels.iter().copied().collect(),
-            first_device_time_ns: Some(0),
-            first_utc_ns: start_ns,
-            boot_id: None,
-        }))
-        .unwrap();
-    for seq in 0..samples {
-        let mut sample = Sample::at(1_000_000_000_000 + seq * period_ns, start_ns + (seq * period_ns) as i64);
-        sample.device_time_ns = Some(seq * period_ns);
-        let values = simulator.next_values();
-        channels.iter().for_each(|channel| sample.set(*channel, f64::from(values[*channel as usize] as f32)));
-        import.push(Record::Sample { seq, segment: 1, sample }).unwrap();
-    }
-    import.finish(None).unwrap().id()
 }
 
 /// Runs `vn100d noise latest` to its end and answers the most memory it held, kB.

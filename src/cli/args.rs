@@ -2,12 +2,14 @@
 
 use crate::datasheet::Datasheet;
 use crate::model_fit::effects_named;
-use crate::sample::Channel;
-use crate::store::Moment;
 use crate::units::parse_duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use std::time::Duration;
+
+mod recordings;
+
+pub use recordings::{ChannelList, ExportArgs, ExportFormat, ImportArgs, TimeOrigin};
 
 /// Captures a VectorNav VN-100 unattended into SQLite and tells its noise parameters.
 #[derive(Debug, Parser)]
@@ -209,95 +211,6 @@ pub struct ClientArgs {
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<String>,
 }
-
-/// Arguments of `import`.
-#[derive(Debug, Args)]
-pub struct ImportArgs {
-    /// Recordings
-    #[arg(required = true, value_name = "FILE")]
-    pub files: Vec<PathBuf>,
-    /// Rate of a recording without stamps in Hz
-    #[arg(long, value_name = "HZ", value_parser = rate)]
-    pub rate: Option<f64>,
-    /// What the columns of a foreign CSV are: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
-    /// '#3=gyro_x_dps' by position. May be given several times
-    #[arg(long, value_name = "FOREIGN=NAME,…")]
-    pub columns: Vec<String>,
-    /// Definition of a message type that a bag does not bring along: the type's .msg file, called after the type, or
-    /// 'package/msg/Name=FILE.msg'. May be given several times
-    #[arg(long, value_name = "[TYPE=]FILE.msg")]
-    pub message_definition: Vec<String>,
-    /// Name of the capture (default: the file's name)
-    #[arg(long, value_name = "NAME")]
-    pub name: Option<String>,
-    /// Send the recordings to the daemon at this address (default: to the one that has the database, if one runs)
-    #[arg(long, value_name = "ADDR")]
-    pub listen: Option<String>,
-}
-
-/// Arguments of `export`.
-#[derive(Debug, Args)]
-pub struct ExportArgs {
-    /// Id, name, `latest`, or the path of a recording; several only with --partitioned
-    #[arg(required_unless_present = "all", value_name = "CAPTURE")]
-    pub captures: Vec<String>,
-    /// Form of the file (default: the one that --out ends with, csv on standard output)
-    #[arg(long, value_enum)]
-    pub format: Option<ExportFormat>,
-    /// From this time on: RFC 3339, or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub from: Option<Moment>,
-    /// Before this time: RFC 3339, or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub to: Option<Moment>,
-    /// Only these, with commas between, such as gyro_x,gyro_y (default: all that the capture has)
-    #[arg(long, value_name = "NAMES", value_parser = channel_list)]
-    pub channels: Option<ChannelList>,
-    /// Rate of a recording without stamps in Hz
-    #[arg(long, value_name = "HZ", value_parser = rate)]
-    pub rate: Option<f64>,
-    /// What time_s counts from in csv and ndjson
-    #[arg(long, value_enum, default_value_t = TimeOrigin::First)]
-    pub time: TimeOrigin,
-    /// The file (default: `-`, standard output)
-    #[arg(long, value_name = "FILE")]
-    pub out: Option<PathBuf>,
-    /// Write each capture as Parquet into a data set: DIR/sensor=…/date=…/capture-….parquet; one that is there is replaced
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "format", "from", "to", "rate", "time"])]
-    pub partitioned: Option<PathBuf>,
-    /// All captures that have samples
-    #[arg(long, requires = "partitioned", conflicts_with = "captures")]
-    pub all: bool,
-    /// Replace the file where it exists
-    #[arg(long)]
-    pub force: bool,
-}
-
-/// Forms of exported samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExportFormat {
-    /// The table that `import` reads
-    Csv,
-    /// A JSON document per line
-    Ndjson,
-    /// Apache Parquet, units in Arrow's field metadata
-    Parquet,
-    /// MCAP with ROS 2 messages
-    Mcap,
-}
-
-/// What times count from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum TimeOrigin {
-    /// The capture's first sample
-    First,
-    /// 1970-01-01T00:00:00Z
-    Utc,
-}
-
-/// Channels by name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ChannelList(pub Vec<Channel>);
 
 /// Estimators of the Allan family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -655,15 +568,6 @@ fn speed(text: &str) -> Result<f64, String> {
 
 fn effect_names(text: &str) -> Result<EffectNames, String> {
     effects_named(text).map(EffectNames)
-}
-
-fn channel_list(text: &str) -> Result<ChannelList, String> {
-    Channel::list(text).map(ChannelList).map_err(|error| error.to_string())
-}
-
-fn moment(text: &str) -> Result<Moment, String> {
-    Moment::parse(text)
-        .ok_or_else(|| "expected RFC 3339 such as 2026-11-21T20:00:00Z, or seconds since the first sample".to_owned())
 }
 
 fn rate(text: &str) -> Result<f64, String> {

@@ -1,14 +1,13 @@
 //! `vn100d backup`: a copy of the database.
 
 use super::args::BackupArgs;
+use super::progress::bar;
 use super::{Context, Outcome, print_json};
-use indicatif::{ProgressBar, ProgressStyle};
 
 /// Copies the database as it stands now.
 pub(super) fn run(context: &Context, args: &BackupArgs) -> anyhow::Result<Outcome> {
     let reader = context.reader()?;
-    let bar =
-        ProgressBar::no_length().with_style(ProgressStyle::with_template("{bytes} of {total_bytes} {bar:30} {eta}")?);
+    let bar = bar("{bytes} of {total_bytes} {bar:30} {eta}", 0);
     let report = reader.backup(&args.out, args.force, &mut |done, all| {
         bar.set_length(all);
         bar.set_position(done);

@@ -1,5 +1,6 @@
 //! Calibration on the command line: what chance finds in records like this one, found once and kept.
 
+use super::progress::bar;
 use crate::diagnosis::Recording;
 use crate::diagnosis::calibration::{Nulls, RECORDS};
 use crate::diagnosis::prepare;
@@ -8,9 +9,8 @@ use crate::jobs::TwoThreads;
 use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sha2::{Digest as _, Sha256};
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 use std::path::PathBuf;
 
 /// The tails for a recording and a model: from the cache, or from [`RECORDS`] simulated records, the same either way.
@@ -25,11 +25,7 @@ pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails
     if let Some(tails) = tails.filter(Tails::is_whole) {
         return Ok(tails);
     }
-    let target =
-        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let bar = ProgressBar::with_draw_target(Some(RECORDS as u64), target);
-    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} records of noise alone · {eta} left");
-    let bar = if let Ok(style) = style { bar.with_style(style) } else { bar };
+    let bar = bar("{bar:30} {pos} of {len} records of noise alone · {eta} left", RECORDS as u64);
     let each = |done: usize| {
         bar.set_position(done as u64);
         true

@@ -1,6 +1,7 @@
 //! `vn100d demo`: the emulator on a pseudo-terminal, the daemon on it, five hours in a minute, and what its model lacks.
 
 use super::args::DemoArgs;
+use super::progress::bar;
 use super::{CliError, Context, Failure, Outcome};
 use crate::clock::ScaledClock;
 use crate::config::{Config, Device};
@@ -15,8 +16,7 @@ use crate::sample::Channel;
 use crate::simulator::{SensorModel, default_model};
 use crate::units::format_duration;
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -125,7 +125,7 @@ async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationTo
     let base = format!("http://{}", handle.address);
     say(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
     let begun = Instant::now();
-    let bar = bar(args.duration);
+    let bar = bar("{bar:40} {percent} %  {msg}", args.duration.as_secs());
     let mut status = handle.status.clone();
     let capture = format!("{base}/v1/captures/latest");
     while matches!(asked(capture.clone()).await?["state"].as_str(), Some("capturing" | "waiting")) {
@@ -242,17 +242,6 @@ async fn finished(url: String) -> anyhow::Result<serde_json::Value> {
         }
     })
     .await?
-}
-
-fn bar(duration: Duration) -> ProgressBar {
-    let bar = ProgressBar::new(duration.as_secs());
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} %  {msg}") {
-        bar.set_style(style);
-    }
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    bar
 }
 
 fn say(text: &str) -> std::io::Result<()> {

@@ -4,13 +4,13 @@ use super::args::{ExportArgs, ExportFormat, TimeOrigin};
 use super::emulate::stop_on_signal;
 use super::export_source::{Block, Part, Source};
 use super::output::Output;
+use super::progress::{SAMPLES, bar};
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::export::samples::{About, ExportError, SampleFormat, Tally, partition_path};
 use crate::recording::KeepOn;
 use crate::sample::{Channel, ChannelError};
-use crate::store::{CaptureFilter, PageRequest};
+use crate::store::{CaptureFilter, PageRequest, StoreError};
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{BufWriter, IsTerminal as _, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -117,16 +117,33 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
     let channels = args.channels.as_ref().map_or_else(|| Channel::ALL.to_vec(), |channels| channels.0.clone());
     let (mut outcome, mut reports) = (Outcome::Done, Vec::new());
     for id in wanted(context, args)? {
-        let source = Source::of_capture(context, id, channels.clone())?;
-        if source.samples == 0 {
-            eprintln!("note: capture {id} has no samples: it is left out");
-            continue;
-        }
-        if source.rejected {
-            outcome = Outcome::WithLoss;
-        }
-        let path = folder.join(partition_path(&source.about));
-        let report = place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder))?;
+        let placed = match Source::of_capture(context, id, channels.clone()) {
+            Ok(source) if source.samples == 0 => {
+                eprintln!("note: capture {id} has no samples: it is left out");
+                continue;
+            }
+            Ok(source) => {
+                if source.rejected {
+                    outcome = Outcome::WithLoss;
+                }
+                let path = folder.join(partition_path(&source.about));
+                place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder))
+            }
+            Err(error) => Err(error),
+        };
+        let report = match placed {
+            Ok(report) => report,
+            Err(error) if args.all && is_gone(&error) => {
+                eprintln!("note: capture {id} was deleted meanwhile: it is left out");
+                continue;
+            }
+            Err(error) if reports.is_empty() => return Err(error),
+            Err(error) => {
+                let whole =
+                    format!("{} captures stand whole in {}, the next one does not", reports.len(), folder.display());
+                return Err(error.context(whole));
+            }
+        };
         if !context.json {
             tell(&report)?;
         }
@@ -136,6 +153,11 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
         print_json(&reports)?;
     }
     Ok(outcome)
+}
+
+/// Whether the capture is no longer there.
+fn is_gone(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture { .. }))
 }
 
 fn place(source: Source, path: &Path, stop: &Arc<AtomicBool>) -> anyhow::Result<Report> {
@@ -197,7 +219,7 @@ fn write(
     stop: &AtomicBool,
     shown: &str,
 ) -> anyhow::Result<Report> {
-    let bar = bar(source.samples);
+    let bar = bar(SAMPLES, source.samples);
     let about = source.about.clone();
     let abandoned = AtomicBool::new(false);
     let to = BufWriter::with_capacity(WRITE_BYTES, to);
@@ -207,7 +229,7 @@ fn write(
         let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted, &abandoned));
         let tally = source.each(&mut |block| {
             if stop.load(Ordering::Relaxed) {
-                let message = "stopped before the end: nothing is kept".to_owned();
+                let message = "stopped before the end: nothing of it is kept".to_owned();
                 return Err(CliError { failure: Failure::Other, message }.into());
             }
             bar.inc(block.rows().len() as u64);
@@ -298,12 +320,4 @@ fn tell(report: &Report) -> std::io::Result<()> {
         stdout,
         "{file}: {samples} samples of {channels} channels as {format}, {missing} missing in {gaps} gaps, {bytes} bytes"
     )
-}
-
-fn bar(samples: u64) -> ProgressBar {
-    let target =
-        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let style = ProgressStyle::with_template("{bar:30} {percent} % · {human_pos} of {human_len} samples · {eta} left");
-    let bar = ProgressBar::with_draw_target(Some(samples), target);
-    if let Ok(style) = style { bar.with_style(style) } else { bar }
 }

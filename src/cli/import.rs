@@ -2,17 +2,17 @@
 
 use super::args::ImportArgs;
 use super::client;
+use super::progress::bar;
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
 use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
 use crate::recording::{
-    ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
+    ColumnMap, DefinitionError, Input, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
 };
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::{IsTerminal as _, Read as _, Write as _};
+use std::io::{Read as _, Write as _};
 use std::path::Path;
 
 /// Who writes the database.
@@ -137,18 +137,12 @@ fn is_somebody_elses(error: &StoreError) -> bool {
 }
 
 fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Told) -> anyhow::Result<ImportReport> {
-    let bar = bar("{bar:40} {percent} %  {human_pos} samples");
+    let bar = bar("{bar:40} {percent} %  {human_pos} samples", 0);
     // Another instance's daemon may capture beside it.
     crate::jobs::step_back();
     let Told { columns, definitions } = told;
-    let source = Source {
-        file,
-        called: file,
-        rate_hz: args.rate,
-        columns: columns.clone(),
-        definitions: definitions.clone(),
-        keep_on: KeepOn::default(),
-    };
+    let (columns, definitions) = (columns.clone(), definitions.clone());
+    let source = Source { rate_hz: args.rate, columns, definitions, ..Source::of(file) };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -177,8 +171,7 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
     }
     let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();
-    let bar = bar("{bar:40} {percent} %  {bytes} sent");
-    bar.set_length(length);
+    let bar = bar("{bar:40} {percent} %  {bytes} sent", length);
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
@@ -230,17 +223,6 @@ fn tell(report: &ImportReport) -> std::io::Result<()> {
         )?;
     }
     Ok(())
-}
-
-fn bar(template: &str) -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
-    }
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    bar
 }
 
 #[cfg(test)]

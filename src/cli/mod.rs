@@ -22,6 +22,7 @@ mod noise;
 mod notify;
 mod output;
 mod probe;
+mod progress;
 mod recover;
 mod run;
 mod show;

@@ -3,6 +3,7 @@
 use super::args::SimulateArgs;
 use super::emulate::{load_model, stop_on_signal};
 use super::output::{Output, is_same, refuse_without_room};
+use super::progress::{SAMPLES, bar};
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::{Clock as _, SystemClock};
 use crate::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
@@ -12,9 +13,9 @@ use crate::simulator::records::Records;
 use crate::simulator::{Block, Motion, SensorModel, Simulator};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, IsTerminal as _, Write};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -84,8 +85,13 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     if let (Some(output), Some(motion)) = (&motion_out, &motion) {
         write_motion(output, motion, temperature.as_deref(), rate_hz, internal_hz, samples, &failed)?;
     }
-    let mut run =
-        Run { simulator: &mut simulator, samples, bar: bar(samples), stop: stop_on_signal()?, failed: &failed };
+    let mut run = Run {
+        simulator: &mut simulator,
+        samples,
+        bar: bar(SAMPLES, samples),
+        stop: stop_on_signal()?,
+        failed: &failed,
+    };
     let made = match &args.into_db {
         Some(name) => to_database(context, args, name, &model, &mut run)?,
         None => to_csv(out, &mut run)?,
@@ -259,14 +265,6 @@ fn write_motion(
         Ok(writer.finish()?)
     };
     write().with_context(|| format!("the motion {} cannot be written", output.path().display()))
-}
-
-fn bar(samples: u64) -> ProgressBar {
-    let target =
-        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let style = ProgressStyle::with_template("{bar:30} {percent} % · {human_pos} of {human_len} samples · {eta} left");
-    let bar = ProgressBar::with_draw_target(Some(samples), target);
-    if let Ok(style) = style { bar.with_style(style) } else { bar }
 }
 
 /// A simulation under way.

@@ -5,6 +5,7 @@
 //! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
+use super::progress::bar;
 use super::trial_on::Ground;
 use super::{CliError, Context, Failure, Outcome, print_json, table, trial_on};
 use crate::clock::{Clock as _, SystemClock};
@@ -14,11 +15,10 @@ use crate::trial::impose::SAMPLES_MIN;
 use crate::trial::page::{limit, page, percent, size};
 use crate::trial::{Answer, Case, Class, Key, Kind, Manifest, Report, Score, Wanted, case, judge, parcel, plan};
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
-use std::io::{IsTerminal as _, Read as _, Write as _};
+use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -246,7 +246,7 @@ pub(super) fn each<T: Send>(
     what: &'static str,
     work: impl Fn(usize) -> anyhow::Result<T> + Sync,
 ) -> anyhow::Result<Vec<T>> {
-    let bar = bar(cases, what);
+    let bar = bar("{bar:30} {pos} of {len} {msg} · {eta} left", cases as u64).with_message(what);
     let next = AtomicUsize::new(0);
     let done: Vec<Mutex<Option<anyhow::Result<T>>>> = (0..cases).map(|_| Mutex::new(None)).collect();
     std::thread::scope(|scope| {
@@ -270,14 +270,6 @@ pub(super) fn each<T: Send>(
     let results: Vec<_> =
         done.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
     results.into_iter().collect()
-}
-
-fn bar(cases: usize, what: &'static str) -> ProgressBar {
-    let target =
-        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let bar = ProgressBar::with_draw_target(Some(cases as u64), target).with_message(what);
-    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} {msg} · {eta} left");
-    if let Ok(style) = style { bar.with_style(style) } else { bar }
 }
 
 fn words(kinds: &str) -> impl Iterator<Item = &str> {

@@ -124,6 +124,21 @@ pub struct Source<'a> {
     pub keep_on: KeepOn,
 }
 
+impl<'a> Source<'a> {
+    /// A file under its own name, of which nothing else is said.
+    #[must_use]
+    pub fn of(file: &'a Path) -> Self {
+        Self {
+            file,
+            called: file,
+            rate_hz: None,
+            columns: ColumnMap::default(),
+            definitions: Vec::new(),
+            keep_on: KeepOn::default(),
+        }
+    }
+}
+
 /// Imports one file; `progress` hears how many samples are written and how many there are, and may end it.
 ///
 /// # Errors
@@ -144,8 +159,9 @@ pub fn import(
     let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
     detect(&input)?;
     let fingerprint = fingerprint(file, (rate_hz, &columns, &definitions), &keep_on)?;
+    let known = store.imported(&fingerprint)?;
     if let Some(name) = &name
-        && store.imported(&fingerprint)?.is_none()
+        && known.is_none()
         && is_taken(store, name)?
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
@@ -158,17 +174,15 @@ pub fn import(
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     // What is there already is not written a second time; what it has is what the database says.
-    if let Some(id) = store.imported(&fingerprint)? {
+    if let Some(id) = known {
         let capture = store.reader()?.capture(id)?;
         let counts = (capture.samples, capture.missing, capture.gaps);
         return Ok(Imported { end: ImportEnd::Known(id), counts, info });
     }
     let mut accountant = RecordingAccountant::new(&info);
     let mut capture = NewCapture::new(&called.display().to_string(), CaptureState::Imported);
-    capture.name = match name {
-        Some(name) => Some(name),
-        None => free_name(store, called)?,
-    };
+    capture.name = name;
+    capture.liked_name = Some(name_of(called));
     capture.started_utc_ns = Some(info.started_utc_ns);
     capture.rate_assumed = info.rate_assumed;
     capture.configuration = Some(description(&info, &told));
@@ -330,12 +344,6 @@ fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), Import
             Err(source) => return Err(ImportError::Read { path: file.display().to_string(), source }),
         }
     }
-}
-
-/// A name for the capture, after the file, where that can be one and no capture has it yet.
-fn free_name(store: &Store, file: &Path) -> Result<Option<String>, StoreError> {
-    let name = name_of(file);
-    Ok(if check_name(&name).is_err() || is_taken(store, &name)? { None } else { Some(name) })
 }
 
 /// Endings that are no part of a name.

@@ -141,8 +141,8 @@ fn is_end(byte: u8) -> bool {
 /// What a row was found to be.
 enum Found {
     Sample(Option<i64>, Sample),
-    /// It has quotation marks, or a line end inside.
-    Special,
+    /// It has quotation marks.
+    Quoted,
     Bad,
 }
 
@@ -211,7 +211,7 @@ impl CsvRows {
             };
             rest = behind;
             let taken = match column {
-                Column::Ignored if cell.iter().any(|byte| matches!(byte, b'"' | b'\r')) => return Found::Special,
+                Column::Ignored if cell.contains(&b'"') => return Found::Quoted,
                 column => take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals),
             };
             if taken.is_none() {
@@ -222,8 +222,7 @@ impl CsvRows {
     }
 
     fn bad(&self) -> Found {
-        let special = self.lines.current().iter().any(|byte| matches!(byte, b'"' | b'\r'));
-        if special { Found::Special } else { Found::Bad }
+        if self.lines.current().contains(&b'"') { Found::Quoted } else { Found::Bad }
     }
 
     /// The same of a line with quotation marks.
@@ -328,8 +327,8 @@ impl Rows for CsvRows {
             self.lines.cut();
         }
         let mut found = self.plain();
-        if matches!(found, Found::Special) {
-            found = if self.lines.current().contains(&b'"') { self.quoted() } else { self.plain() };
+        if matches!(found, Found::Quoted) {
+            found = self.quoted();
         }
         if let Found::Sample(stamp_ns, sample) = found {
             self.unproven = false;

@@ -8,7 +8,7 @@
 use super::findings::Doubt;
 use super::header::suffixes;
 use super::info::Conversion;
-use super::values::{Values, median_and_spread};
+use super::values::{STD_OF_SPREAD, Values, median_and_spread};
 use crate::sample::Triad;
 use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::ops::Range;
@@ -36,8 +36,6 @@ const LEAST_TURNS: u64 = 5;
 const AGREEMENT: f64 = 0.8;
 /// A ratio within this factor of the expected one is it.
 const RATIO_WITHIN: f64 = 1.6;
-/// Of normal noise, the standard deviation over the median distance from the median.
-const STD_OF_SPREAD: f64 = 1.4826;
 
 /// The units that these values contradict. `turned_s` is the time of which the turning's angles are in samples: the period
 /// where there are no stamps, else 1 s.

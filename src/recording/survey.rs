@@ -11,15 +11,13 @@ use super::pairs::{Pairing, SHORT};
 use super::quantum::step_of;
 use super::rows::{Rejected, Rows};
 use super::stamps::{StepMedian, median_of};
-use super::values::Values;
+use super::values::{STD_OF_SPREAD, Values};
 use super::{GAP_PERIODS, REJECTED_KEPT};
 use crate::sample::{Channel, ChannelSet, DiscardCause};
 use crate::units::{NANOS_PER_SECOND, period_ns};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Of normal noise, the standard deviation over the median distance from the median.
-const STD_OF_SPREAD: f64 = 1.4826;
 /// The decimals of text are a step where the greatest value has no more digits: beyond that they are a double's.
 const DIGITS_MAX: f64 = 1e9;
 /// A step is the decimals' own where it is below so many of theirs.

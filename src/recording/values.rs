@@ -10,6 +10,8 @@ use crate::sample::{Channel, Sample, Triad};
 const KEPT: usize = 4096;
 /// More than this a VN-100 cannot tell (its range is 2.5), gauss: a magnetic field whose unit is wrong.
 const MAG_MAX_GAUSS: f64 = 25.0;
+/// Of normal noise, the standard deviation over the median distance from the median.
+pub(super) const STD_OF_SPREAD: f64 = 1.4826;
 /// The channels of a magnetic field.
 const FIELD: [Channel; 3] = [Channel::MagX, Channel::MagY, Channel::MagZ];
 

@@ -98,8 +98,10 @@ impl ChannelRow {
 /// A capture that is to be made.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewCapture {
-    /// Its name; made of kind and time where absent.
+    /// Its name.
     pub name: Option<String>,
+    /// Without a name: this one where it can be one and no capture has it, else one made of the time.
+    pub liked_name: Option<String>,
     /// Where its samples come from: a port, a file, `simulator`.
     pub source: String,
     /// What it is at first.
@@ -128,6 +130,7 @@ impl NewCapture {
     pub fn new(source: &str, state: CaptureState) -> Self {
         Self {
             name: None,
+            liked_name: None,
             source: source.to_owned(),
             state,
             planned: None,
@@ -433,7 +436,8 @@ pub fn check_name(name: &str) -> Result<(), StoreError> {
     Err(StoreError::NameRefused { name: name.chars().take(NAME_MAX).collect(), why })
 }
 
-/// Inserts the capture; without a name it is called after the time, `2026-11-21T20-00-00Z`, `…-2` where that is taken.
+/// Inserts the capture; without a name or one that is liked it is called after the time, `2026-11-21T20-00-00Z`, `…-2` where
+/// that is taken.
 pub(super) fn create(
     transaction: &Transaction<'_>,
     capture: &NewCapture,
@@ -450,7 +454,10 @@ pub(super) fn create(
     }
     let name = match &capture.name {
         Some(name) => name.clone(),
-        None => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
+        None => match capture.liked_name.as_ref().filter(|name| check_name(name).is_ok()) {
+            Some(name) if name_is_free(transaction, name)? => name.clone(),
+            _ => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
+        },
     };
     let json = |value: &Option<serde_json::Value>| value.as_ref().map(serde_json::Value::to_string);
     let rows = transaction.execute(
@@ -501,7 +508,7 @@ pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, 
     Ok(connection.prepare_cached(sql)?.query_row([name], |row| row.get(0))?)
 }
 
-fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
+pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
     let base = chrono::DateTime::from_timestamp_nanos(utc_ns).format("%Y-%m-%dT%H-%M-%SZ").to_string();
     let mut name = base.clone();
     let mut number = 2;

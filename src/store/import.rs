@@ -7,7 +7,7 @@
 //! [`Import::finish`] nobody sees the new capture; an import that is dropped, fails or is killed leaves only rows that
 //! [`Store::purge_step`] takes away.
 
-use super::captures::{check_name, create, name_is_free};
+use super::captures::{check_name, create, free_name, name_is_free};
 use super::insert::insert;
 use super::schema::Durability;
 use super::{Begun, NewCapture, Store, StoreError};
@@ -128,6 +128,7 @@ impl Import {
         self.write()?;
         self.settle()?;
         let (id, name, fingerprint) = (self.id, self.name.clone(), self.fingerprint.clone());
+        let utc_ns = self.store.utc_ns();
         let end = self.store.execute(move |transaction| {
             if let Some(fingerprint) = &fingerprint
                 && let Some(known) = known(transaction, fingerprint)?
@@ -135,10 +136,15 @@ impl Import {
                 transaction.execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1", [id])?;
                 return Ok(ImportEnd::Known(known));
             }
-            if let Some(name) = name
-                && !name_is_free(transaction, &name)?
-            {
-                return Err(StoreError::NameTaken { name });
+            // Names are given when a capture is seen: another one may have taken this one's meanwhile.
+            let called: String =
+                transaction.query_row("SELECT name FROM capture WHERE id = ?1", [id], |row| row.get(0))?;
+            if !name_is_free(transaction, &called)? {
+                if let Some(name) = name {
+                    return Err(StoreError::NameTaken { name });
+                }
+                let other = free_name(transaction, utc_ns)?;
+                transaction.execute("UPDATE capture SET name = ?2 WHERE id = ?1", params![id, other])?;
             }
             transaction.execute(
                 "UPDATE capture SET lifecycle = 'live', ended_utc_ns = coalesce(?2, ended_utc_ns) WHERE id = ?1",

@@ -529,6 +529,30 @@ fn the_same_recording_imported_twice_is_one_capture() {
 }
 
 #[test]
+fn a_name_that_was_only_liked_gives_way_and_one_that_was_told_does_not() {
+    let world = World::new();
+    let begin = |name: Option<&str>, liked: Option<&str>| {
+        let (name, liked_name) = (name.map(str::to_owned), liked.map(str::to_owned));
+        let capture = NewCapture { name, liked_name, ..NewCapture::new("x.csv", CaptureState::Imported) };
+        world.store.begin_import(capture, None)
+    };
+    let called = |end: ImportEnd| world.reader().capture(end.id()).unwrap().name;
+    // Begun together, each finds the name free.
+    let (first, second) = (begin(None, Some("desk")).unwrap(), begin(None, Some("desk")).unwrap());
+    let (told, unnamed, other) =
+        (begin(Some("desk"), None).unwrap(), begin(None, None).unwrap(), begin(None, Some("a/b")).unwrap());
+    assert_eq!(called(first.finish(None).unwrap()), "desk");
+    let mut names = vec![called(second.finish(None).unwrap())];
+    assert!(matches!(told.finish(None), Err(StoreError::NameTaken { .. })));
+    names.push(called(unnamed.finish(None).unwrap()));
+    names.push(called(other.finish(None).unwrap()));
+    names.push(called(begin(None, Some("desk")).unwrap().finish(None).unwrap()));
+    assert!(names.iter().all(|name| name.ends_with('Z') || name.contains("Z-")), "{names:?}");
+    names.dedup();
+    assert_eq!(names.len(), 4, "{names:?}");
+}
+
+#[test]
 fn an_import_that_fails_leaves_nothing_behind() {
     let world = World::new();
     let mut import = world.store.begin_import(NewCapture::new("x.csv", CaptureState::Imported), Some("f")).unwrap();

@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 26] = [
+const MAY_USE: [(&str, &[&str]); 27] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
     ("protocol", &["sample", "units"]),
     ("noise", &["sample", "units"]),
     ("datasheet", &["noise", "sample", "units"]),
-    ("export", &["noise", "simulator", "sample", "units"]),
+    ("ros_messages", &[]),
+    ("export", &["noise", "ros_messages", "simulator", "sample", "units"]),
     ("motion", &["simulator", "sample", "units"]),
     ("model_fit", &["diagnosis", "effects", "noise", "simulator", "sample"]),
     ("diagnosis", &["effects", "motion", "noise", "simulator", "sample", "units"]),
@@ -22,7 +23,7 @@ const MAY_USE: [(&str, &[&str]); 26] = [
     ("emulator", &["protocol", "simulator", "sample", "clock", "units"]),
     ("capture", &["protocol", "sample", "clock", "observe", "units"]),
     ("store", &["sample", "clock", "observe", "units"]),
-    ("recording", &["protocol", "sample", "clock", "units"]),
+    ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
     ("page", &["sample"]),
     ("jobs", &["store", "diagnosis", "model_fit", "noise", "simulator", "sample", "clock", "observe", "units"]),
     ("config", &["units", "protocol", "observe"]),
@@ -48,7 +49,7 @@ const MAY_USE: [(&str, &[&str]); 26] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 13] = [
+const PURE: [&str; 14] = [
     "protocol",
     "sample",
     "noise",
@@ -57,6 +58,7 @@ const PURE: [&str; 13] = [
     "export",
     "motion",
     "model_fit",
+    "ros_messages",
     "page",
     "effects",
     "simulator",
@@ -99,7 +101,6 @@ const PURE_FILES: &[&str] = &[
     "recording/values.rs",
     "recording/ros/definition.rs",
     "recording/ros/given.rs",
-    "recording/ros/known.rs",
     "recording/ros/layout.rs",
     "units.rs",
 ];

@@ -88,14 +88,8 @@ impl World {
     }
     fn import(&self, file: &Path, pairs: &[&str], definitions: &[(&str, &str)]) -> Result<Imported, ImportError> {
         let definitions = definitions.iter().map(|(name, text)| MessageDefinition::new(name, text).unwrap()).collect();
-        let source = Source {
-            file,
-            called: file,
-            rate_hz: None,
-            columns: ColumnMap::parse(pairs).unwrap(),
-            definitions: MessageDefinition::list(definitions).unwrap(),
-            keep_on: KeepOn::default(),
-        };
+        let columns = ColumnMap::parse(pairs).unwrap();
+        let source = Source { columns, definitions: MessageDefinition::list(definitions).unwrap(), ..Source::of(file) };
         import(&self.store, &SystemClock, source, None, &mut |_, _| Ok(()))
     }
     fn count(&self, table: &str) -> i64 {
@@ -198,19 +192,11 @@ fn an_import_that_fails_on_its_way_leaves_nothing_in_the_database() {
     }
     let file = world.file("desk.csv", text.as_bytes());
     let written = std::cell::Cell::new(0);
-    let source = Source {
-        file: &file,
-        called: &file,
-        rate_hz: None,
-        columns: ColumnMap::default(),
-        definitions: Vec::new(),
-        keep_on: KeepOn::default(),
-    };
     let mut full = |samples, _| {
         written.set(samples);
         if samples < 40_000 { Ok(()) } else { Err(ImportError::NoRoom { free_mib: 1, reserve_mib: 2 }) }
     };
-    let error = import(&world.store, &SystemClock, source, None, &mut full).unwrap_err();
+    let error = import(&world.store, &SystemClock, Source::of(&file), None, &mut full).unwrap_err();
     assert!(matches!(error, ImportError::NoRoom { .. }) && written.get() >= 40_000, "{error}");
     while world.store.purge_step().unwrap() {}
     assert_eq!(["capture", "sample", "segment", "gap", "event", "channel"].map(|table| world.count(table)), [0; 6]);

@@ -136,7 +136,7 @@ pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
 }
 
 /// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads; where that cannot be (a
-/// folder that may only be read), the file counts as it is.
+/// folder that may only be read), the file counts as it is, if there is no log.
 fn open_file(path: &Path) -> rusqlite::Result<Database> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
     let mut text = String::new();

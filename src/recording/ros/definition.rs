@@ -11,8 +11,8 @@
 
 use super::super::header::known_column;
 use super::given::MessageDefinition;
-use super::known::standard_definition;
 use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
+use crate::ros_messages;
 use crate::sample::{Channel, Triad};
 use crate::units::GAUSS_PER_TESLA;
 use std::collections::HashMap;
@@ -186,10 +186,15 @@ impl Types<'_> {
     fn fields(&mut self, name: &str) -> Result<Option<Rc<[Field]>>, MessageError> {
         if !self.known.contains_key(name) {
             let given = MessageDefinition::text_of(self.given, name);
-            let Some(text) = given.or_else(|| standard_definition(name, self.encoding)) else { return Ok(None) };
+            let Some(text) = given.or_else(|| self.standard(name)) else { return Ok(None) };
             self.parse(name, text)?;
         }
         Ok(self.known.get(name).map(Rc::clone))
+    }
+
+    /// The fields of a standard type of ROS 2; those of ROS 1 differ, and its bags bring them.
+    fn standard(&self, name: &str) -> Option<&'static str> {
+        (self.encoding == Encoding::Cdr).then(|| ros_messages::fields_of(name)).flatten()
     }
 
     /// The full name of the type that `kind` means inside a type of `package`, and its fields.

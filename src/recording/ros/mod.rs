@@ -8,7 +8,6 @@ mod bag;
 mod db3;
 mod definition;
 mod given;
-mod known;
 mod layout;
 mod mcap;
 mod rows;

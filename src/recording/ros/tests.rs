@@ -287,6 +287,15 @@ fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
     assert_eq!(loaded.samples, 40);
     let ignored = &loaded.info.ignored_columns;
     assert!(ignored.iter().any(|said| said.contains("144 more connections")), "{ignored:?}");
+    // What is text alone might be raw lines: of those as many are looked at as leave room for others.
+    let mut topics: Vec<Topic<'_>> =
+        names[..300].iter().map(|name| (name.as_str(), "std_msgs/msg/String", None)).collect();
+    topics.push(IMU);
+    let messages: Vec<_> = (0..40).map(|index| message(300, index, imu(index))).collect();
+    let loaded = load(db3(&topics, &messages), Options::default()).unwrap();
+    assert_eq!(loaded.samples, 40);
+    let ignored = &loaded.info.ignored_columns;
+    assert!(ignored.iter().any(|said| said.contains("108 more connections")), "{ignored:?}");
 }
 
 #[test]

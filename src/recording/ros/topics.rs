@@ -18,6 +18,8 @@ use std::collections::{HashMap, HashSet, VecDeque};
 
 /// Connections that are looked at, of those that could be read, and of others; a bag has one per topic and publisher.
 const CONNECTIONS_MAX: usize = 256;
+/// Topics of which nothing but text is known to come; what of it is a raw line is only seen in their messages.
+const TEXTS_MAX: usize = 192;
 /// Connections whose numbers are remembered.
 const KNOWN_MAX: usize = 65_536;
 /// Other topics that are named.
@@ -151,6 +153,8 @@ struct Search {
     passed_over: u64,
     /// Candidates that cannot be read.
     refused: usize,
+    /// Candidates that have text alone.
+    texts: usize,
 }
 
 impl Search {
@@ -196,6 +200,12 @@ impl Search {
                     self.passed_over += 1;
                     return;
                 }
+                let is_text = candidate.refused.is_none() && candidate.topic.channels.is_empty();
+                if is_text && self.texts >= TEXTS_MAX {
+                    self.passed_over += 1;
+                    return;
+                }
+                self.texts += usize::from(is_text);
                 self.refused += usize::from(candidate.refused.is_some());
                 self.candidates.push(candidate);
                 self.candidates.len() - 1
