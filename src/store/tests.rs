@@ -205,6 +205,32 @@ fn the_same_records_again_count_once() {
 }
 
 #[test]
+fn samples_that_are_there_already_stay_wherever_in_a_statement_they_come() {
+    for (from, to) in [(0, 20), (0, 33), (31, 64), (40, 41), (95, 100)] {
+        let world = World::new();
+        let id = world.capturing();
+        let mut connection = rusqlite::Connection::open(world.store.path()).unwrap();
+        let transaction = connection.transaction().unwrap();
+        let of = |from: u64, to: u64| (from..to).map(|seq| (id, sample(1, seq))).collect::<Vec<_>>();
+        super::insert::insert(&transaction, &[(id, segment(1, 0))], 0, 0).unwrap();
+        let mut first = of(from, to);
+        // One of other values under the same number is not taken for new.
+        if let Record::Sample { sample, .. } = &mut first[0].1 {
+            sample.set(Channel::GyroX, 42.0);
+        }
+        assert_eq!(super::insert::insert(&transaction, &first, 0, 0).unwrap().samples, to - from);
+        let inserted = super::insert::insert(&transaction, &of(0, 100), 0, 0).unwrap();
+        assert_eq!((inserted.samples, inserted.refused), (100 - (to - from), 0), "{from}..{to}");
+        assert_eq!(inserted.committed[&id], 100);
+        let rows = "SELECT count(*), max(seq) + 1, sum(gyro_x = 42), sum(gyro_x = seq * 1e-6) FROM sample";
+        let counts = transaction
+            .query_row(rows, [], |row| Ok([0, 1, 2, 3].map(|column| row.get::<_, i64>(column).unwrap())))
+            .unwrap();
+        assert_eq!(counts, [100, 100, 1, 99], "{from}..{to}");
+    }
+}
+
+#[test]
 fn a_record_that_the_schema_refuses_does_not_hold_up_the_others() {
     let world = World::new();
     let id = world.capturing();
