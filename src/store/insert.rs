@@ -66,7 +66,7 @@ const INTO_SAMPLE: &str = "INSERT INTO sample (capture_id, segment_id, seq, devi
     sync_count) VALUES";
 /// Its columns.
 const SAMPLE_COLUMNS: usize = 7 + Channel::COUNT;
-/// Samples in one statement: a third faster than one by one, and no better with more (docs/performance.md).
+/// Samples in one statement: a quarter of the time saved, and no more with more (docs/performance.md).
 const BLOCK: usize = 32;
 
 /// One sample; one that is there already stays.
