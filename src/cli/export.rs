@@ -123,27 +123,26 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
                 continue;
             }
             Ok(source) => {
-                if source.rejected {
-                    outcome = Outcome::WithLoss;
-                }
-                let path = folder.join(partition_path(&source.about));
-                place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder))
+                let (path, rejected) = (folder.join(partition_path(&source.about)), source.rejected);
+                let report = place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder));
+                report.map(|report| (report, rejected))
             }
             Err(error) => Err(error),
         };
-        let report = match placed {
-            Ok(report) => report,
+        let (report, rejected) = match placed {
+            Ok(placed) => placed,
             Err(error) if args.all && is_gone(&error) => {
-                eprintln!("note: capture {id} was deleted meanwhile: it is left out");
+                eprintln!("note: capture {id} was deleted meanwhile: nothing is written of it");
                 continue;
             }
-            Err(error) if reports.is_empty() => return Err(error),
             Err(error) => {
-                let whole =
-                    format!("{} captures stand whole in {}, the next one does not", reports.len(), folder.display());
-                return Err(error.context(whole));
+                let written = reports.len();
+                return Err(error.context(format!("capture {id} is not written, {written} before it are")));
             }
         };
+        if rejected {
+            outcome = Outcome::WithLoss;
+        }
         if !context.json {
             tell(&report)?;
         }
@@ -229,7 +228,7 @@ fn write(
         let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted, &abandoned));
         let tally = source.each(&mut |block| {
             if stop.load(Ordering::Relaxed) {
-                let message = "stopped before the end: nothing of it is kept".to_owned();
+                let message = "stopped before the end: no file is kept of it".to_owned();
                 return Err(CliError { failure: Failure::Other, message }.into());
             }
             bar.inc(block.rows().len() as u64);

@@ -159,9 +159,8 @@ pub fn import(
     let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
     detect(&input)?;
     let fingerprint = fingerprint(file, (rate_hz, &columns, &definitions), &keep_on)?;
-    let known = store.imported(&fingerprint)?;
     if let Some(name) = &name
-        && known.is_none()
+        && store.imported(&fingerprint)?.is_none()
         && is_taken(store, name)?
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
@@ -174,7 +173,8 @@ pub fn import(
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     // What is there already is not written a second time; what it has is what the database says.
-    if let Some(id) = known {
+    // Asked again: reading takes its time, in which captures come and go.
+    if let Some(id) = store.imported(&fingerprint)? {
         let capture = store.reader()?.capture(id)?;
         let counts = (capture.samples, capture.missing, capture.gaps);
         return Ok(Imported { end: ImportEnd::Known(id), counts, info });

@@ -323,9 +323,7 @@ impl Rows for CsvRows {
         }
         let line = self.lines.number;
         // A carriage return inside is where a line of an old file ends, whatever could be read across it.
-        if self.lines.current().contains(&b'\r') {
-            self.lines.cut();
-        }
+        self.lines.cut();
         let mut found = self.plain();
         if matches!(found, Found::Quoted) {
             found = self.quoted();

@@ -137,8 +137,11 @@ impl Import {
                 return Ok(ImportEnd::Known(known));
             }
             // Names are given when a capture is seen: another one may have taken this one's meanwhile.
-            let called: String =
-                transaction.query_row("SELECT name FROM capture WHERE id = ?1", [id], |row| row.get(0))?;
+            let called: String = transaction.query_row(
+                "SELECT name FROM capture WHERE id = ?1 AND lifecycle = 'importing'",
+                [id],
+                |row| row.get(0),
+            )?;
             if !name_is_free(transaction, &called)? {
                 if let Some(name) = name {
                     return Err(StoreError::NameTaken { name });

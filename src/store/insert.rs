@@ -92,8 +92,9 @@ pub(super) fn insert(
     let mut inserted = Inserted::default();
     let mut sample_statement = connection.prepare_cached(&INSERT_SAMPLE)?;
     let mut block_statement = connection.prepare_cached(&INSERT_BLOCK)?;
-    // Records whose samples are in the database already: those of a block.
-    let mut blocked = 0;
+    // How many of the samples that come next are written already, with the one that began their block; and how many are to be
+    // tried one by one, after a block of which one was there.
+    let (mut ahead, mut singly) = (0, 0);
     for (place, (capture_id, record)) in records.iter().enumerate() {
         let added = match captures.entry(*capture_id) {
             std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
@@ -113,16 +114,18 @@ pub(super) fn insert(
                     utc::close(connection, *capture_id, *seq)?;
                     inserted.corrections = true;
                 }
-                if blocked == 0
-                    && let Some(block) = block_of(&records[place..], added)
-                    && insert_block(&mut block_statement, block)?
+                if ahead == 0
+                    && singly == 0
+                    && let Some(block) = block_of(&records[place..])
                 {
-                    blocked = BLOCK;
+                    let remaining = if insert_block(&mut block_statement, block)? { &mut ahead } else { &mut singly };
+                    *remaining = BLOCK;
                 }
-                let new = if blocked > 0 {
-                    blocked -= 1;
+                let new = if ahead > 0 {
+                    ahead -= 1;
                     Ok(true)
                 } else {
+                    singly = singly.saturating_sub(1);
                     insert_sample(&mut sample_statement, *capture_id, *segment, *seq, sample)
                 };
                 new.and_then(|new| {
@@ -195,14 +198,12 @@ fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, Stor
     Ok(Some(Added { next_seq, received, rate_hz, unset_before_utc_ns, ..Added::default() }))
 }
 
-/// The next [`BLOCK`] records, where they are samples of one capture of which none needs anything done before it.
-fn block_of<'a>(records: &'a [(i64, Record)], added: &Added) -> Option<&'a [(i64, Record); BLOCK]> {
+/// The next [`BLOCK`] records, where they are samples of one capture.
+fn block_of(records: &[(i64, Record)]) -> Option<&[(i64, Record); BLOCK]> {
     let block: &[_; BLOCK] = records.first_chunk()?;
-    let is_plain = |(capture_id, record): &(i64, Record)| {
-        let Record::Sample { sample, .. } = record else { return false };
-        *capture_id == block[0].0 && added.unset_before_utc_ns.is_none_or(|before| sample.host_utc_ns < before)
-    };
-    block.iter().all(is_plain).then_some(block)
+    let is_one =
+        |(capture_id, record): &(i64, Record)| *capture_id == block[0].0 && matches!(record, Record::Sample { .. });
+    block.iter().all(is_one).then_some(block)
 }
 
 /// Inserts a block's samples; `false` where one is there already or the schema refuses one: then none is inserted, and each

@@ -227,6 +227,10 @@ fn samples_that_are_there_already_stay_wherever_in_a_statement_they_come() {
             .query_row(rows, [], |row| Ok([0, 1, 2, 3].map(|column| row.get::<_, i64>(column).unwrap())))
             .unwrap();
         assert_eq!(counts, [100, 100, 1, 99], "{from}..{to}");
+        transaction.commit().unwrap();
+        assert_eq!(world.one::<i64>("SELECT samples FROM segment"), 100);
+        let report = super::check::check(world.store.path()).unwrap();
+        assert!(report.is_clean(), "{from}..{to}: {report:?}");
     }
 }
 

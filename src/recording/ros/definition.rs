@@ -2,7 +2,7 @@
 //!
 //! A definition is the text of the message's type, then those of all types in it, each behind a line of `=` and
 //! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from what the user gave
-//! ([`MessageDefinition`]), then from the [standard ones](super::known). Wanted are, wherever they stand: `sensor_msgs/Imu`,
+//! ([`MessageDefinition`]), then from the [standard ones](crate::ros_messages). Wanted are, wherever they stand: `sensor_msgs/Imu`,
 //! `MagneticField`, `Temperature`, `FluidPressure`, numbers that are named as a CSV's columns (`gyro_x_rad_s`), the stamps of
 //! headers, and strings (one may be the sensor's raw line). What stands in arrays is passed over.
 //!

@@ -281,10 +281,12 @@ fn a_database_that_was_cut_off_says_what_may_save_it() {
 fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
     let names: Vec<String> = (0..400).map(|index| format!("/camera{index}")).collect();
     let mut topics: Vec<Topic<'_>> = names.iter().map(|name| (name.as_str(), "std_msgs/msg/Header", None)).collect();
-    topics.push(IMU);
-    let messages: Vec<_> = (0..40).map(|index| message(400, index, imu(index))).collect();
+    topics.extend([IMU, MAG]);
+    let pair = |index| [message(400, index, imu(index)), message(401, index, mag(index))];
+    let messages: Vec<_> = (0..40).flat_map(pair).collect();
     let loaded = load(db3(&topics, &messages), Options::default()).unwrap();
     assert_eq!(loaded.samples, 40);
+    assert!(loaded.info.channels.contains(Channel::MagX), "the field goes with the samples, however many came first");
     let ignored = &loaded.info.ignored_columns;
     assert!(ignored.iter().any(|said| said.contains("144 more connections")), "{ignored:?}");
     // What is text alone might be raw lines: of those as many are looked at as leave room for others.

@@ -18,7 +18,7 @@ use std::collections::{HashMap, HashSet, VecDeque};
 
 /// Connections that are looked at, of those that could be read, and of others; a bag has one per topic and publisher.
 const CONNECTIONS_MAX: usize = 256;
-/// Topics of which nothing but text is known to come; what of it is a raw line is only seen in their messages.
+/// Connections of which nothing but text is known to come; what of it is a raw line is only seen in their messages.
 const TEXTS_MAX: usize = 192;
 /// Connections whose numbers are remembered.
 const KNOWN_MAX: usize = 65_536;
@@ -123,6 +123,11 @@ impl Candidate {
         }
     }
 
+    /// Whether its messages have numbers that are taken.
+    fn has_values(&self) -> bool {
+        self.refused.is_none() && !self.topic.channels.is_empty()
+    }
+
     fn is_usable(&self) -> bool {
         self.refused.is_none() && (self.raw > 0 || !self.topic.channels.is_empty()) && self.messages > 0
     }
@@ -153,8 +158,10 @@ struct Search {
     passed_over: u64,
     /// Candidates that cannot be read.
     refused: usize,
-    /// Candidates that have text alone.
+    /// Connections that have text alone.
     texts: usize,
+    /// Candidates whose stamps are compared.
+    compared: Vec<usize>,
 }
 
 impl Search {
@@ -200,17 +207,22 @@ impl Search {
                     self.passed_over += 1;
                     return;
                 }
-                let is_text = candidate.refused.is_none() && candidate.topic.channels.is_empty();
-                if is_text && self.texts >= TEXTS_MAX {
-                    self.passed_over += 1;
-                    return;
-                }
-                self.texts += usize::from(is_text);
                 self.refused += usize::from(candidate.refused.is_some());
+                if candidate.has_values() && self.compared.len() < COMPARED_MAX {
+                    self.compared.push(self.candidates.len());
+                }
                 self.candidates.push(candidate);
                 self.candidates.len() - 1
             }
         };
+        let candidate = &self.candidates[index];
+        if candidate.refused.is_none() && !candidate.has_values() {
+            if self.texts >= TEXTS_MAX {
+                self.passed_over += 1;
+                return;
+            }
+            self.texts += 1;
+        }
         if let (Ok(layout), None) = (layout, &self.candidates[index].refused) {
             self.connections.insert(connection.number, (index, layout));
         }
@@ -226,8 +238,8 @@ impl Search {
         }
         let Ok(values) = layout.read(data) else { return };
         self.candidates[index].raw += u64::from(values.raw.is_some());
-        let Some(stamp_ns) = values.stamp_ns.filter(|_| index < COMPARED_MAX) else { return };
-        for other in 0..self.candidates.len().min(COMPARED_MAX) {
+        let Some(stamp_ns) = values.stamp_ns.filter(|_| self.compared.contains(&index)) else { return };
+        for other in self.compared.iter().copied() {
             if other != index && self.candidates[other].stamps.contains(&stamp_ns) {
                 self.candidates[index].share(other);
                 self.candidates[other].share(index);
