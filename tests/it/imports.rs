@@ -100,7 +100,7 @@ fn halfway(world: &World, stage: Stage) -> (Process, Process) {
     let daemon = world.daemon(&listening(world), &[]);
     let file = recording(world, "long.csv", 3_000_000);
     let client = Process::start(&mut importing(world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]), false);
-    let patience = Duration::from_secs(120);
+    let patience = Duration::from_secs(300);
     // No job of a capture is in its way, and it in no capture's.
     // As background jobs, which under a suite that is nicer itself stay as nice.
     let background = || {
@@ -121,7 +121,7 @@ fn nothing_of_it(world: &World, daemon: &Process) {
     assert_eq!(world.get("/v1/captures")["captures"], serde_json::json!([]));
     let gone =
         || (count(world, "SELECT (SELECT count(*) FROM sample) + (SELECT count(*) FROM capture)") == 0).then_some(());
-    world.until("its rows are cleared away", Duration::from_secs(120), gone, daemon);
+    world.until("its rows are cleared away", Duration::from_secs(300), gone, daemon);
     world.until("its file is removed", Duration::from_secs(20), || nothing_aside(world), daemon);
 }
 
@@ -185,7 +185,7 @@ fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() 
         let run = |arguments: &[&str]| {
             let begun = Instant::now();
             let output = import(&world, &configuration, arguments);
-            assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?}: {:?}", begun.elapsed());
+            assert!(begun.elapsed() < Duration::from_secs(240), "{arguments:?}: {:?}", begun.elapsed());
             (output.status.code(), said(&output), String::from_utf8_lossy(&output.stdout).into_owned())
         };
         let refused = |arguments: &[&str], code: i32, sentence: &str| {
