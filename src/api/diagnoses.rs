@@ -21,8 +21,9 @@ pub(super) struct DiagnosisBody {
     /// A model's id (`"model-1"`), a sensor model, or the id or name of a capture that a simulator made.
     #[schema(value_type = Object)]
     sim: Option<Value>,
-    /// A motion. Not supported yet: 400 where it is given.
-    #[schema(value_type = Object)]
+    /// What the sensor went through: the text of a CSV with `time_s`, `ref_gyro_x_rad_s` … `ref_accel_z_m_s2`, or `still`,
+    /// `tumble`, `rate-table` for the motions that the simulator makes. Effects that a motion drives are diagnosed too.
+    #[schema(value_type = Option<String>)]
     reference: Option<Value>,
 }
 
@@ -93,6 +94,9 @@ pub(super) struct DiagnosesQuery {
     /// `next` of the page before.
     cursor: Option<String>,
 }
+
+/// Bytes of a request that brings a reference, at most: half an hour at 100 Hz and some.
+pub(super) const REFERENCE_BYTES: usize = 32 * 1024 * 1024;
 
 /// Compares a capture with a simulator, as a job. The same again is the same job.
 #[utoipa::path(post, path = "/v1/captures/{id}/diagnoses", tag = "diagnoses",

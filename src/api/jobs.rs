@@ -25,7 +25,13 @@ pub(super) struct Job {
 }
 
 impl From<JobRow> for Job {
-    fn from(row: JobRow) -> Self {
+    fn from(mut row: JobRow) -> Self {
+        // A motion's text may be many megabytes: its size stands for it.
+        if let Some(text) = row.params.get("reference").and_then(serde_json::Value::as_str).filter(|of| of.len() > 100)
+        {
+            let bytes = text.len();
+            row.params["reference"] = serde_json::json!({ "bytes": bytes });
+        }
         let result = row.result_id.map(|_| {
             if row.kind == JobKind::Diagnosis.name() {
                 return format!("/v1/diagnoses/{}", row.id);

@@ -344,6 +344,10 @@ pub struct DiagnoseArgs {
     /// The simulator: a sensor model (.json), or a capture or file that a simulator made
     #[arg(long, value_name = "MODEL.json|CAPTURE|FILE")]
     pub sim: String,
+    /// What the sensor went through, as another instrument tells it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2;
+    /// the effects that a motion drives are diagnosed too
+    #[arg(long, value_name = "MOTION.csv")]
+    pub reference: Option<PathBuf>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
@@ -374,6 +378,10 @@ pub struct TrialArgs {
     /// Only these, with commas between: none, single, pair, outside, or names of effects (docs/trial.md)
     #[arg(long, value_name = "NAMES", default_value = "")]
     pub kinds: String,
+    /// Cases with a known motion: scale factor, misalignment, g-sensitivity and their like; of them a fifth have no effect, half
+    /// one of the library, a fifth two, a tenth one outside it
+    #[arg(long, conflicts_with_all = ["on", "html"])]
+    pub motion: bool,
     /// Impose the effects on this recording instead of on made-up noise: id, name, `latest`, or a file's path
     #[arg(long, value_name = "CAPTURE|FILE")]
     pub on: Option<String>,
@@ -409,6 +417,9 @@ pub struct TrialPartArgs {
     /// Which
     #[arg(value_enum)]
     pub part: TrialPart,
+    /// Cases with a known motion
+    #[arg(long)]
+    pub motion: bool,
     /// Seed of the cases
     #[arg(long, default_value_t = 0)]
     pub seed: u64,

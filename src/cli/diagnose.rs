@@ -3,21 +3,23 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
-use crate::diagnosis::report::{Cause, Place};
-use crate::diagnosis::{self, Diagnosis, DiagnosisError, Options, Verdict};
+use crate::diagnosis::report::{Cause, Driver, Place};
+use crate::diagnosis::{self, Diagnosis, DiagnosisError, Options, Reference, Verdict};
 use crate::jobs::{TwoThreads, gridded};
+use crate::motion::file::Rows;
 use crate::page;
 use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
 use serde_json::Value;
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{BufReader, Write as _};
 use std::path::Path;
 
 /// Runs the command.
 pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outcome> {
-    let paths = [Path::new(&args.real), Path::new(&args.sim)];
-    let read: Vec<&Path> = paths.into_iter().filter(|path| path.exists()).collect();
+    let paths = [Some(Path::new(&args.real)), Some(Path::new(&args.sim)), args.reference.as_deref()];
+    let read: Vec<&Path> = paths.into_iter().flatten().filter(|path| path.exists()).collect();
     let create = |path: &std::path::PathBuf| Output::create(path, args.force, &read);
     if let (Some(one), Some(other)) = (&args.augmented_model, &args.html)
         && is_same(one, other)
@@ -27,6 +29,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     }
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
     let html = args.html.as_ref().map(create).transpose()?;
+    let reference = args.reference.as_deref().map(reference).transpose()?;
     let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let sim = simulator(context, args)?;
@@ -40,7 +43,14 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         tails: tails.as_ref(),
         ..Options::default()
     };
-    let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options).map_err(|error| refused(&error))?;
+    let outcome = match &reference {
+        Some(reference) => diagnosis::diagnose_moved(&gridded.recording, reference, &sim, &options),
+        None => diagnosis::diagnose(&gridded.recording, &sim, &options),
+    };
+    let mut outcome = outcome.map_err(|error| refused(&error))?;
+    if let Some(path) = &args.reference {
+        outcome.diagnosis.inputs.insert("reference", path.display().to_string());
+    }
     gridded.tell(&mut outcome.diagnosis);
     if let Some(output) = augmented {
         write(output, &(serde_json::to_string_pretty(&outcome.augmented)? + "\n"))?;
@@ -56,6 +66,15 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         print(&outcome.diagnosis)?
     }
     Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
+}
+
+/// Reads what the sensor went through.
+fn reference(path: &Path) -> anyhow::Result<Reference> {
+    let name = path.display().to_string();
+    let file = File::open(path).with_context(|| format!("the reference {name} cannot be read"))?;
+    anyhow::ensure!(!file.metadata()?.is_dir(), "the reference {name} is a folder: expected a CSV file");
+    let rows = Rows::new(BufReader::new(file), &name, None)?.collect::<Result<Vec<_>, _>>()?;
+    Reference::new(rows).with_context(|| format!("the reference {name} cannot be used"))
 }
 
 /// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first.
@@ -109,10 +128,15 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
             _ => "where the gap lies",
         };
         let mut rows = table(&[heading, "band in Hz", "time in s", "share", "sign"]);
-        for Place { channel, band_hz, from_s, to_s, share, sign, .. } in &of.r#where {
+        for Place { channel, band_hz, from_s, to_s, at, share, sign, .. } in &of.r#where {
+            let band = match at {
+                // What a motion drives lies at a rate or a pose rather than in a band.
+                Some(at) => driver(at),
+                None => format!("{:.3} … {:.3}", band_hz[0], band_hz[1]),
+            };
             rows.add_row([
                 channel.clone(),
-                format!("{:.3} … {:.3}", band_hz[0], band_hz[1]),
+                band,
                 format!("{from_s:.0} … {to_s:.0}"),
                 format!("{:.0} %", 100.0 * share),
                 (*sign).to_owned(),
@@ -143,6 +167,15 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
     Ok(())
 }
 
+/// "z turning at 1.2 … 3.5 rad/s", "z down".
+fn driver(at: &Driver) -> String {
+    let Driver { quantity, axis, unit, range: [from, to], pose } = at;
+    match pose {
+        Some(pose) => pose.clone(),
+        None => format!("{quantity} {axis} {from:.2} … {to:.2} {unit}"),
+    }
+}
+
 /// The parameters of a cause, channel by channel as the rows of its cell.
 fn parameters(cause: &Cause) -> String {
     const LONGEST: usize = 40;
@@ -164,6 +197,8 @@ fn parameters(cause: &Cause) -> String {
         other => one(other),
     };
     // In the order of the channels' column.
-    let rows = cause.channels.iter().filter_map(|channel| cause.parameters.get(channel)).map(of_channel);
+    let of_triad = cause.triad.and_then(|triad| cause.parameters.get(triad)).into_iter();
+    let rows =
+        cause.channels.iter().filter_map(|channel| cause.parameters.get(channel)).chain(of_triad).map(of_channel);
     rows.collect::<Vec<_>>().join("\n")
 }

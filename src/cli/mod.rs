@@ -29,6 +29,7 @@ mod show;
 mod simulate;
 mod status;
 mod trial;
+mod trial_motion;
 mod trial_on;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};

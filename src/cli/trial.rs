@@ -39,6 +39,9 @@ struct Sealed {
 
 /// Runs a trial and says what it came to.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
+    if args.motion {
+        return super::trial_motion::run(context, args);
+    }
     Wanted::from_words(words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
     let thresholds = thresholds(args)?;
     if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
@@ -121,6 +124,9 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
 
 /// Runs one part of a trial, for the process that asked.
 pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
+    if args.motion {
+        return super::trial_motion::run_part(args);
+    }
     let mut stdout = std::io::stdout().lock();
     if args.part == TrialPart::Diagnose {
         let mut bytes = Vec::new();
@@ -272,16 +278,16 @@ pub(super) fn each<T: Send>(
     results.into_iter().collect()
 }
 
-fn words(kinds: &str) -> impl Iterator<Item = &str> {
+pub(super) fn words(kinds: &str) -> impl Iterator<Item = &str> {
     kinds.split(',').map(str::trim).filter(|word| !word.is_empty())
 }
 
-fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Result<T> {
+pub(super) fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Result<T> {
     serde_json::from_slice(text).with_context(|| format!("the trial's {what} cannot be read"))
 }
 
 /// Writes a file of the trial's folder, if it has one.
-fn keep(args: &TrialArgs, name: &str, text: &[u8]) -> anyhow::Result<()> {
+pub(super) fn keep(args: &TrialArgs, name: &str, text: &[u8]) -> anyhow::Result<()> {
     args.out.as_ref().map_or(Ok(()), |folder| write(&folder.join(name), text))
 }
 
@@ -289,7 +295,7 @@ fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
     std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
-fn usage(message: String) -> anyhow::Error {
+pub(super) fn usage(message: String) -> anyhow::Error {
     CliError { failure: Failure::Usage, message }.into()
 }
 

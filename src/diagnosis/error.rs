@@ -68,6 +68,20 @@ pub enum DiagnosisError {
         /// The others'.
         expected: usize,
     },
+    /// No triad of the model is one that a motion drives.
+    #[error("the model has neither all of gyro x, y, z nor all of accel x, y, z; a motion drives no other channels")]
+    NotDriven,
+    /// Recording and reference have too little in common.
+    #[error("recording and reference have {common} samples in common; at least {least} are needed")]
+    Reference {
+        /// Those that both have.
+        common: usize,
+        /// Those it takes.
+        least: usize,
+    },
+    /// A triad's answer cannot be fitted.
+    #[error("the answer to the motion cannot be fitted: {0}")]
+    Response(#[from] super::response::ResponseError),
     /// Whoever works on it left a channel out: nobody wants it any more.
     #[error("the diagnosis was called off")]
     CalledOff,

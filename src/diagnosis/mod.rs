@@ -23,6 +23,7 @@ mod filling;
 pub mod grid;
 pub mod holdout;
 pub mod law;
+pub mod motion;
 mod named;
 pub mod omnibus;
 mod pairs;
@@ -48,6 +49,7 @@ pub mod translate;
 
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use error::DiagnosisError;
+pub use motion::{Reference, ReferenceError, diagnose_moved};
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
 pub use spectra::{ChannelSpectra, spectra};

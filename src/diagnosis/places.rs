@@ -49,6 +49,7 @@ pub(super) fn places(found: &Found, named: &[Named], real: &Recording, verdict: 
                 temperature_c: by_temperature(of.prepared.channel)
                     .then(|| real.temperatures_between(from_s, to_s))
                     .flatten(),
+                at: None,
                 share: (rectangle.excess / total).min(1.0),
                 sign: if rectangle.ratio >= 1.0 { "real noisier" } else { "real quieter" },
             }

@@ -96,36 +96,10 @@ impl Ready {
 /// # Errors
 /// [`DiagnosisError`] for what cannot be compared.
 pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisError> {
+    let wanted = comparable(real, sim)?;
     let n = real.len();
-    let found_hz = real.rate_hz;
-    if !found_hz.is_finite() || (found_hz / sim.rate_hz - 1.0).abs() > 0.01 {
-        return Err(DiagnosisError::Rate { found_hz, expected_hz: sim.rate_hz });
-    }
-    if n < LEAST {
-        return Err(DiagnosisError::TooShort { found: n, least: LEAST, least_s: LEAST as f64 / sim.rate_hz });
-    }
-    sim.check(sim.rate_hz).map_err(|fault| DiagnosisError::Model(fault.to_string()))?;
     let missing: Vec<usize> =
         real.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(t, _)| t).collect();
-    for (channel, values) in &real.channels {
-        if values.len() != n {
-            return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
-        }
-        // A value that is absent now and then is left out; one that is no number ever so often is refused.
-        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
-        if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
-            let value = &values[index];
-            return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
-        }
-    }
-    let wanted: Vec<Channel> =
-        sim.channels.keys().copied().filter(|channel| *channel != Channel::Temperature).collect();
-    for channel in &wanted {
-        if real.values(*channel).is_none() {
-            let found: Vec<&str> = real.channels.iter().map(|(channel, _)| channel.name()).collect();
-            return Err(DiagnosisError::MissingChannel { channel: channel.to_string(), found: found.join(", ") });
-        }
-    }
     let mut transform = Cosines::new(n);
     let temperature = temperature(real);
     let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
@@ -156,12 +130,48 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     })
 }
 
+/// Whether a recording and a model can be compared, and the channels that are.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared.
+pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Channel>, DiagnosisError> {
+    let n = real.len();
+    let found_hz = real.rate_hz;
+    if !found_hz.is_finite() || (found_hz / sim.rate_hz - 1.0).abs() > 0.01 {
+        return Err(DiagnosisError::Rate { found_hz, expected_hz: sim.rate_hz });
+    }
+    if n < LEAST {
+        return Err(DiagnosisError::TooShort { found: n, least: LEAST, least_s: LEAST as f64 / sim.rate_hz });
+    }
+    sim.check(sim.rate_hz).map_err(|fault| DiagnosisError::Model(fault.to_string()))?;
+    for (channel, values) in &real.channels {
+        if values.len() != n {
+            return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
+        }
+        // A value that is absent now and then is left out; one that is no number ever so often is refused.
+        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
+        if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
+            let value = &values[index];
+            return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
+        }
+    }
+    let wanted: Vec<Channel> =
+        sim.channels.keys().copied().filter(|channel| *channel != Channel::Temperature).collect();
+    for channel in &wanted {
+        if real.values(*channel).is_none() {
+            let found: Vec<&str> = real.channels.iter().map(|(channel, _)| channel.name()).collect();
+            return Err(DiagnosisError::MissingChannel { channel: channel.to_string(), found: found.join(", ") });
+        }
+    }
+    Ok(wanted)
+}
+
 fn is_missing(real: &Recording, t: usize) -> bool {
-    real.missing.get(t).copied().unwrap_or(false)
+    real.is_missing(t)
 }
 
 /// The temperature with its gaps filled, smoothed where it moves in steps; None where it does not move.
-fn temperature(real: &Recording) -> Option<Vec<f64>> {
+pub(super) fn temperature(real: &Recording) -> Option<Vec<f64>> {
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
     let mut filled = read.clone();
     let mut last =
@@ -230,7 +240,8 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
     }
     let singles = groups.remove(&None).unwrap_or_default().into_iter().map(|channel| vec![channel]);
     for group in groups.into_values().chain(singles) {
-        let columns: Vec<&[f64]> = group.iter().filter_map(|channel| real.values(*channel)).collect();
+        let sent = |channel: &Channel| real.sent(*channel).or_else(|| real.values(*channel));
+        let columns: Vec<&[f64]> = group.iter().filter_map(sent).collect();
         let mut of = facts::repeats(&columns);
         of.places.retain(|t| !is_missing(real, *t) && !is_missing(real, t - 1));
         if of.gain > PROOF && of.places.len() >= 3 {
@@ -254,7 +265,17 @@ fn channel_of(
     outliers.dedup();
     let there: Vec<f64> =
         values.iter().enumerate().filter(|(t, _)| outliers.binary_search(t).is_err()).map(|(_, v)| *v).collect();
-    let facts = facts::of(&there);
+    let facts = match real.sent(channel) {
+        // What is cut off there is the motion's.
+        Some(sent) => {
+            let sent: Vec<f64> = (0..sent.len())
+                .filter(|t| outliers.binary_search(t).is_err() && sent[*t].is_finite())
+                .map(|t| sent[t])
+                .collect();
+            Facts { low: None, high: None, ..facts::of(&sent) }
+        }
+        None => facts::of(&there),
+    };
     let (low, high) = there.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
     if there.len() < LEAST {
         let least_s = LEAST as f64 / sim.rate_hz;
@@ -333,7 +354,7 @@ fn channel_of(
 }
 
 /// A robust standard deviation of what is white, U: from differences of neighbours.
-fn scale_of(values: &[f64]) -> f64 {
+pub(super) fn scale_of(values: &[f64]) -> f64 {
     let mut distances: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
     let square: f64 = distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64;
     let middle = distances.len() / 2;

@@ -17,6 +17,9 @@ pub struct Recording {
     pub temperature_c: Option<Vec<f64>>,
     /// Stamps, s, one per sample that is there or per place; empty if none were taken.
     pub time_s: Vec<f64>,
+    /// Where the channels' values are what remains beyond an answer to a motion: the values that the sensor sent. Steps of
+    /// rounding and samples sent again are seen in these alone; limits are the answer's.
+    pub sent: Vec<(Channel, Vec<f64>)>,
 }
 
 impl Recording {
@@ -36,6 +39,39 @@ impl Recording {
     #[must_use]
     pub fn values(&self, channel: Channel) -> Option<&[f64]> {
         self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
+    }
+
+    /// The values that the sensor sent, where those of the channel are what remains beyond an answer to a motion.
+    #[must_use]
+    pub fn sent(&self, channel: Channel) -> Option<&[f64]> {
+        self.sent.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
+    }
+
+    /// A part of its places.
+    #[must_use]
+    pub fn part(&self, within: std::ops::Range<usize>) -> Self {
+        let cut = |values: &[f64]| values.get(within.clone()).unwrap_or_default().to_vec();
+        let all = |of: &[(Channel, Vec<f64>)]| of.iter().map(|(channel, values)| (*channel, cut(values))).collect();
+        // One stamp per place, or per sample that is there.
+        let there = |until: usize| (0..until.min(self.len())).filter(|place| !self.is_missing(*place)).count();
+        let stamps = match self.time_s.len() == self.len() {
+            true => within.clone(),
+            false => there(within.start)..there(within.end),
+        };
+        Self {
+            rate_hz: self.rate_hz,
+            channels: all(&self.channels),
+            missing: self.missing.get(within.clone()).unwrap_or_default().to_vec(),
+            temperature_c: self.temperature_c.as_deref().map(cut),
+            time_s: self.time_s.get(stamps).unwrap_or_default().to_vec(),
+            sent: all(&self.sent),
+        }
+    }
+
+    /// Whether the sample at a place is missing.
+    #[must_use]
+    pub fn is_missing(&self, place: usize) -> bool {
+        self.missing.get(place).copied().unwrap_or(false)
     }
 
     /// The lowest and the highest temperature from one time to another, s from the first sample; None where none was measured.

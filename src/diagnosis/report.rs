@@ -63,10 +63,30 @@ pub struct Place {
     /// Temperatures, where the discrepancy depends on them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<[f64; 2]>,
+    /// What the motion does where it lies, where it is the motion's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at: Option<Driver>,
     /// Part of the whole discrepancy.
     pub share: f64,
-    /// `real noisier` or `real quieter`.
+    /// `real noisier` or `real quieter`; of what a motion drives `real higher` or `real lower`.
     pub sign: &'static str,
+}
+
+/// The part of a motion's range in which a discrepancy lies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "keys of the report")]
+pub struct Driver {
+    /// `rate` or `acceleration` (specific force).
+    pub quantity: &'static str,
+    /// x, y or z of the sensor.
+    pub axis: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// From and to.
+    pub range: [f64; 2],
+    /// The pose at rest, such as `z down`, where it lies in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose: Option<String>,
 }
 
 /// A parameter that is merely off.

@@ -7,7 +7,9 @@
 use super::plan::Plan;
 use super::runner::Outcome;
 use super::{Gridded, JobError, JobKind, fitted, gridded};
-use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Workers};
+use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Recording, Reference, Workers};
+use crate::motion::file::Rows;
+use crate::motion::{Course, Kind, Site};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use crate::store::{JobRow, JobState, Reader, SOFTWARE, Store, StoreError};
@@ -46,6 +48,9 @@ pub enum Simulator {
 pub struct DiagnosisParameters {
     /// What the capture is compared with. A model stands here whole, so that the job outlives it.
     pub sim: Simulator,
+    /// What the sensor went through: the text of a motion's CSV, or the name of a motion that needs no file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
 }
 
 impl DiagnosisParameters {
@@ -58,14 +63,24 @@ impl DiagnosisParameters {
         let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
         let empty = serde_json::Map::new();
         let given = if given.is_null() { &empty } else { given.as_object().ok_or_else(|| refuse("not an object"))? };
+        let mut reference = None;
         for (key, value) in given {
             match key.as_str() {
                 "sim" => {}
                 "reference" if value.is_null() => {}
                 "reference" => {
-                    return Err(refuse("`reference` is not supported yet: records at rest are compared, leave it out"));
+                    let text = value.as_str().ok_or_else(|| {
+                        refuse("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table")
+                    })?;
+                    // What is no motion is refused now and not by the job.
+                    if Kind::from_name(text).is_none() {
+                        of_csv(text).map_err(|reason| refuse(&format!("`reference`: {reason}")))?;
+                    }
+                    reference = Some(text.to_owned());
                 }
-                other => return Err(refuse(&format!("unknown field `{other}`, expected `sim`"))),
+                other => {
+                    return Err(refuse(&format!("unknown field `{other}`, expected `sim` and `reference`")));
+                }
             }
         }
         let capture = |id: i64| {
@@ -86,8 +101,27 @@ impl DiagnosisParameters {
             }
             _ => return Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
         };
-        Ok(Self { sim })
+        Ok(Self { sim, reference })
     }
+}
+
+/// A motion's CSV.
+fn of_csv(text: &str) -> Result<Reference, String> {
+    if !text.contains('\n') {
+        return Err("expected a motion's CSV with a header line, or one of still, tumble, rate-table".to_owned());
+    }
+    let rows = Rows::new(text.as_bytes(), "reference", None).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    Reference::new(rows.map_err(|error| error.to_string())?).map_err(|error| error.to_string())
+}
+
+/// What the sensor went through during a recording.
+fn reference_of(text: &str, recording: &Recording) -> Result<Reference, JobError> {
+    let none = |reason: String| JobError::InsufficientData { reason };
+    let Some(kind) = Kind::from_name(text) else { return of_csv(text).map_err(none) };
+    let course = Course::new(kind, recording.length_s(), Site::default()).map_err(|error| none(error.to_string()))?;
+    let time_s = |index: usize| index as f64 / recording.rate_hz;
+    let rows = (0..recording.len()).map(|index| (time_s(index), course.at(time_s(index))));
+    Reference::new(rows).map_err(|error| none(error.to_string()))
 }
 
 /// The model as it is written, so that the same model is the same text however it came.
@@ -255,7 +289,13 @@ fn document_of(
     let name = reader.capture(job.capture)?.name;
     let workers = OneByOne { wire, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
-    let mut outcome = diagnosis::diagnose(&gridded.recording, &sim, &options)?;
+    let mut outcome = match &parameters.reference {
+        Some(text) => {
+            let reference = reference_of(text, &gridded.recording)?;
+            diagnosis::diagnose_moved(&gridded.recording, &reference, &sim, &options)?
+        }
+        None => diagnosis::diagnose(&gridded.recording, &sim, &options)?,
+    };
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
     let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);

@@ -71,9 +71,21 @@ struct Place {
     #[serde(deserialize_with = "super::figure::number")]
     to_s: f64,
     temperature_c: Option<[f64; 2]>,
+    at: Option<Driver>,
     #[serde(deserialize_with = "super::figure::number")]
     share: f64,
     sign: String,
+}
+
+/// Where in a motion's range a gap lies.
+#[derive(Debug, Deserialize)]
+struct Driver {
+    quantity: String,
+    axis: String,
+    unit: String,
+    #[serde(deserialize_with = "super::figure::pair")]
+    range: [f64; 2],
+    pose: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -306,18 +318,20 @@ fn places(out: &mut String, report: &Report) {
     let heading = if report.verdict == "unknown_effect" { "Where something remains" } else { "Where the gap lies" };
     let _ = write!(
         out,
-        "<h2>{heading}</h2><div class=\"wide\"><table><tr><th>channel</th><th>band in Hz</th><th>time in s</th>\
+        "<h2>{heading}</h2><div class=\"wide\"><table><tr><th>channel</th><th>band in Hz, or motion</th><th>time in s</th>\
          <th class=\"number\">share</th><th>the recording is</th></tr>"
     );
     for of in &report.r#where {
         let [from_hz, to_hz] = of.band_hz.map(plain);
+        let band = of.at.as_ref().map_or_else(|| format!("{from_hz} to {to_hz}"), driver);
         let warm = of
             .temperature_c
             .map_or_else(String::new, |[low, high]| format!(", at {} to {} °C", plain(low), plain(high)));
         let _ = write!(
             out,
-            "<tr><td>{}</td><td>{from_hz} to {to_hz}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
             escaped(&of.channel),
+            band,
             second(of.from_s),
             second(of.to_s),
             percent(of.share),
@@ -325,6 +339,16 @@ fn places(out: &mut String, report: &Report) {
         );
     }
     *out += "</table></div>";
+}
+
+/// What the motion does where a gap lies that it drives.
+fn driver(of: &Driver) -> String {
+    let Driver { quantity, axis, unit, range, pose } = of;
+    let [from, to] = range.map(plain);
+    match pose {
+        Some(pose) => escaped(pose),
+        None => format!("{} {} {from} to {to} {}", escaped(quantity), escaped(axis), escaped(unit)),
+    }
 }
 
 fn pictures(out: &mut String, report: &Report, spectra: &[Spectra]) {

@@ -76,6 +76,7 @@ impl Columns {
             missing: self.missing,
             temperature_c,
             time_s: self.time_s,
+            ..Recording::default()
         }
     }
 }

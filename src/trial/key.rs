@@ -100,7 +100,13 @@ impl Manifest {
     /// Of these keys.
     #[must_use]
     pub fn of(keys: &[Key]) -> Self {
-        Self { format: MANIFEST_FORMAT.to_owned(), digests: keys.iter().map(Key::digest).collect() }
+        Self::of_digests(keys.iter().map(Key::digest).collect())
+    }
+
+    /// Of keys with these digests.
+    #[must_use]
+    pub fn of_digests(digests: Vec<String>) -> Self {
+        Self { format: MANIFEST_FORMAT.to_owned(), digests }
     }
 
     /// Whether these are the keys that were sealed.
@@ -108,13 +114,20 @@ impl Manifest {
     /// # Errors
     /// [`KeyError`], the first one.
     pub fn verify(&self, keys: &[Key]) -> Result<(), KeyError> {
+        self.verify_digests(keys.iter().map(|key| (key.case, key.digest())).collect())
+    }
+
+    /// The same of keys with these numbers and digests.
+    ///
+    /// # Errors
+    /// [`KeyError`], the first one.
+    pub fn verify_digests(&self, keys: Vec<(usize, String)>) -> Result<(), KeyError> {
         if keys.len() != self.digests.len() {
             return Err(KeyError::Count { expected: self.digests.len(), found: keys.len() });
         }
-        for (key, expected) in keys.iter().zip(&self.digests) {
-            let found = key.digest();
+        for ((case, found), expected) in keys.into_iter().zip(&self.digests) {
             if found != *expected {
-                return Err(KeyError::Digest { case: key.case, expected: expected.clone(), found });
+                return Err(KeyError::Digest { case, expected: expected.clone(), found });
             }
         }
         Ok(())

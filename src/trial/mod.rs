@@ -24,6 +24,7 @@ pub mod judge;
 pub mod key;
 pub mod kind;
 pub mod limit;
+pub mod motion;
 pub mod page;
 pub mod parcel;
 pub mod plan;

@@ -100,7 +100,7 @@ pub fn unpack(bytes: &[u8]) -> Result<(Recording, SensorModel), ParcelError> {
         }
     }
     let model = SensorModel::from_value(&head.model, "the case's model")?;
-    Ok((Recording { rate_hz: head.rate_hz, channels, missing, temperature_c, time_s }, model))
+    Ok((Recording { rate_hz: head.rate_hz, channels, missing, temperature_c, time_s, ..Recording::default() }, model))
 }
 
 #[cfg(test)]

@@ -100,6 +100,7 @@ pub fn cut(recording: &Recording, samples: usize) -> Result<Vec<Recording>, Reco
             missing: if missing.contains(&true) { missing } else { Vec::new() },
             temperature_c: recording.temperature_c.as_ref().map(|of| of[places.clone()].to_vec()),
             time_s: recording.time_s.get(stamps).unwrap_or_default().to_vec(),
+            ..Recording::default()
         }
     };
     Ok((0..recording.len() / length).map(part).collect())
@@ -233,6 +234,7 @@ impl Stretch {
             missing: missing.clone(),
             temperature_c: temperature_c.clone(),
             time_s: time_s.clone(),
+            ..Recording::default()
         }
     }
 
@@ -415,6 +417,7 @@ mod tests {
             missing: (0..50_000).map(|i| i == 3).collect(),
             temperature_c: None,
             time_s: (0..49_999).map(f64::from).collect(),
+            ..Recording::default()
         };
         let parts = cut(&recording, 20_000).unwrap();
         assert_eq!(parts.len(), 2);

@@ -91,7 +91,7 @@ fn a_diagnosis_is_asked_for_followed_fetched_and_seen() {
     for (route, body, status, part) in [
         ("/v1/captures/nobody/diagnoses", json!({"sim": plain}), 404, "nobody"),
         ("/v1/captures/desk/diagnoses", json!({"sim": wobble}), 400, "channels.accel_z.effects[0].effect"),
-        ("/v1/captures/desk/diagnoses", json!({"sim": plain, "reference": "m.csv"}), 400, "not supported yet"),
+        ("/v1/captures/desk/diagnoses", json!({"sim": plain, "reference": "m.csv"}), 400, "expected a motion's CSV"),
     ] {
         let (found, said) = world.request("POST", route, &body.to_string()).unwrap();
         assert!(found == status && said.contains(part), "{route}: {found} {said}");

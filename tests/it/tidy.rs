@@ -25,7 +25,10 @@ const MAY_USE: [(&str, &[&str]); 27] = [
     ("store", &["sample", "clock", "observe", "units"]),
     ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
     ("page", &["sample"]),
-    ("jobs", &["store", "diagnosis", "model_fit", "noise", "simulator", "sample", "clock", "observe", "units"]),
+    (
+        "jobs",
+        &["store", "diagnosis", "model_fit", "motion", "noise", "simulator", "sample", "clock", "observe", "units"],
+    ),
     ("config", &["units", "protocol", "observe"]),
     ("notify", &["observe", "sample", "clock", "units"]),
     ("retention", &["sample"]),

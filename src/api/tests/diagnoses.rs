@@ -118,7 +118,11 @@ fn what_cannot_be_compared_is_refused_with_what_to_do() {
     let wobble = model(r#"{"effects": [{"effect": "wobble"}]}"#);
     for (body, status, part) in [
         (format!(r#"{{"sim": {wobble}}}"#), 400, "sim: channels.gyro_x.effects[0].effect: found \"wobble\""),
-        (format!(r#"{{"sim": {good}, "reference": "motion.csv"}}"#), 400, "`reference` is not supported yet"),
+        (
+            format!(r#"{{"sim": {good}, "reference": "motion.csv"}}"#),
+            400,
+            "`reference`: expected a motion's CSV with a header line",
+        ),
         (format!(r#"{{"sim": {good}, "motion": 1}}"#), 400, "motion"),
         ("{}".to_owned(), 400, "`sim` is a model's id"),
         (r#"{"sim": 1.5}"#.to_owned(), 400, "no capture's id"),

@@ -7,7 +7,7 @@ use crate::motion::{Course, Kind, Site};
 use crate::simulator::{ChannelModel, SensorModel};
 
 fn request(candidates: &[Candidate]) -> Request<'_> {
-    Request { known: &[], level: [0.0; 3], candidates, clock: Clock::SHARED }
+    Request { known: &[], level: [0.0; 3], candidates, clock: Clock::SHARED, filters: &NO_FILTERS }
 }
 
 fn slices(samples: &[Vec<f64>; 3]) -> [&[f64]; 3] {
@@ -53,10 +53,12 @@ fn the_response_is_the_simulators_without_noise() {
             samples: slices(&shown),
             reference: &case.reference,
             temperature_c: None,
+            left_out: &[],
         };
         // Once with all effects known and kept, once with all as candidates at their known values.
         for candidates in [&[][..], &candidates] {
-            let known = Request { known: &effects, level: [0.01; 3], candidates, clock: Clock::SHARED };
+            let known =
+                Request { known: &effects, level: [0.01; 3], candidates, clock: Clock::SHARED, filters: &NO_FILTERS };
             let (design, state) = Design::new(&record, &known);
             for (response, shown) in design.response(&state).iter().zip(&shown) {
                 for (response, shown) in response.iter().zip(shown) {
@@ -78,6 +80,7 @@ fn what_is_known_already_gains_nothing_and_what_is_lacking_gains_what_it_costs_t
         samples: slices(&samples),
         reference: &case.reference,
         temperature_c: None,
+        left_out: &[],
     };
     let both = [Candidate::ScaleFactor, Candidate::Misalignment];
     let known = [scale.0.make(&scale.1)];
@@ -298,6 +301,7 @@ fn clipping_is_found_beside_a_regression_and_its_samples_are_bridged() {
         samples: slices(&samples),
         reference: &refused.reference,
         temperature_c: None,
+        left_out: &[],
     };
     let error = fit(&record, &refused.law, &request(&[Candidate::Bias])).unwrap_err();
     assert!(matches!(error, ResponseError::LeftOut { needed: SAMPLES_MIN, .. }), "{error}");
@@ -317,6 +321,7 @@ fn a_bias_that_goes_with_the_temperature_is_taken_beside_the_motions() {
         samples: slices(&samples),
         reference: &case.reference,
         temperature_c: Some(&temperature_c),
+        left_out: &[],
     };
     let found = fit(&record, &case.law, &request(&[Candidate::ScaleFactor, Candidate::Bias])).unwrap();
     for (name, truth) in [("x per_c", 0.0), ("y per_c", 0.01), ("z per_c", 0.0)] {
@@ -335,6 +340,7 @@ fn what_cannot_be_fitted_is_refused_with_what_was_found() {
         samples: slices(&samples),
         reference: &case.reference,
         temperature_c: None,
+        left_out: &[],
     };
     let message = |record: Record<'_>, candidates: &[Candidate]| {
         fit(&record, &case.law, &request(candidates)).unwrap_err().to_string()
@@ -373,6 +379,7 @@ fn a_sensor_with_a_boxcar_has_a_law_too() {
         samples: slices(&samples),
         reference: &reference,
         temperature_c: None,
+        left_out: &[],
     };
     let found = fit(&record, &law, &request(&[Candidate::Bias])).unwrap();
     assert!(found.misfit.iter().all(|square| (square - 1.0).abs() < 0.15), "{:?}", found.misfit);

@@ -170,6 +170,11 @@ impl Bridges {
         self.bridges.iter().map(|bridge| bridge.out.len()).sum()
     }
 
+    /// The stretches, in order.
+    pub(super) fn stretches(&self) -> Vec<Range<usize>> {
+        self.bridges.iter().map(|bridge| bridge.out.clone()).collect()
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.bridges.is_empty()
     }

@@ -6,7 +6,7 @@ use super::candidate::Candidate;
 use super::clock::{Clock, delayed};
 use super::{Record, Request};
 use crate::effects::triad::{Axes, Drive};
-use crate::effects::{At, Effect, Stage, TemperatureBias, TriadEffect};
+use crate::effects::{At, Effect, Stage, Stream, StreamId, TemperatureBias, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::Motion;
 use crate::simulator::response::{STAGES, stage};
@@ -100,6 +100,7 @@ pub(super) type Column = [Option<Vec<f64>>; 3];
 #[derive(Debug)]
 pub(super) struct Design<'a> {
     record: &'a Record<'a>,
+    filters: &'a [Vec<Arc<dyn Effect>>; 3],
     /// Effects that stay as they are.
     kept: Vec<Arc<dyn TriadEffect>>,
     level: Axes,
@@ -111,7 +112,7 @@ pub(super) struct Design<'a> {
 
 impl<'a> Design<'a> {
     /// The design and the state to start from: the known effects' values, 0 for the others.
-    pub(super) fn new(record: &'a Record<'a>, request: &Request<'_>) -> (Self, State) {
+    pub(super) fn new(record: &'a Record<'a>, request: &Request<'a>) -> (Self, State) {
         let candidates: Vec<Candidate> = request.candidates.iter().copied().filter(|one| one.is_linear()).collect();
         let mut coefficients: Vec<Vec<f64>> = candidates.iter().map(|one| one.make(&[]).coefficients()).collect();
         let mut kept = Vec::new();
@@ -147,7 +148,7 @@ impl<'a> Design<'a> {
         }
         let delay_s = request.known.iter().map(|effect| effect.delay_s()).sum();
         let state = State { coefficients, delay_s, rate_error: 0.0, per_c: [0.0; 3] };
-        (Self { record, kept, level: request.level, candidates, slots, reference_c }, state)
+        (Self { record, filters: request.filters, kept, level: request.level, candidates, slots, reference_c }, state)
     }
 
     /// The triad's own input in a motion.
@@ -201,8 +202,19 @@ impl<'a> Design<'a> {
             for (index, value) in values.iter_mut().enumerate() {
                 *value = bias.mean_response(*value + self.level[axis], self.at(index));
             }
+            self.pass(axis, values);
         }
         axes
+    }
+
+    /// Lets values of an axis pass its filters, in place; linear, and from what they begin with.
+    pub(super) fn pass(&self, axis: usize, values: &mut [f64]) {
+        let length_s = values.len() as f64 / self.record.rate_hz;
+        for filter in &self.filters[axis] {
+            // A filter draws nothing.
+            let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
+            filter.sampler(self.record.rate_hz, length_s, stream).apply(values);
+        }
     }
 
     fn at(&self, index: usize) -> At {
@@ -269,6 +281,13 @@ impl<'a> Design<'a> {
             }
         }
         self.other_columns(state, &stages, &mut columns);
+        for column in &mut columns {
+            for (axis, values) in column.iter_mut().enumerate() {
+                if let Some(values) = values {
+                    self.pass(axis, values);
+                }
+            }
+        }
         columns
     }
 

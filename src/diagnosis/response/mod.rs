@@ -35,6 +35,7 @@ mod normal;
 mod report;
 #[cfg(test)]
 mod round_trip;
+pub mod screen;
 mod solution;
 mod whitening;
 
@@ -44,13 +45,14 @@ pub use clock::{Clock, Lateness};
 pub use confounding::{Confounding, Openness};
 pub use error::ResponseError;
 pub use noise_law::NoiseLaw;
+pub use screen::{Extra, Screen, screen};
 
-use crate::effects::TriadEffect;
 use crate::effects::triad::Axes;
+use crate::effects::{Effect, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::Motion;
-use design::Design;
-use solution::Search;
+use design::{Design, State};
+use solution::{Search, Solution};
 use std::sync::Arc;
 use whitening::Whitening;
 
@@ -78,7 +80,12 @@ pub struct Record<'a> {
     /// Temperature at each sample, °C: where it is given, a bias per kelvin of each axis is fitted beside all else. Smoothed: a
     /// rounded one makes its own errors.
     pub temperature_c: Option<&'a [f64]>,
+    /// Samples that are missing or no noise, and are left out of all axes; empty if none is. What stands there is a finite number.
+    pub left_out: &'a [bool],
 }
+
+/// Filters of no axis.
+pub static NO_FILTERS: [Vec<Arc<dyn Effect>>; 3] = [Vec::new(), Vec::new(), Vec::new()];
 
 /// What is known and what to find.
 #[derive(Debug, Clone, Copy)]
@@ -92,6 +99,8 @@ pub struct Request<'a> {
     pub candidates: &'a [Candidate],
     /// The reference's clock.
     pub clock: Clock,
+    /// The sensor's bandwidth: what each axis shows of a motion passes these, at the record's rate. A delay is beside theirs.
+    pub filters: &'a [Vec<Arc<dyn Effect>>; 3],
 }
 
 /// A fitted parameter.
@@ -151,6 +160,8 @@ pub struct Fit {
     pub clipping: Option<Clipping>,
     /// Samples left out per axis: clipped ones, and those whose motion is before the reference's start or after its end.
     pub left_out: [usize; 3],
+    /// Where they are, per axis.
+    pub stretches: [Vec<std::ops::Range<usize>>; 3],
     /// What this motion leaves open.
     pub confounded: Vec<Confounding>,
     /// Whether the steps became small.
@@ -172,6 +183,18 @@ pub struct Fit {
 /// `round_trip.rs`: 95 % intervals of every effect's parameters under N, B and K over 60 seeds; over 500 seeds they held in
 /// 94.4–95.0 % for every effect, alone and with others, clipped or not.
 pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<Fit, ResponseError> {
+    solved(record, law, request, |known, search, solution, clipping| {
+        report::report(record, request, known, search, solution, clipping)
+    })
+}
+
+/// Does something with a problem's solution.
+fn solved<T>(
+    record: &Record<'_>,
+    law: &NoiseLaw,
+    request: &Request<'_>,
+    then: impl FnOnce(&State, &mut Search<'_, '_>, Solution, Option<Clipping>) -> T,
+) -> Result<T, ResponseError> {
     check(record, law, request)?;
     let (design, known) = Design::new(record, request);
     let input: Vec<Axes> = record.reference.iter().map(|motion| design.input(motion)).collect();
@@ -195,7 +218,7 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
             break;
         }
     }
-    Ok(report::report(record, request, &known, &mut search, solution, clipping))
+    Ok(then(&known, &mut search, solution, clipping))
 }
 
 fn check(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<(), ResponseError> {
@@ -212,6 +235,7 @@ fn check(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<(
         ("the reference", record.reference.len()),
         ("the noise's law", law.samples()),
         ("the temperature", record.temperature_c.map_or(expected, <[f64]>::len)),
+        ("what is left out", if record.left_out.is_empty() { expected } else { record.left_out.len() }),
     ];
     for (what, found) in lengths {
         if found != expected {

@@ -75,6 +75,7 @@ pub(super) fn report(
         response: solution.response,
         clipping,
         left_out,
+        stretches: search.whitening.bridges.each_ref().map(Bridges::stretches),
         converged: solution.converged,
         steps: solution.steps,
     }

@@ -85,8 +85,10 @@ impl Case {
             samples: samples.each_ref().map(Vec::as_slice),
             reference: &self.reference,
             temperature_c: None,
+            left_out: &[],
         };
-        fit(&record, &self.law, &Request { known: &[], level: [0.0; 3], candidates, clock }).unwrap()
+        fit(&record, &self.law, &Request { known: &[], level: [0.0; 3], candidates, clock, filters: &NO_FILTERS })
+            .unwrap()
     }
 
     pub(super) fn fit(&self, seed: u64, candidates: &[Candidate]) -> Fit {

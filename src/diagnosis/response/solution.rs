@@ -76,7 +76,7 @@ impl Search<'_, '_> {
             let out = |(index, shown): (usize, &f64)| {
                 let response = response.map(|axes| axes[axis][index]);
                 let near = limit.is_some_and(|limit| is_near(limit, *shown, response, deviations[axis]));
-                near || !reached.contains(&index)
+                near || !reached.contains(&index) || self.record.left_out.get(index) == Some(&true)
             };
             Bridges::new(self.record.samples[axis].iter().enumerate().map(out))
         });

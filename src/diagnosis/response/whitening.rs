@@ -82,6 +82,12 @@ impl<'a> Whitening<'a> {
         columns
     }
 
+    /// A whitened column back in time: as long as it was, each value at its place. Samples of noise are then uncorrelated, so
+    /// that sums over blocks of time are sums of the likelihood.
+    pub(super) fn in_time(&mut self, values: &mut [f64]) {
+        self.cosines.backward(values);
+    }
+
     /// XᵀX of whitened columns.
     pub(super) fn matrix(columns: &Columns) -> DMatrix<f64> {
         products(columns)

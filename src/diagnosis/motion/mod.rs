@@ -1,0 +1,70 @@
+//! Diagnosis with a known motion: which of the effects that a motion drives a simulator lacks, beside those of a record at
+//! rest. Pure.
+//!
+//! In: a [`Recording`], a [`Reference`] (what the sensor went through, by another instrument), a sensor model. Out: the same
+//! report as that of a record at rest ([`super::diagnose`]), and the corrected model.
+//!
+//! 1. The reference is aligned in time and brought to the record's instants ([`align`]).
+//! 2. Per triad every candidate is fitted at once, by generalised least squares under the model's own noise
+//!    ([`super::response`]), with columns besides that no effect of the library is ([`groups`]).
+//! 3. Of all subsets the one is taken that explains most nats less the prices of its effects ([`select`]); a price is what
+//!    chance makes of as many numbers in the part of clean records that may be blamed, all effects and triads counted.
+//! 4. The samples less the mean response go to the diagnosis of records at rest: N, B, K, lines, drifts, filters. What it finds
+//!    becomes the noise's law, the drift and the bandwidth of a second round, and so on until nothing changes (mean and noise are
+//!    orthogonal to first order: the Fisher information between them is 0 for normal noise, so that two rounds nearly always do).
+//! 5. Latencies are told from the reference's clock as far as two triads tell ([`lateness`]).
+//! 6. What was named is scored on held-out blocks of time and ranked with what was found in the noise ([`compose`]).
+
+pub mod align;
+mod compose;
+pub mod groups;
+mod lateness;
+mod noise;
+mod places;
+mod reference;
+#[cfg(test)]
+mod round_trip;
+mod rounds;
+pub mod select;
+
+pub use reference::{Reference, ReferenceError};
+
+use super::diagnose::{Options, Outcome};
+use super::error::DiagnosisError;
+use super::recording::Recording;
+use crate::sample::Triad;
+use crate::simulator::SensorModel;
+
+/// Blocks of time for what is held out, and into how many folds they go in turn.
+pub(super) const BLOCKS: usize = 64;
+pub(super) const FOLDS: usize = 8;
+
+/// Compares a record of a known motion with a model.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
+///
+/// # Source
+/// The effects' forms and the tests that excite them: IEEE Std 1293 (accelerometers), 1431 (Coriolis gyros), 952 (noise).
+///
+/// # Validation
+/// `round_trip.rs`, and on sealed cases `vn100d trial --motion` (docs/validation.md).
+pub fn diagnose_moved(
+    real: &Recording,
+    reference: &Reference,
+    sim: &SensorModel,
+    options: &Options<'_>,
+) -> Result<Outcome, DiagnosisError> {
+    super::prepare::comparable(real, sim)?;
+    let triads: Vec<Triad> = [Triad::Gyro, Triad::Accel]
+        .into_iter()
+        .filter(|triad| triad.channels().iter().all(|channel| sim.channels.contains_key(channel)))
+        .collect();
+    if triads.is_empty() {
+        return Err(DiagnosisError::NotDriven);
+    }
+    let aligned = align::align(real, reference, sim, &triads)?;
+    let part = real.part(aligned.from..aligned.from + aligned.motions.len());
+    let found = rounds::run(&part, &aligned, sim, &triads, options)?;
+    Ok(compose::outcome(&found, real, &part, &aligned, sim, options))
+}

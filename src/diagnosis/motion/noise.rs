@@ -1,0 +1,94 @@
+//! Noise: the law that a triad's answer is weighed by, of a model as far as it is known.
+
+use crate::diagnosis::response::{NO_FILTERS, NoiseLaw, ResponseError};
+use crate::effects::{At, Effect, Stage, USUAL_TEMPERATURE_C};
+use crate::sample::Triad;
+use crate::simulator::SensorModel;
+use std::sync::Arc;
+
+/// Effects that have a density throughout a record; drifts are taken off before, single samples are left out.
+const LASTING: [&str; 7] =
+    ["quantization_noise", "gauss_markov", "resonance", "low_pass", "moving_average", "resolution", "common_mode"];
+/// How well N, B and K are believed to be known where a model says no interval: standard deviations of ln of their squares.
+const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
+/// Euler's constant.
+const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
+
+/// The law of a model for records of `samples`; where a channel has no white noise of its own it is `scale`, U per sample.
+pub(super) fn law(
+    model: &SensorModel,
+    triad: Triad,
+    rate_hz: f64,
+    samples: usize,
+    scale: [f64; 3],
+) -> Result<NoiseLaw, ResponseError> {
+    let mut plain = model.clone();
+    for (axis, channel) in triad.channels().into_iter().enumerate() {
+        let Some(of) = plain.channels.get_mut(&channel) else { continue };
+        of.effects.retain(|effect| LASTING.contains(&effect.name()));
+        of.uncertainty = None;
+        let least = 1e-3 * scale[axis] / rate_hz.sqrt();
+        if of.n < least {
+            of.n = scale[axis] / rate_hz.sqrt();
+        }
+    }
+    NoiseLaw::of_model(&plain, triad, rate_hz, samples)
+}
+
+/// The filters of each axis that a motion passes.
+pub(super) fn filters(model: &SensorModel, triad: Triad) -> [Vec<Arc<dyn Effect>>; 3] {
+    // Before samples are decimated filters act at another rate, and what they do at this one is small.
+    if model.sampling.is_some() {
+        return NO_FILTERS.clone();
+    }
+    triad.channels().map(|channel| {
+        let effects = model.channels.get(&channel).map(|of| of.effects.as_slice()).unwrap_or_default();
+        effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth).cloned().collect()
+    })
+}
+
+/// What a model says of the level's course on each axis beside its motion, U.
+pub(super) fn courses(
+    model: &SensorModel,
+    triad: Triad,
+    rate_hz: f64,
+    samples: usize,
+    temperature_c: Option<&[f64]>,
+) -> [Option<Vec<f64>>; 3] {
+    triad.channels().map(|channel| {
+        let effects = model.channels.get(&channel).map(|of| of.effects.as_slice()).unwrap_or_default();
+        let shifts: Vec<&Arc<dyn Effect>> = effects.iter().filter(|effect| effect.stage() == Stage::Bias).collect();
+        (!shifts.is_empty()).then(|| {
+            let at = |index: usize| {
+                let temperature_c = temperature_c.map_or(USUAL_TEMPERATURE_C, |values| values[index]);
+                let at = At { time_s: index as f64 / rate_hz, temperature_c };
+                shifts.iter().map(|effect| effect.mean_response(0.0, at)).sum()
+            };
+            (0..samples).map(at).collect()
+        })
+    })
+}
+
+/// Degrees of freedom that the variance of a record's mean is known with: of a sum of white noise, flicker and a walk whose
+/// levels are known to some accuracy, each with its share (Satterthwaite 1946, Biometrics Bull. 2). The least of the three axes.
+pub(super) fn mean_freedom(model: &SensorModel, triad: Triad, rate_hz: f64, samples: usize) -> f64 {
+    let n = samples as f64;
+    let of = |channel| {
+        let of = model.channels.get(&channel)?;
+        // As in the law of the mean's coefficient.
+        let parts = [
+            rate_hz * of.n * of.n,
+            n * of.b * of.b / std::f64::consts::PI * (2.5 - EULER_GAMMA - (2.0 * std::f64::consts::PI / 32.0).ln()),
+            of.k * of.k / rate_hz * n * n / 3.0,
+        ];
+        let total: f64 = parts.iter().sum();
+        let names = ["N", "B", "K"];
+        let spread = |place: usize| {
+            let told = of.interval(names[place]).filter(|[low, high]| *low > 0.0 && high > low);
+            told.map_or(BELIEFS[place], |[low, high]| (high / low).ln() / 1.96)
+        };
+        let variance: f64 = (0..3).map(|place| (parts[place] / total * spread(place)).powi(2)).sum();
+        Some(2.0 / variance).filter(|value| value.is_finite())
+    };
+    triad.channels().into_iter().filter_map(of).fold(1e6, f64::min).max(4.0)
+}
