@@ -23,7 +23,7 @@ pub(super) struct DiagnosisBody {
     sim: Option<Value>,
     /// What the sensor went through: the text of a CSV with `time_s`, `ref_gyro_x_rad_s` … `ref_accel_z_m_s2`, or `still`,
     /// `tumble`, `rate-table` for the motions that the simulator makes. Effects that a motion drives are diagnosed too.
-    #[schema(value_type = Option<String>)]
+    #[schema(value_type = String)]
     reference: Option<Value>,
 }
 

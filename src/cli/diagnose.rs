@@ -43,10 +43,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         tails: tails.as_ref(),
         ..Options::default()
     };
-    let outcome = match &reference {
-        Some(reference) => diagnosis::diagnose_moved(&gridded.recording, reference, &sim, &options),
-        None => diagnosis::diagnose(&gridded.recording, &sim, &options),
-    };
+    let outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options);
     let mut outcome = outcome.map_err(|error| refused(&error))?;
     if let Some(path) = &args.reference {
         outcome.diagnosis.inputs.insert("reference", path.display().to_string());

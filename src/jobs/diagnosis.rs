@@ -289,13 +289,8 @@ fn document_of(
     let name = reader.capture(job.capture)?.name;
     let workers = OneByOne { wire, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
-    let mut outcome = match &parameters.reference {
-        Some(text) => {
-            let reference = reference_of(text, &gridded.recording)?;
-            diagnosis::diagnose_moved(&gridded.recording, &reference, &sim, &options)?
-        }
-        None => diagnosis::diagnose(&gridded.recording, &sim, &options)?,
-    };
+    let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded.recording)).transpose()?;
+    let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
     let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);

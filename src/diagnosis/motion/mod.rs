@@ -21,13 +21,17 @@ pub mod groups;
 mod lateness;
 mod noise;
 mod places;
+mod poses;
 mod reference;
+pub mod rests;
 #[cfg(test)]
 mod round_trip;
 mod rounds;
 pub mod select;
+mod tumble;
 
 pub use reference::{Reference, ReferenceError};
+pub use tumble::diagnose_tumble;
 
 use super::diagnose::{Options, Outcome};
 use super::error::DiagnosisError;
@@ -38,6 +42,23 @@ use crate::simulator::SensorModel;
 /// Blocks of time for what is held out, and into how many folds they go in turn.
 pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
+
+/// Compares a record with a model: against a reference where there is one, by its rests where it rests in several poses, else as
+/// a record at rest.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
+pub fn diagnose_any(
+    real: &Recording,
+    reference: Option<&Reference>,
+    sim: &SensorModel,
+    options: &Options<'_>,
+) -> Result<Outcome, DiagnosisError> {
+    match reference {
+        Some(reference) => diagnose_moved(real, reference, sim, options),
+        None => diagnose_tumble(real, sim, options).unwrap_or_else(|| super::diagnose::diagnose(real, sim, options)),
+    }
+}
 
 /// Compares a record of a known motion with a model.
 ///

@@ -82,11 +82,7 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     let mixed = |of: Axes| -> Axes {
         let [x, y, z] = of;
         let (d, s) = (&numbers[3..6], &numbers[6..9]);
-        [
-            d[0] * x + s[0] * y + s[1] * z,
-            d[1] * y + s[0] * x + s[2] * z,
-            d[2] * z + s[1] * x + s[2] * y,
-        ]
+        [d[0] * x + s[0] * y + s[1] * z, d[1] * y + s[0] * x + s[2] * z, d[2] * z + s[1] * x + s[2] * y]
     };
     let once = mixed(less);
     let twice = mixed(once);
@@ -118,11 +114,11 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
             .sum()
     });
     let root = Cholesky::new(covariance)?;
-    let weigh = |values: DVector<f64>| root.l_dirty().lower_triangle().solve_lower_triangular(&values);
+    let lower = root.l();
+    let weigh = |values: DVector<f64>| lower.solve_lower_triangular(&values);
     // Numbers that each part has; gravity is always there.
-    let columns = |parts: &[usize]| -> Vec<usize> {
-        parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect()
-    };
+    let columns =
+        |parts: &[usize]| -> Vec<usize> { parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect() };
     let misfit = |numbers: &[f64], places: &[usize]| {
         DVector::from_iterator(
             places.len(),
@@ -167,7 +163,8 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
         Some((numbers, inverse, square))
     };
     let all = vec![1.0; count];
-    let price = |numbers: f64| ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / 3.0));
+    let price =
+        |numbers: f64| ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / 3.0));
     let prices = [price(3.0); 3];
     let mut best: Option<(f64, Vec<usize>)> = None;
     let mut squares = [0.0; 8];
@@ -188,9 +185,12 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
     let (_, parts) = best?;
     let own: usize = parts.iter().map(|part| 1 << part).sum();
     let (numbers, inverse, square) = fit(&parts, &all)?;
-    let gains = std::array::from_fn(|part| {
-        if own >> part & 1 == 1 { 0.5 * (squares[own & !(1 << part)] - square) } else { 0.0 }
-    });
+    let gains =
+        std::array::from_fn(
+            |part| {
+                if own >> part & 1 == 1 { 0.5 * (squares[own & !(1 << part)] - square) } else { 0.0 }
+            },
+        );
     let mut errors = [0.0; 10];
     for (place, number) in columns(&parts).into_iter().enumerate() {
         errors[number] = inverse[(place, place)].max(0.0).sqrt();
@@ -225,13 +225,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
 }
 
 /// Scale factors of the gyro from turns by whole circles: between two rests in one pose, about the axis that points up or down.
-pub(super) fn turned(
-    rests: &[Rest],
-    gyro: [&[f64]; 3],
-    rate_hz: f64,
-    n: [f64; 3],
-    level: f64,
-) -> Vec<Turned> {
+pub(super) fn turned(rests: &[Rest], gyro: [&[f64]; 3], rate_hz: f64, n: [f64; 3], level: f64) -> Vec<Turned> {
     let price = Normal::standard().inverse_cdf(1.0 - 0.5 * level / 3.0);
     let mut found: Vec<Turned> = Vec::new();
     for pair in rests.windows(2) {

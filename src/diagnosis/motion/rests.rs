@@ -80,15 +80,17 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
     let mut found = Vec::new();
     let mut open: Option<Range<usize>> = None;
     for place in 0..=parts {
-        let goes_on = place < parts && quiet(place) && open.as_ref().is_none_or(|run| {
-            let apart = |of: &[Option<(Axes, f64)>], most: f64, least: f64| {
-                let (Some((first, _)), Some((now, _))) = (&of[run.start], &of[place]) else { return true };
-                let far = first.iter().zip(now).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
-                far > most + QUIET * least / (size as f64).sqrt()
-            };
-            !apart(&forces, MOVED[0], least_force)
-                && !rates.as_ref().is_some_and(|rates| apart(rates, MOVED[1], least_rate))
-        });
+        let goes_on = place < parts
+            && quiet(place)
+            && open.as_ref().is_none_or(|run| {
+                let apart = |of: &[Option<(Axes, f64)>], most: f64, least: f64| {
+                    let (Some((first, _)), Some((now, _))) = (&of[run.start], &of[place]) else { return true };
+                    let far = first.iter().zip(now).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
+                    far > most + QUIET * least / (size as f64).sqrt()
+                };
+                !apart(&forces, MOVED[0], least_force)
+                    && !rates.as_ref().is_some_and(|rates| apart(rates, MOVED[1], least_rate))
+            });
         match (&mut open, goes_on) {
             (Some(run), true) => run.end = place + 1,
             (None, true) => open = Some(place..place + 1),

@@ -1,0 +1,379 @@
+//! Tumble: a record without a reference in which the sensor lay still in six poses or more, or was turned by whole circles.
+//!
+//! The rests are found by themselves ([`super::rests`]); what their means say is in [`super::poses`], what the noise says is
+//! found in the longest of them, as in any record at rest.
+
+use super::poses::{self, PARTS, POSES_MIN, Part, Tumbled, Turned};
+use super::rests::{Rest, poses as count_poses, rests};
+use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
+use crate::diagnosis::error::DiagnosisError;
+use crate::diagnosis::prepare;
+use crate::diagnosis::recording::Recording;
+use crate::diagnosis::report::{Cause, Driver, Place, Verdict};
+use crate::effects::TriadEffect;
+use crate::effects::triad::{Axes, Bias, CrossAxisSensitivity, ScaleFactor};
+use crate::sample::Triad;
+use crate::simulator::SensorModel;
+use crate::units::STANDARD_GRAVITY_M_S2;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Confidence in what the poses name.
+const RIGHT: f64 = 0.95;
+/// A rest that is this unlikely to be noise leaves something unknown.
+const REMAINS: f64 = 0.005;
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+
+/// Compares a record that rests in several poses with a model; None where it does not, or where it is at rest throughout.
+///
+/// # Errors
+/// [`DiagnosisError`] for what cannot be compared.
+///
+/// # Validation
+/// `tests` below: a simulated tumble gives its scale factors and biases back within their intervals.
+#[must_use]
+pub fn diagnose_tumble(
+    real: &Recording,
+    sim: &SensorModel,
+    options: &Options<'_>,
+) -> Option<Result<Outcome, DiagnosisError>> {
+    let has = |triad: Triad| triad.channels().iter().all(|channel| sim.channels.contains_key(channel));
+    if !has(Triad::Accel) || prepare::comparable(real, sim).is_err() {
+        return None;
+    }
+    let rests = rests(real);
+    let tumble = count_poses(&rests) >= POSES_MIN;
+    let gyro: Option<Vec<&[f64]>> = Triad::Gyro.channels().into_iter().map(|channel| real.values(channel)).collect();
+    let n = Triad::Gyro.channels().map(|channel| sim.channels.get(&channel).map_or(0.0, |of| of.n));
+    let turns = match gyro.and_then(|all| <[&[f64]; 3]>::try_from(all).ok()).filter(|_| has(Triad::Gyro)) {
+        Some(gyro) => poses::turned(&rests, gyro, real.rate_hz, n, options.level),
+        None => Vec::new(),
+    };
+    let longest = rests.iter().max_by_key(|rest| rest.within.len())?;
+    if (!tumble && turns.is_empty()) || longest.within.len() < prepare::LEAST {
+        return None;
+    }
+    let still = real.part(longest.within.clone());
+    let mut plain = sim.clone();
+    plain.triads.clear();
+    let mut outcome = match diagnose(&still, &plain, options) {
+        Ok(outcome) => outcome,
+        Err(error) => return Some(Err(error)),
+    };
+    outcome.diagnosis.begins_at(longest.within.start as f64 / real.rate_hz);
+    // N is that of the record; B and K show in no rest alone.
+    let mut noise = sim.clone();
+    for (channel, of) in &mut noise.channels {
+        of.n = outcome.augmented.channels.get(channel).map_or(of.n, |found| found.n);
+    }
+    let tumbled = if tumble { poses::tumbled(&rests, real.rate_hz, &noise, options.level) } else { None };
+    tell(&mut outcome, sim, real, &rests, longest, tumbled.as_ref(), &turns);
+    Some(Ok(outcome))
+}
+
+/// An effect with its evidence and intervals.
+struct Named {
+    triad: Triad,
+    effect: Arc<dyn TriadEffect>,
+    gain: f64,
+    channels: Vec<String>,
+    ends: Value,
+    evidence: Vec<String>,
+}
+
+fn tell(
+    outcome: &mut Outcome,
+    sim: &SensorModel,
+    real: &Recording,
+    rests: &[Rest],
+    longest: &Rest,
+    tumbled: Option<&Tumbled>,
+    turns: &[Turned],
+) {
+    let mut named: Vec<Named> = tumbled.map(|of| of_poses(of, rests.len())).unwrap_or_default();
+    named.extend(of_turns(turns));
+    let diagnosis = &mut outcome.diagnosis;
+    let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
+    let mut notes = vec![format!(
+        "without a reference: the noise is that of the longest rest, {:.1} s from {:.1} s on",
+        longest.within.len() as f64 / real.rate_hz,
+        longest.within.start as f64 / real.rate_hz
+    )];
+    if let Some(of) = tumbled {
+        let rms = |values: &[f64]| (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt();
+        notes.push(format!(
+            "gravity's magnitude in {} rests ({} poses) is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± 0.013: it \
+             is off by {:.4} m/s² (rms) as the model is and by {:.4} with what was found; gravity comes out as {:.4}",
+            rests.len(),
+            count_poses(rests),
+            rms(&of.before),
+            rms(&of.after),
+            STANDARD_GRAVITY_M_S2 + of.values[9]
+        ));
+        notes.push(
+            "magnitudes do not show a rotation of the whole triad; scale factors that are all off alike show only beyond the \
+             0.13 % to which local gravity is known: a reference would tell both"
+                .to_owned(),
+        );
+        let gap = &mut diagnosis.discrepancy;
+        let numbers = 3.0 * of.choice.groups.len() as f64;
+        let (whole, floor) = (of.choice.gain, 0.5 * numbers);
+        gap.before += whole / all;
+        gap.after_parameters += whole / all;
+        gap.after += (whole - of.held_out) / all;
+        gap.floor += floor / all;
+        if whole > floor {
+            gap.closed = Some(of.held_out / (whole - floor));
+            gap.closed_ci95 = None;
+        }
+        gap.measured_on = format!("poses foretold by all others; of the noise the {}", gap.measured_on);
+        gap.p_value_after = gap.p_value_after.min(of.p_value);
+        if let Some(place) = place(of, rests, real.rate_hz).filter(|_| !of.choice.groups.is_empty()) {
+            diagnosis.r#where.insert(0, place);
+        }
+        if of.p_value < REMAINS {
+            notes.push(format!(
+                "gravity's magnitude is not that of one pose to the next as the noise would have it (chance {:.1e}): rests that \
+                 are none, a drift, a temperature, or a curve that is not straight",
+                of.p_value
+            ));
+            diagnosis.verdict = Verdict::UnknownEffect;
+        }
+    }
+    if !named.is_empty() && diagnosis.verdict != Verdict::UnknownEffect {
+        diagnosis.verdict = Verdict::Effects;
+    }
+    named.sort_by(|one, other| other.gain.total_cmp(&one.gain));
+    let total: f64 = named.iter().map(|of| of.gain).sum();
+    let closed = diagnosis.discrepancy.closed;
+    let causes = named.iter().map(|of| Cause {
+        effect: of.effect.name(),
+        triad: Some(of.triad.name()),
+        channels: of.channels.clone(),
+        confidence: RIGHT,
+        closes: closed.map(|closed| closed * of.gain / total.max(f64::MIN_POSITIVE)),
+        parameters: BTreeMap::from([(of.triad.name().to_owned(), parameters(of.effect.as_ref()))]),
+        uncertainty: Map::from_iter([(of.triad.name().to_owned(), of.ends.clone())]),
+        evidence: of.evidence.clone(),
+    });
+    let found: Vec<Cause> = causes.chain(std::mem::take(&mut diagnosis.causes)).collect();
+    diagnosis.causes = found;
+    notes.append(&mut diagnosis.notes);
+    diagnosis.notes = notes;
+    diagnosis.summary = crate::diagnosis::sentence::summary(diagnosis);
+    outcome.augmented.triads = sim.triads.clone();
+    for of in named {
+        let effects = &mut outcome.augmented.triads.entry(of.triad).or_default().effects;
+        effects.retain(|effect| effect.name() != of.effect.name());
+        effects.push(of.effect);
+    }
+}
+
+fn parameters(effect: &dyn TriadEffect) -> Value {
+    Value::Object(effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+}
+
+/// What the magnitudes name.
+fn of_poses(of: &Tumbled, rests: usize) -> Vec<Named> {
+    let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
+    of.choice
+        .groups
+        .iter()
+        .map(|group| {
+            let part = PARTS[*group];
+            let axes: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
+            let (names, effect): ([&str; 3], Arc<dyn TriadEffect>) = match part {
+                Part::Bias => (["x", "y", "z"], Arc::new(Bias { axes })),
+                Part::ScaleFactor => (["x", "y", "z"], Arc::new(ScaleFactor { axes })),
+                Part::CrossAxis => {
+                    let [xy, xz, yz] = axes;
+                    (["xy", "xz", "yz"], Arc::new(CrossAxisSensitivity { xy, xz, yz }))
+                }
+            };
+            let ends = |axis: usize| {
+                let half = NORMAL_95 * of.errors[3 * group + axis];
+                json!([axes[axis] - half, axes[axis] + half])
+            };
+            let (gain, price) = (of.gains[*group], of.prices[*group]);
+            let mut evidence = vec![format!(
+                "accel: {gain:.0} nats more of {rests} rests with {} than without; chance gives {price:.0}",
+                effect.name()
+            )];
+            for (axis, name) in names.iter().enumerate() {
+                let error = of.errors[3 * group + axis];
+                if axes[axis].abs() > 3.0 * error {
+                    evidence.push(format!("{name} {:.3e} ± {error:.1e}", axes[axis]));
+                }
+            }
+            // Of a pair both axes are concerned.
+            let concerned = |axis: &usize| {
+                let at: &[usize] = match (part, axis) {
+                    (Part::CrossAxis, 0) => &[0, 1],
+                    (Part::CrossAxis, 1) => &[0, 2],
+                    (Part::CrossAxis, _) => &[1, 2],
+                    (_, axis) => std::slice::from_ref(axis),
+                };
+                at.iter().any(|place| axes[*place].abs() > NORMAL_95 * of.errors[3 * group + place])
+            };
+            let own: Vec<String> = (0..3).filter(concerned).map(|axis| channels[axis].clone()).collect();
+            Named {
+                triad: Triad::Accel,
+                effect,
+                gain,
+                channels: if own.is_empty() { channels.to_vec() } else { own },
+                ends: json!({names[0]: ends(0), names[1]: ends(1), names[2]: ends(2)}),
+                evidence,
+            }
+        })
+        .collect()
+}
+
+/// What the circles name.
+fn of_turns(turns: &[Turned]) -> Option<Named> {
+    let channels = Triad::Gyro.channels();
+    let mut axes = [0.0; 3];
+    let (mut ends, mut evidence, mut gain) = (Map::new(), Vec::new(), 0.0);
+    for one in turns {
+        axes[one.axis] = one.scale;
+        let half = NORMAL_95 * one.error;
+        ends.insert(["x", "y", "z"][one.axis].to_owned(), json!([one.scale - half, one.scale + half]));
+        evidence.push(format!(
+            "{}: {} turned from {:.1} s on between two rests in one pose come out as {:.3} of it; the turn's end is taken to \
+             be known to half a degree",
+            channels[one.axis],
+            if one.circles > 1.0 { format!("{} whole circles", one.circles) } else { "a whole circle".to_owned() },
+            one.from_s,
+            1.0 + one.scale
+        ));
+        gain += 0.5 * (one.scale / one.error).powi(2);
+    }
+    (!turns.is_empty()).then(|| Named {
+        triad: Triad::Gyro,
+        effect: Arc::new(ScaleFactor { axes }),
+        gain,
+        channels: turns.iter().map(|one| channels[one.axis].name().to_owned()).collect(),
+        ends: Value::Object(ends),
+        evidence,
+    })
+}
+
+/// The rest in which gravity is off most.
+fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
+    let worst = (0..rests.len()).max_by(|one, other| of.before[*one].abs().total_cmp(&of.before[*other].abs()))?;
+    let force = rests[worst].force;
+    let axis = (0..3).max_by(|one, other| force[*one].abs().total_cmp(&force[*other].abs()))?;
+    let name = ["x", "y", "z"][axis];
+    let pose = format!("{name} {}", if force[axis] > 0.0 { "up" } else { "down" });
+    let within = &rests[worst].within;
+    let squares: f64 = of.before.iter().map(|value| value * value).sum();
+    Some(Place {
+        channel: Triad::Accel.channels()[axis].name().to_owned(),
+        band_hz: [0.0, rate_hz / 2.0],
+        tau_s: [1.0 / rate_hz, within.len() as f64 / rate_hz],
+        from_s: within.start as f64 / rate_hz,
+        to_s: within.end as f64 / rate_hz,
+        temperature_c: None,
+        at: Some(Driver {
+            quantity: "acceleration",
+            axis: name,
+            unit: "m/s²",
+            range: [force[axis], force[axis]],
+            pose: Some(pose),
+        }),
+        share: of.before[worst].powi(2) / squares.max(f64::MIN_POSITIVE),
+        sign: if of.before[worst] > 0.0 { "real higher" } else { "real lower" },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::{Course, Kind, Site};
+    use crate::simulator::{Motion, Simulator};
+
+    const RATE_HZ: f64 = 40.0;
+
+    fn model(triads: Value) -> SensorModel {
+        let mut entries = Map::new();
+        for (triad, n) in [(Triad::Accel, 0.0014), (Triad::Gyro, 6e-5)] {
+            for channel in triad.channels() {
+                entries.insert(channel.name().to_owned(), json!({"N": n, "B": 0.1 * n, "K": 0.003 * n}));
+            }
+        }
+        let value = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": RATE_HZ, "channels": entries,
+            "triads": triads});
+        SensorModel::from_value(&value, "test").unwrap()
+    }
+
+    fn recorded(model: &SensorModel, motions: Vec<Motion>, seed: u64) -> Recording {
+        let count = motions.len();
+        let simulator = Simulator::new(model, seed, RATE_HZ, count as f64 / RATE_HZ).unwrap();
+        let mut simulator = simulator.with_motion(motions.into_iter());
+        let mut channels: Vec<_> = model.channels.keys().map(|channel| (*channel, Vec::new())).collect();
+        for _ in 0..count {
+            let sample = simulator.next_sample().unwrap();
+            channels.iter_mut().for_each(|(channel, values)| values.push(sample.values[*channel as usize]));
+        }
+        Recording { rate_hz: RATE_HZ, channels, ..Recording::default() }
+    }
+
+    fn tumble(seconds: usize) -> Vec<Motion> {
+        let course = Course::new(Kind::Tumble, seconds as f64, Site::default()).unwrap();
+        course.sampled(RATE_HZ).take(seconds * 40).collect()
+    }
+
+    #[test]
+    fn a_tumble_tells_the_accelerometers_scale_and_bias_by_itself() {
+        let truth = model(json!({"accel": {"effects": [
+            {"effect": "bias", "x": 0.05, "y": -0.03, "z": 0.02},
+            {"effect": "scale_factor", "x": 0.006, "y": -0.005, "z": 0.002}]}}));
+        let real = recorded(&truth, tumble(300), 3);
+        let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
+        println!("{}", serde_json::to_string_pretty(&found.diagnosis).unwrap());
+        let mut named: Vec<&str> = found.diagnosis.causes.iter().map(|cause| cause.effect).collect();
+        named.sort_unstable();
+        assert_eq!(named, ["bias", "scale_factor"]);
+        assert_eq!(found.diagnosis.verdict, Verdict::Effects);
+        for (effect, truth) in [("bias", [0.05, -0.03, 0.02]), ("scale_factor", [0.006, -0.005, 0.002])] {
+            let cause = found.diagnosis.causes.iter().find(|cause| cause.effect == effect).unwrap();
+            for (name, truth) in ["x", "y", "z"].into_iter().zip(truth) {
+                let ends = &cause.uncertainty["accel"][name];
+                let (low, high) = (ends[0].as_f64().unwrap(), ends[1].as_f64().unwrap());
+                let (middle, half) = (0.5 * (low + high), 0.5 * (high - low));
+                assert!((truth - middle).abs() < 1.6 * half, "{effect} {name}: {truth} [{low}, {high}]");
+            }
+        }
+        assert!(found.diagnosis.discrepancy.closed.unwrap() > 0.8);
+    }
+
+    #[test]
+    fn a_clean_tumble_names_nothing_and_a_still_record_is_no_tumble() {
+        let plain = model(json!({}));
+        for seed in 0..3 {
+            let real = recorded(&plain, tumble(240), 20 + seed);
+            let found = diagnose_tumble(&real, &plain, &Options::default()).unwrap().unwrap();
+            assert!(found.diagnosis.causes.is_empty(), "{:?}", found.diagnosis.causes);
+            assert_ne!(found.diagnosis.verdict, Verdict::Effects);
+        }
+        let still = Course::new(Kind::Still, 60.0, Site::default()).unwrap().sampled(RATE_HZ).take(2400).collect();
+        let real = recorded(&plain, still, 1);
+        assert!(diagnose_tumble(&real, &plain, &Options::default()).is_none());
+    }
+
+    #[test]
+    fn a_circle_between_two_rests_tells_the_gyros_scale() {
+        let truth = model(json!({"gyro": {"effects": [{"effect": "scale_factor", "x": 0.0, "y": 0.0, "z": 0.012}]}}));
+        let rate = |t: usize| if (1600..2400).contains(&t) { std::f64::consts::TAU / 20.0 } else { 0.0 };
+        let motions = (0..4000).map(|t| Motion {
+            gyro_rad_s: [0.0, 0.0, rate(t)],
+            accel_m_s2: [0.0, 0.0, -9.806_65],
+            temperature_c: None,
+        });
+        let real = recorded(&truth, motions.collect(), 5);
+        let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
+        let cause = &found.diagnosis.causes[0];
+        assert_eq!((cause.effect, cause.channels.as_slice()), ("scale_factor", &["gyro_z".to_owned()][..]));
+        assert!((cause.parameters["gyro"]["z"].as_f64().unwrap() - 0.012).abs() < 2e-3);
+    }
+}
