@@ -47,6 +47,28 @@ pub fn align(
     let record_s = n.saturating_sub(1) as f64 / rate_hz;
     let shared = (record_s - length_s).abs() * rate_hz <= SAME;
     let begins_s = if shared { 0.0 } else { begin_s(real, reference, triads) };
+    at(real, reference, sim, Lie { begins_s, gains: 0.0, shared })
+}
+
+/// How a reference lies beside a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Lie {
+    /// How far into it the record's first sample is, s.
+    pub(super) begins_s: f64,
+    /// By how much slower its time passes than the record's, s/s.
+    pub(super) gains: f64,
+    pub(super) shared: bool,
+}
+
+/// The reference at the record's instants, where it is known how they lie.
+pub(super) fn at(
+    real: &Recording,
+    reference: &Reference,
+    sim: &SensorModel,
+    lie: Lie,
+) -> Result<Aligned, DiagnosisError> {
+    let (rate_hz, n, length_s) = (real.rate_hz, real.len(), reference.length_s());
+    let Lie { begins_s, gains, shared } = lie;
     // What the sensor's boxcar of its own samples makes of a motion: the mean of the last ones up to the instant.
     let window: Vec<f64> = match sim.sampling {
         Some(sampling) => (0..sampling.filter_window).map(|back| back as f64 / sampling.internal_rate_hz).collect(),
@@ -55,7 +77,7 @@ pub fn align(
     let reach_s = window.last().copied().unwrap_or_default();
     let tolerance_s = if shared { (SAME + 1.0) / rate_hz + reach_s } else { 0.0 };
     let inside = |index: &usize| {
-        let after_s = begins_s + *index as f64 / rate_hz;
+        let after_s = begins_s + *index as f64 / rate_hz * (1.0 - gains);
         after_s - reach_s >= -tolerance_s && after_s <= length_s + tolerance_s
     };
     let from = (0..n).find(inside).unwrap_or(n);
@@ -65,7 +87,7 @@ pub fn align(
     }
     let mut near = 0;
     let mut at = |index: usize| {
-        let after_s = begins_s + index as f64 / rate_hz;
+        let after_s = begins_s + index as f64 / rate_hz * (1.0 - gains);
         let mut mean = Motion::default();
         for back_s in &window {
             let one = reference.at((after_s - back_s).max(0.0), &mut near);

@@ -85,7 +85,14 @@ pub fn diagnose_moved(
         return Err(DiagnosisError::NotDriven);
     }
     let aligned = align::align(real, reference, sim, &triads)?;
-    let part = real.part(aligned.from..aligned.from + aligned.motions.len());
+    let mut aligned = aligned;
+    let mut part = real.part(aligned.from..aligned.from + aligned.motions.len());
+    if !aligned.shared
+        && let Some(lie) = rounds::refined(&part, &aligned, sim, &triads)?
+    {
+        aligned = align::at(real, reference, sim, lie)?;
+        part = real.part(aligned.from..aligned.from + aligned.motions.len());
+    }
     let found = rounds::run(&part, &aligned, sim, &triads, options)?;
     Ok(compose::outcome(&found, real, &part, &aligned, sim, options))
 }

@@ -1,6 +1,6 @@
 //! Rounds: what the motion drives and what the noise is, each found beside the other until neither changes.
 
-use super::align::Aligned;
+use super::align::{Aligned, Lie};
 use super::groups::{self, Foreign, Group, Member, Pricing};
 use super::lateness::{self, Delay};
 use super::select::{Choice, Weighing};
@@ -112,6 +112,34 @@ pub(super) fn run(
         before = Some(now);
         told = rest.augmented;
     }
+}
+
+/// How a reference on a clock of its own lies beside a record, to a part of a sample: from the triad that tells it best. Between
+/// samples of the record a motion's corners are lost; between rows of a faster reference they are not.
+pub(super) fn refined(
+    part: &Recording,
+    aligned: &Aligned,
+    sim: &SensorModel,
+    triads: &[Triad],
+) -> Result<Option<Lie>, DiagnosisError> {
+    let mut best: Option<(f64, Lie)> = None;
+    let about = About { part, aligned, sim, told: sim, temperature_c: None };
+    let middle_s = 0.5 * part.len().saturating_sub(1) as f64 / part.rate_hz;
+    for triad in triads {
+        let fit = about.delayed(*triad)?;
+        let of = |name: &str| fit.estimates.iter().find(|one| one.parameter == name);
+        let told = of("offset_s").zip(of("rate_error")).and_then(|(offset, rate)| {
+            Some((offset.standard_error?, offset.value, rate.standard_error.map_or(0.0, |_| rate.value)))
+        });
+        let Some((error_s, offset_s, gains)) = told else { continue };
+        if best.as_ref().is_none_or(|(least_s, _)| error_s < *least_s) {
+            // The offset is that of the middle of the part.
+            let from_s = aligned.from as f64 / part.rate_hz;
+            let begins_s = aligned.begins_s - offset_s + gains * (middle_s + from_s);
+            best = Some((error_s, Lie { begins_s, gains, shared: false }));
+        }
+    }
+    Ok(best.map(|(_, lie)| lie))
 }
 
 fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -> Pricing {
@@ -264,6 +292,25 @@ impl About<'_> {
             rest
         });
         Ok(Settled { triad, screen, groups, base, choice, fit, mean_freedom, known, rest })
+    }
+
+    /// The fit of everything with a delay, under the model's noise.
+    fn delayed(&self, triad: Triad) -> Result<Fit, DiagnosisError> {
+        let n = self.aligned.motions.len();
+        let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
+        let left_out = self.left_out(sent);
+        let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
+        let samples = sent.map(|values| values.iter().map(finite).collect::<Vec<f64>>());
+        let scale = sent.map(prepare::scale_of);
+        let law = noise::law(self.told, triad, self.part.rate_hz, n, scale)?;
+        let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
+        let candidates = groups::candidates(triad, full_scale(triad, &known));
+        let level =
+            triad.channels().map(|channel| self.sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
+        let filters = noise::filters(self.told, triad);
+        let request =
+            Request { known: &known, level, candidates: &candidates, clock: Clock::SEPARATE, filters: &filters };
+        Ok(response::fit(&self.record(triad, &samples, &left_out), &law, &request)?)
     }
 
     fn record<'b>(&'b self, triad: Triad, samples: &'b [Vec<f64>; 3], left_out: &'b [bool]) -> Record<'b> {

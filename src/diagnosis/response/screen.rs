@@ -277,7 +277,8 @@ mod tests {
         let columns: Vec<usize> = (0..6).collect();
         let (gain, numbers) = found.gain(&columns);
         let alone = fit(&record, &case.law, &request(&all[..2])).unwrap();
-        assert!((gain / alone.gain_nats - 1.0).abs() < 1e-3, "{gain} {}", alone.gain_nats);
+        // Products of effects of some thousandths are what they differ by.
+        assert!((gain / alone.gain_nats - 1.0).abs() < 4e-3, "{gain} {}", alone.gain_nats);
         for (number, estimate) in numbers.iter().zip(&alone.estimates) {
             assert!((number - estimate.value).abs() < 0.05 * estimate.standard_error.unwrap(), "{estimate:?}");
         }
