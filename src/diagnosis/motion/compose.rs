@@ -402,7 +402,7 @@ fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, driven: &[Driven]) {
 }
 
 /// Causes of both kinds, the strongest first, each with what it closes.
-fn rank(diagnosis: &mut Diagnosis, driven: &mut Vec<Driven>, rest_nats: f64, sums: &Sums) {
+fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: &Sums) {
     let motion: f64 = driven.iter().filter_map(|one| one.gain).sum();
     let closed: f64 = sums.closed.iter().sum();
     let (whole, floor) = (sums.whole.iter().sum::<f64>(), 0.5 * sums.numbers as f64);

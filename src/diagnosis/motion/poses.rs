@@ -168,15 +168,15 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
     let prices = [price(3.0); 3];
     let mut best: Option<(f64, Vec<usize>)> = None;
     let mut squares = [0.0; 8];
-    for subset in 0..8_usize {
+    for (subset, kept) in squares.iter_mut().enumerate() {
         let parts: Vec<usize> = (0..3).filter(|part| subset >> part & 1 == 1).collect();
         // As many numbers as poses explain anything.
         if 3 * parts.len() + 1 > count {
-            squares[subset] = f64::INFINITY;
+            *kept = f64::INFINITY;
             continue;
         }
         let (_, _, square) = fit(&parts, &all)?;
-        squares[subset] = square;
+        *kept = square;
         let score = -0.5 * square - parts.iter().map(|part| prices[*part]).sum::<f64>();
         if best.as_ref().is_none_or(|(most, _)| score > *most) {
             best = Some((score, parts));

@@ -73,7 +73,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
     let samples = course.len() / FINE;
     let motions: Vec<Motion> = (0..samples).map(|t| felt(course, FINE * t, late_s * rate_hz * FINE as f64)).collect();
     let input = |motion: &Motion| if triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 };
-    let largest = motions.iter().flat_map(|motion| input(motion)).fold(0.0f64, |most, value| most.max(value.abs()));
+    let largest = motions.iter().flat_map(&input).fold(0.0f64, |most, value| most.max(value.abs()));
     let mut dragged = motions.first().map_or([0.0; 3], input);
     let mut follows = dragged;
     let share = 1.0 - (-1.0 / (CREEP_S * rate_hz)).exp();

@@ -249,12 +249,12 @@ impl Score {
             let good = |of: &Judgement| if kind.effect().is_some() { of.right_first } else { unknown(of) };
             let sizes: Vec<(f64, bool)> = own.iter().map(|of| (of.over_limit[0], good(of))).collect();
             let limits = detection::limits(&sizes);
-            let mut closed: Vec<f64> = own.iter().copied().filter(|of| clear(&of)).filter_map(|of| of.closed).collect();
+            let mut closed: Vec<f64> = own.iter().copied().filter(clear).filter_map(|of| of.closed).collect();
             closed.sort_unstable_by(f64::total_cmp);
             Some(OfKind {
                 kind,
                 right_first: Rate::of(own.iter().map(|of| good(of))),
-                right_first_clear: Rate::of(own.iter().copied().filter(|of| clear(&of)).map(good)),
+                right_first_clear: Rate::of(own.iter().copied().filter(clear).map(good)),
                 unknown: Rate::of(own.iter().map(|of| unknown(of))),
                 spurious: Rate::of(own.iter().map(|of| spurious(of))),
                 held: Rate::of(own.iter().flat_map(|of| of.held.iter().copied())),
