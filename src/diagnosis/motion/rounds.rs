@@ -235,7 +235,6 @@ impl About<'_> {
         let all = with_delay(candidates.clone());
         let request = Request { known: &known, level, candidates: &all, clock, filters: &filters };
         let (counts, extras) = groups::foreign(triad, motions, rate_hz, self.temperature_c);
-        let raw: Vec<[Option<Vec<f64>>; 3]> = extras.iter().map(|extra| extra.axes.clone()).collect();
         let screen = response::screen(&self.record(triad, &samples, &left_out), &law, &request, extras, BLOCKS)?;
         let mean_freedom = noise::mean_freedom(self.told, triad, rate_hz, n);
         let mut groups = groups::groups(&candidates, screen.own, &counts, pricing(options, triads, mean_freedom));
@@ -253,8 +252,15 @@ impl About<'_> {
         let columns = weighing.columns(&choice.groups);
         let (_, numbers) = screen.gain(&columns);
         let mut outside: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; n]);
-        for (column, number) in columns.iter().zip(&numbers).filter(|(column, _)| **column >= screen.own) {
-            for (sum, values) in outside.iter_mut().zip(&raw[column - screen.own]) {
+        let foreign: Vec<_> = columns.iter().zip(&numbers).filter(|(column, _)| **column >= screen.own).collect();
+        // Rarely one is chosen: all of them are made again sooner than kept.
+        let made = if foreign.is_empty() {
+            Vec::new()
+        } else {
+            groups::foreign(triad, motions, rate_hz, self.temperature_c).1
+        };
+        for (column, number) in foreign {
+            for (sum, values) in outside.iter_mut().zip(&made[column - screen.own].axes) {
                 for (sum, value) in sum.iter_mut().zip(values.as_deref().unwrap_or_default()) {
                     *sum += number * value;
                 }

@@ -184,7 +184,7 @@ pub struct Fit {
 /// 94.4–95.0 % for every effect, alone and with others, clipped or not.
 pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<Fit, ResponseError> {
     solved(record, law, request, |known, search, solution, clipping| {
-        report::report(record, request, known, search, solution, clipping)
+        report::report(record, request, known, search, &solution, clipping)
     })
 }
 

@@ -13,7 +13,7 @@ pub(super) fn report(
     request: &Request<'_>,
     known: &State,
     search: &mut Search<'_, '_>,
-    solution: Solution,
+    solution: &Solution,
     clipping: Option<Clipping>,
 ) -> Fit {
     let design = search.design;
@@ -68,11 +68,11 @@ pub(super) fn report(
             search.whitening.bridges[axis].fill(&mut values);
             values
         }),
-        confounded: statements(record, request, design, &solution, &estimates),
+        confounded: statements(record, request, design, solution, &estimates),
         singular_values: solution.normal.singular_values(),
         covariance: rows,
         estimates,
-        response: solution.response,
+        response: solution.response.clone(),
         clipping,
         left_out,
         stretches: search.whitening.bridges.each_ref().map(Bridges::stretches),

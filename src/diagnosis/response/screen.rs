@@ -62,7 +62,8 @@ pub fn screen(
     blocks: usize,
 ) -> Result<Screen, ResponseError> {
     solved(record, law, request, |known, search, solution, clipping| {
-        let (columns, samples) = in_time(search, &solution, known, extras);
+        let fit = report::report(record, request, known, search, &solution, clipping);
+        let (columns, samples) = in_time(search, solution, known, extras);
         let known_values = search.design.slots.iter().map(|slot| known.value(*slot)).collect();
         let own = search.design.slots.len();
         let n = record.reference.len();
@@ -74,7 +75,6 @@ pub fn screen(
             total.0 += matrix;
             total.1 += gradient;
         }
-        let fit = report::report(record, request, known, search, solution, clipping);
         Screen { fit, own, known: known_values, blocks: sums, total, columns, samples }
     })
 }
@@ -82,20 +82,19 @@ pub fn screen(
 /// Whitened columns and samples, back in time.
 fn in_time(
     search: &mut Search<'_, '_>,
-    solution: &Solution,
+    solution: Solution,
     known: &State,
     extras: Vec<Extra>,
 ) -> (Columns, [Vec<f64>; 3]) {
-    let mut samples = solution.residual.clone();
-    for (slot, column) in search.design.slots.iter().zip(&solution.columns) {
-        let moved = solution.state.value(*slot) - known.value(*slot);
+    let Solution { state, residual: mut samples, mut columns, .. } = solution;
+    for (slot, column) in search.design.slots.iter().zip(&columns) {
+        let moved = state.value(*slot) - known.value(*slot);
         for (values, column) in samples.iter_mut().zip(column) {
             for (value, of) in values.iter_mut().zip(column.as_deref().unwrap_or_default()) {
                 *value += moved * of;
             }
         }
     }
-    let mut columns = solution.columns.clone();
     let mut more: Columns = Vec::with_capacity(extras.len());
     for extra in extras {
         let mut column: Column = extra.axes;

@@ -178,6 +178,8 @@ impl Search<'_, '_> {
             let mut step: DVector<f64> = normal.inverse() * &gradient;
             let slow = gradient.dot(&step) > (STALE * last).max(DONE);
             if slow || (state.delay_s - linear_at_s).abs() * self.record.rate_hz > STALE_DELAY {
+                // Both at once would be twice the memory.
+                columns.clear();
                 (columns, normal) = self.linearised(&state);
                 linear_at_s = state.delay_s;
                 gradient = Whitening::gradient(&columns, &residual);
