@@ -19,6 +19,7 @@ pub mod error;
 pub mod evidence;
 pub mod explanation;
 pub mod facts;
+pub mod field;
 mod filling;
 pub mod grid;
 pub mod holdout;

@@ -22,6 +22,7 @@ mod lateness;
 mod noise;
 mod places;
 mod poses;
+mod quasi_static;
 mod reference;
 pub mod rests;
 #[cfg(test)]
@@ -35,6 +36,7 @@ pub use tumble::diagnose_tumble;
 
 use super::diagnose::{Options, Outcome};
 use super::error::DiagnosisError;
+use super::field;
 use super::recording::Recording;
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
@@ -43,8 +45,8 @@ use crate::simulator::SensorModel;
 pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
 
-/// Compares a record with a model: against a reference where there is one, by its rests where it rests in several poses, else as
-/// a record at rest.
+/// Compares a record with a model: against a reference where there is one, by gravity where it rests in several poses or
+/// is turned slowly, else as a record at rest. A disturbed magnetic field is said besides.
 ///
 /// # Errors
 /// [`DiagnosisError`] for what cannot be compared, and where it was called off.
@@ -54,10 +56,12 @@ pub fn diagnose_any(
     sim: &SensorModel,
     options: &Options<'_>,
 ) -> Result<Outcome, DiagnosisError> {
-    match reference {
+    let mut outcome = match reference {
         Some(reference) => diagnose_moved(real, reference, sim, options),
         None => diagnose_tumble(real, sim, options).unwrap_or_else(|| super::diagnose::diagnose(real, sim, options)),
-    }
+    }?;
+    outcome.diagnosis.notes.extend(field::disturbed(real).iter().map(field::Disturbed::told));
+    Ok(outcome)
 }
 
 /// Compares a record of a known motion with a model.

@@ -22,7 +22,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF as _, Normal};
 
 /// Gravity and the belief in it, m/s².
 const GRAVITY: f64 = crate::units::STANDARD_GRAVITY_M_S2;
-const BELIEF: f64 = 0.013;
+pub(super) const BELIEF: f64 = 0.013;
 /// Fewest poses, apart from one another.
 pub const POSES_MIN: usize = 6;
 /// Variance of flicker's mean over a rest about the record's, in B²; ln of the record's length over the rest's, and some.
@@ -89,6 +89,16 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     std::array::from_fn(|axis| less[axis] - once[axis] + twice[axis])
 }
 
+/// Numbers that parts have; gravity is always there.
+pub(super) fn columns_of(parts: &[usize]) -> Vec<usize> {
+    parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect()
+}
+
+/// Nats that as many numbers have to explain, at a level over the three parts.
+pub(super) fn price(numbers: f64, level: f64) -> f64 {
+    ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / PARTS.len() as f64))
+}
+
 /// Fits the tumble; None with too few poses or a noise that is none.
 pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: f64) -> Option<Tumbled> {
     let count = rests.len();
@@ -116,9 +126,6 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
     let root = Cholesky::new(covariance)?;
     let lower = root.l();
     let weigh = |values: DVector<f64>| lower.solve_lower_triangular(&values);
-    // Numbers that each part has; gravity is always there.
-    let columns =
-        |parts: &[usize]| -> Vec<usize> { parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect() };
     let misfit = |numbers: &[f64], places: &[usize]| {
         DVector::from_iterator(
             places.len(),
@@ -128,7 +135,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
     let everywhere: Vec<usize> = (0..count).collect();
     // Gauss–Newton over chosen numbers; derivatives by differences.
     let fit = |parts: &[usize], keep: &[f64]| -> Option<(Vec<f64>, DMatrix<f64>, f64)> {
-        let own = columns(parts);
+        let own = columns_of(parts);
         let mut numbers = vec![0.0; 10];
         let mut inverse = DMatrix::zeros(own.len(), own.len());
         let mut square = f64::INFINITY;
@@ -163,9 +170,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
         Some((numbers, inverse, square))
     };
     let all = vec![1.0; count];
-    let price =
-        |numbers: f64| ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / 3.0));
-    let prices = [price(3.0); 3];
+    let prices = PARTS.map(|_| price(3.0, level));
     let mut best: Option<(f64, Vec<usize>)> = None;
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {
@@ -192,7 +197,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
             },
         );
     let mut errors = [0.0; 10];
-    for (place, number) in columns(&parts).into_iter().enumerate() {
+    for (place, number) in columns_of(&parts).into_iter().enumerate() {
         errors[number] = inverse[(place, place)].max(0.0).sqrt();
     }
     // Each pose foretold by the others.
@@ -207,7 +212,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
             held_out += 0.5 * (before_w[place].powi(2) - after[place].powi(2));
         }
     }
-    let freedom = (count + 1).saturating_sub(columns(&parts).len());
+    let freedom = (count + 1).saturating_sub(columns_of(&parts).len());
     let p_value =
         ChiSquared::new(freedom as f64).map_or(1.0, |of| if freedom == 0 { 1.0 } else { 1.0 - of.cdf(square) });
     let values: [f64; 10] = std::array::from_fn(|place| numbers[place]);

@@ -1,9 +1,11 @@
-//! Tumble: a record without a reference in which the sensor lay still in six poses or more, or was turned by whole circles.
+//! Tumble: a record without a reference in which the sensor lay still in six poses or more, was turned by whole circles, or was
+//! turned slowly through many poses.
 //!
-//! The rests are found by themselves ([`super::rests`]); what their means say is in [`super::poses`], what the noise says is
-//! found in the longest of them, as in any record at rest.
+//! The rests are found by themselves ([`super::rests`]); what their means say is in [`super::poses`], what a slow turn says in
+//! [`super::quasi_static`]; what the noise says is found in the longest rest, as in any record at rest.
 
-use super::poses::{self, PARTS, POSES_MIN, Part, Tumbled, Turned};
+use super::poses::{self, BELIEF, PARTS, POSES_MIN, Part, Tumbled, Turned};
+use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
 use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
@@ -44,14 +46,22 @@ pub fn diagnose_tumble(
     }
     let rests = rests(real);
     let tumble = count_poses(&rests) >= POSES_MIN;
-    let gyro: Option<Vec<&[f64]>> = Triad::Gyro.channels().into_iter().map(|channel| real.values(channel)).collect();
+    let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
+        let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| real.values(channel)).collect();
+        all?.try_into().ok()
+    };
+    let gyro = columns(Triad::Gyro);
     let n = Triad::Gyro.channels().map(|channel| sim.channels.get(&channel).map_or(0.0, |of| of.n));
-    let turns = match gyro.and_then(|all| <[&[f64]; 3]>::try_from(all).ok()).filter(|_| has(Triad::Gyro)) {
+    let turns = match gyro.filter(|_| has(Triad::Gyro)) {
         Some(gyro) => poses::turned(&rests, gyro, real.rate_hz, n, options.level),
         None => Vec::new(),
     };
     let longest = rests.iter().max_by_key(|rest| rest.within.len())?;
-    if (!tumble && turns.is_empty()) || longest.within.len() < prepare::LEAST {
+    let windows = match (gyro, columns(Triad::Accel)) {
+        (Some(gyro), Some(accel)) => Windows::of(real, accel, gyro, longest.rate.unwrap_or_default()),
+        _ => Windows::default(),
+    };
+    if (!tumble && turns.is_empty() && !windows.turn()) || longest.within.len() < prepare::LEAST {
         return None;
     }
     let still = real.part(longest.within.clone());
@@ -67,9 +77,42 @@ pub fn diagnose_tumble(
     for (channel, of) in &mut noise.channels {
         of.n = outcome.augmented.channels.get(channel).map_or(of.n, |found| found.n);
     }
-    let tumbled = if tumble { poses::tumbled(&rests, real.rate_hz, &noise, options.level) } else { None };
-    tell(&mut outcome, sim, real, &rests, longest, tumbled.as_ref(), &turns);
+    let at_rest = tumble.then(|| poses::tumbled(&rests, real.rate_hz, &noise, options.level)).flatten();
+    let found = match at_rest {
+        Some(of) => Some(Poses { of, stands: &rests, how: How::Rests }),
+        None => {
+            quasi_static(&windows, options.level).map(|of| Poses { of, stands: &windows.stands, how: How::Windows })
+        }
+    };
+    tell(&mut outcome, sim, real, longest, found.as_ref(), &turns);
     Some(Ok(outcome))
+}
+
+/// Where gravity was looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum How {
+    /// In rests.
+    Rests,
+    /// In windows of a slow turn.
+    Windows,
+}
+
+/// What gravity's magnitude says of the accelerometer, and where.
+struct Poses<'a> {
+    of: Tumbled,
+    stands: &'a [Rest],
+    how: How,
+}
+
+impl Poses<'_> {
+    /// "7 rests (6 poses)".
+    fn told(&self) -> String {
+        let (count, poses) = (self.stands.len(), count_poses(self.stands));
+        match self.how {
+            How::Rests => format!("{count} rests ({poses} poses)"),
+            How::Windows => format!("{count} windows of {WINDOW_S:.0} s of a slow turn ({poses} poses)"),
+        }
+    }
 }
 
 /// An effect with its evidence and intervals.
@@ -86,12 +129,11 @@ fn tell(
     outcome: &mut Outcome,
     sim: &SensorModel,
     real: &Recording,
-    rests: &[Rest],
     longest: &Rest,
-    tumbled: Option<&Tumbled>,
+    poses: Option<&Poses<'_>>,
     turns: &[Turned],
 ) {
-    let mut named: Vec<Named> = tumbled.map(|of| of_poses(of, rests.len())).unwrap_or_default();
+    let mut named: Vec<Named> = poses.map(of_poses).unwrap_or_default();
     named.extend(of_turns(turns));
     let diagnosis = &mut outcome.diagnosis;
     let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
@@ -100,15 +142,33 @@ fn tell(
         longest.within.len() as f64 / real.rate_hz,
         longest.within.start as f64 / real.rate_hz
     )];
-    if let Some(of) = tumbled {
-        let rms = |values: &[f64]| (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt();
+    if poses.is_none() && turns.is_empty() {
+        notes.push(
+            "the sensor is turned, too fast or through too few poses for gravity's magnitude to be a reference: give the motion \
+             with --reference, or rest in six poses or more"
+                .to_owned(),
+        );
+    }
+    if let Some(poses) = poses {
+        let of = &poses.of;
+        let typical = match poses.how {
+            How::Rests => |values: &[f64]| {
+                (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
+            },
+            // A jerk in a window is none of the sensor's.
+            How::Windows => |values: &[f64]| {
+                let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+                sizes.sort_unstable_by(f64::total_cmp);
+                sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
+            },
+        };
         notes.push(format!(
-            "gravity's magnitude in {} rests ({} poses) is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± 0.013: it \
-             is off by {:.4} m/s² (rms) as the model is and by {:.4} with what was found; gravity comes out as {:.4}",
-            rests.len(),
-            count_poses(rests),
-            rms(&of.before),
-            rms(&of.after),
+            "gravity's magnitude in {} is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± {BELIEF}: it is off by {:.4} \
+             m/s² ({}) as the model is and by {:.4} with what was found; gravity comes out as {:.4}",
+            poses.told(),
+            typical(&of.before),
+            if poses.how == How::Rests { "rms" } else { "median" },
+            typical(&of.after),
             STANDARD_GRAVITY_M_S2 + of.values[9]
         ));
         notes.push(
@@ -127,9 +187,13 @@ fn tell(
             gap.closed = Some(of.held_out / (whole - floor));
             gap.closed_ci95 = None;
         }
-        gap.measured_on = format!("poses foretold by all others; of the noise the {}", gap.measured_on);
+        let held_out = match poses.how {
+            How::Rests => "poses foretold by all others",
+            How::Windows => "half of the windows foretold by the other",
+        };
+        gap.measured_on = format!("{held_out}; of the noise the {}", gap.measured_on);
         gap.p_value_after = gap.p_value_after.min(of.p_value);
-        if let Some(place) = place(of, rests, real.rate_hz).filter(|_| !of.choice.groups.is_empty()) {
+        if let Some(place) = place(of, poses.stands, real.rate_hz).filter(|_| !of.choice.groups.is_empty()) {
             diagnosis.r#where.insert(0, place);
         }
         if of.p_value < REMAINS {
@@ -175,7 +239,8 @@ fn parameters(effect: &dyn TriadEffect) -> Value {
 }
 
 /// What the magnitudes name.
-fn of_poses(of: &Tumbled, rests: usize) -> Vec<Named> {
+fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
+    let of = &poses.of;
     let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
     of.choice
         .groups
@@ -197,7 +262,8 @@ fn of_poses(of: &Tumbled, rests: usize) -> Vec<Named> {
             };
             let (gain, price) = (of.gains[*group], of.prices[*group]);
             let mut evidence = vec![format!(
-                "accel: {gain:.0} nats more of {rests} rests with {} than without; chance gives {price:.0}",
+                "accel: {gain:.0} nats more of {} with {} than without; chance gives {price:.0}",
+                poses.told(),
                 effect.name()
             )];
             for (axis, name) in names.iter().enumerate() {
