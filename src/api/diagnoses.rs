@@ -181,7 +181,8 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
                 ("the capture", format!("/v1/captures/{}", job.capture)),
                 ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
             ];
-            let page = pages::diagnosis(document.report.get(), document.spectra.get(), &links);
+            let drawn = pages::Pictures { spectra: document.spectra.get(), residuals: document.residuals() };
+            let page = pages::diagnosis(document.report.get(), drawn, &links);
             page.map_err(JobError::from)?
         }
         None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),

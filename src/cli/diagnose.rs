@@ -55,7 +55,8 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     if let Some(output) = html {
         let spectra = diagnosis::spectra(&gridded.recording, &sim, &outcome.augmented);
         let (report, spectra) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&spectra)?);
-        write(output, &page::diagnosis(&report, &spectra, &[])?)?;
+        let residuals = serde_json::to_string(&outcome.residuals)?;
+        write(output, &page::diagnosis(&report, page::Pictures { spectra: &spectra, residuals: &residuals }, &[])?)?;
     }
     if context.json {
         print_json(&outcome.diagnosis)?

@@ -85,7 +85,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         inputs: [("real", options.real.to_owned()), ("sim", options.sim.to_owned())].into(),
     };
     diagnosis.summary = super::sentence::summary(&diagnosis);
-    Outcome { diagnosis, augmented }
+    Outcome { diagnosis, augmented, residuals: Vec::new() }
 }
 
 /// What remains.

@@ -5,6 +5,7 @@ use super::evidence::Kind;
 use super::explanation::Explanation;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::{Beliefs, Fitted};
+use super::motion::Residuals;
 use super::omnibus::{self, Statistic};
 use super::prepare::{self, Prepared, Ready};
 use super::prices::{Prices, Tails};
@@ -98,6 +99,8 @@ pub struct Outcome {
     pub diagnosis: Diagnosis,
     /// The model with its parameters corrected and what it lacked added.
     pub augmented: SensorModel,
+    /// What a record of a known motion shows beyond the model, for pictures; empty of one at rest.
+    pub residuals: Vec<Residuals>,
 }
 
 /// What was found on a channel.

@@ -50,7 +50,7 @@ pub mod translate;
 
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use error::DiagnosisError;
-pub use motion::{Reference, ReferenceError, diagnose_any, diagnose_moved};
+pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
 pub use spectra::{ChannelSpectra, spectra};

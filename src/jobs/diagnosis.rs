@@ -7,7 +7,7 @@
 use super::plan::Plan;
 use super::runner::Outcome;
 use super::{Gridded, JobError, JobKind, fitted, gridded};
-use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Recording, Reference, Workers};
+use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Recording, Reference, Residuals, Workers};
 use crate::motion::file::Rows;
 use crate::motion::{Course, Kind, Site};
 use crate::sample::Channel;
@@ -131,7 +131,6 @@ fn of_model(value: &Value, called: &str) -> Result<Simulator, JobError> {
 
 /// What a diagnosis leaves behind: parts of one JSON text, each as it is given out.
 #[derive(Debug, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct DiagnosisDocument<'a> {
     /// The report, `vn100d-diagnosis-1`.
     #[serde(borrow)]
@@ -142,6 +141,9 @@ pub struct DiagnosisDocument<'a> {
     /// Spectra for its page.
     #[serde(borrow)]
     pub spectra: &'a RawValue,
+    /// Residuals of a motion for its page; results of earlier versions have none.
+    #[serde(borrow, default)]
+    residuals: Option<&'a RawValue>,
 }
 
 impl<'a> DiagnosisDocument<'a> {
@@ -152,6 +154,12 @@ impl<'a> DiagnosisDocument<'a> {
     pub fn read(body: &'a str) -> Result<Self, JobError> {
         Ok(serde_json::from_str(body)?)
     }
+
+    /// Residuals of a motion, a list.
+    #[must_use]
+    pub fn residuals(&self) -> &'a str {
+        self.residuals.map_or("[]", RawValue::get)
+    }
 }
 
 /// The same while it is written.
@@ -160,6 +168,7 @@ struct Written<'a> {
     report: &'a Diagnosis,
     model: &'a SensorModel,
     spectra: &'a [ChannelSpectra],
+    residuals: &'a [Residuals],
 }
 
 /// What the thread and its worker tell each other.
@@ -294,7 +303,8 @@ fn document_of(
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
     let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);
-    let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, spectra: &spectra };
+    let diagnosis::Outcome { diagnosis: report, augmented: model, residuals } = &outcome;
+    let written = Written { report, model, spectra: &spectra, residuals };
     Ok(serde_json::to_string(&written)?)
 }
 

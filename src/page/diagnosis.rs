@@ -2,6 +2,7 @@
 
 use super::chart::{self, Spectra};
 use super::figure::{percent, plain, second, with_interval};
+use super::residual::Residuals;
 use super::{escaped, framed};
 use crate::sample::Channel;
 use serde::Deserialize;
@@ -132,19 +133,31 @@ struct Gap {
     floor: f64,
 }
 
-/// The page of a diagnosis: `report` is the document `vn100d-diagnosis-1`, `spectra` the list that goes with it.
+/// What is drawn, as lists in JSON.
+#[derive(Debug, Clone, Copy)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Pictures<'a> {
+    /// Spectra of the channels ([`crate::diagnosis::ChannelSpectra`]).
+    pub spectra: &'a str,
+    /// What is beyond the model in a record of a motion ([`crate::diagnosis::Residuals`]).
+    pub residuals: &'a str,
+}
+
+/// The page of a diagnosis: `report` is the document `vn100d-diagnosis-1`.
 ///
 /// # Errors
 /// What is missing in a text that is no such document.
-pub fn diagnosis(report: &str, spectra: &str, links: Links<'_>) -> Result<String, serde_json::Error> {
+pub fn diagnosis(report: &str, drawn: Pictures<'_>, links: Links<'_>) -> Result<String, serde_json::Error> {
     let report: Report = serde_json::from_str(report)?;
-    let spectra: Vec<Spectra> = serde_json::from_str(spectra)?;
+    let spectra: Vec<Spectra> = serde_json::from_str(drawn.spectra)?;
+    let residuals: Vec<Residuals> = serde_json::from_str(drawn.residuals)?;
     let mut out = String::new();
     head(&mut out, &report);
     bars(&mut out, &report.discrepancy);
     causes(&mut out, &report);
     off(&mut out, &report.parameters);
     places(&mut out, &report);
+    motion(&mut out, &report, &residuals);
     pictures(&mut out, &report, &spectra);
     by_channel(&mut out, &report.per_channel);
     rest(&mut out, &report);
@@ -351,15 +364,36 @@ fn driver(of: &Driver) -> String {
     }
 }
 
+/// Whether anything was found on a channel.
+fn named(report: &Report, channel: &str) -> bool {
+    report.r#where.iter().any(|of| of.channel == channel)
+        || report.parameters.iter().any(|of| of.channel == channel)
+        || report.causes.iter().any(|of| of.channels.iter().any(|own| own == channel))
+}
+
+fn motion(out: &mut String, report: &Report, residuals: &[Residuals]) {
+    if residuals.is_empty() {
+        return;
+    }
+    *out += "<h2>Beyond the motion</h2><p class=\"soft\">The recording less what a simulator shows of the motion, means: \
+             <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. Rate and \
+             specific force are those of the reference.</p>";
+    let picture = |out: &mut String, of: &Residuals| {
+        let _ = write!(out, "<figure><figcaption>{}</figcaption>{}</figure>", escaped(&of.title()), of.drawn());
+    };
+    residuals.iter().filter(|of| named(report, &of.channel)).for_each(|of| picture(out, of));
+    let mut others = residuals.iter().filter(|of| !named(report, &of.channel)).peekable();
+    if others.peek().is_some() {
+        *out += "<details><summary>channels without a finding</summary>";
+        others.for_each(|of| picture(out, of));
+        *out += "</details>";
+    }
+}
+
 fn pictures(out: &mut String, report: &Report, spectra: &[Spectra]) {
     if spectra.is_empty() {
         return;
     }
-    let named = |channel: &str| {
-        report.r#where.iter().any(|of| of.channel == channel)
-            || report.parameters.iter().any(|of| of.channel == channel)
-            || report.causes.iter().any(|of| of.channels.iter().any(|own| own == channel))
-    };
     *out += "<h2>Spectra</h2><p class=\"soft\"><span class=\"key real\"></span>recording\
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. \
              White noise stands at its N; drifts, steps and single events are in the recording alone.</p>";
@@ -369,8 +403,8 @@ fn pictures(out: &mut String, report: &Report, spectra: &[Spectra]) {
         let chart = chart::spectra(of, &bands);
         let _ = write!(out, "<figure><figcaption>{}</figcaption>{chart}</figure>", escaped(&of.channel));
     };
-    spectra.iter().filter(|of| named(&of.channel)).for_each(|of| picture(out, of));
-    let others: Vec<&Spectra> = spectra.iter().filter(|of| !named(&of.channel)).collect();
+    spectra.iter().filter(|of| named(report, &of.channel)).for_each(|of| picture(out, of));
+    let others: Vec<&Spectra> = spectra.iter().filter(|of| !named(report, &of.channel)).collect();
     if !others.is_empty() {
         let names: Vec<String> = others.iter().map(|of| escaped(&of.channel)).collect();
         let _ = write!(out, "<details><summary>without a finding: {}</summary>", names.join(", "));
@@ -468,10 +502,27 @@ mod tests {
         json!([of("accel_z"), of("accel_y")])
     }
 
+    fn drawn(spectra: &str) -> Pictures<'_> {
+        Pictures { spectra, residuals: "[]" }
+    }
+
+    #[test]
+    fn residuals_of_a_motion_are_drawn_before_and_after() {
+        let of = |channel: &str| {
+            json!({"channel": channel, "unit": "m/s²", "against": "specific force", "axis": "z", "at_unit": "m/s²",
+                   "at": [-9.8, 0, 9.8], "before": [0.1, 0, -0.1], "after": [0, 1e-4, 0]})
+        };
+        let residuals = json!([of("accel_z"), of("accel_y")]).to_string();
+        let page = diagnosis(&report().to_string(), Pictures { spectra: "[]", residuals: &residuals }, &[]).unwrap();
+        let at = |part: &str| page.find(part).unwrap_or_else(|| panic!("{part} is not in {page}"));
+        assert!(at("<figcaption>accel_z against the specific force along z") < at("channels without a finding"));
+        assert!(at("channels without a finding") < at("<figcaption>accel_y against the specific force along z"));
+    }
+
     #[test]
     fn the_sentence_comes_first_and_every_part_is_there_without_anything_from_elsewhere() {
         let links = [("as JSON", "/v1/diagnoses/7".to_owned())];
-        let page = diagnosis(&report().to_string(), &spectra().to_string(), &links).unwrap();
+        let page = diagnosis(&report().to_string(), drawn(&spectra().to_string()), &links).unwrap();
         let at = |part: &str| page.find(part).unwrap_or_else(|| panic!("{part} is not in {page}"));
         assert!(at("<h1>accel_z: a 11.400 Hz tone &lt;b&gt;") < at("The gap, in nats/sample"));
         assert!(at("the model as it is") < at("What the model lacks"));
@@ -506,9 +557,9 @@ mod tests {
             little.as_object_mut().unwrap().remove(key);
         }
         little["discrepancy"]["closed"] = Value::Null;
-        let page = diagnosis(&little.to_string(), "[]", &[]).unwrap();
+        let page = diagnosis(&little.to_string(), drawn("[]"), &[]).unwrap();
         assert!(!page.contains("What the model lacks") && !page.contains("is closed"), "{page}");
-        assert!(diagnosis("{}", "[]", &[]).is_err());
+        assert!(diagnosis("{}", drawn("[]"), &[]).is_err());
     }
 
     #[test]
@@ -521,7 +572,7 @@ mod tests {
         report["per_channel"]["accel_z"]["after"] = Value::Null;
         let mut spectra = spectra();
         spectra[0]["real"][1] = Value::Null;
-        let page = diagnosis(&report.to_string(), &spectra.to_string(), &[]).unwrap();
+        let page = diagnosis(&report.to_string(), drawn(&spectra.to_string()), &[]).unwrap();
         assert!(!page.contains("NaN") && !page.contains("inf"), "{page}");
         for part in ["– to 11.6", "0 to –", "<td class=\"number\">–</td>", "0.001 → – (1·10⁻⁶)", "11.4"]
         {

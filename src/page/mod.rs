@@ -6,9 +6,10 @@
 mod chart;
 mod diagnosis;
 mod figure;
+mod residual;
 mod waiting;
 
-pub use diagnosis::{Links, diagnosis};
+pub use diagnosis::{Links, Pictures, diagnosis};
 pub use waiting::waiting;
 
 const STYLE: &str = include_str!("style.css");

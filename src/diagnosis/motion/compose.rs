@@ -8,7 +8,7 @@ use super::align::Aligned;
 use super::groups::{Group, Member};
 use super::lateness::Delay;
 use super::rounds::{Found, Settled};
-use super::{BLOCKS, FOLDS, places};
+use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnosis::diagnose::{Options, Outcome};
 use crate::diagnosis::recording::Recording;
 use crate::diagnosis::report::{Alternative, Cause, Diagnosis, Place, Verdict};
@@ -122,7 +122,11 @@ pub(super) fn outcome(
     diagnosis.summary = crate::diagnosis::sentence::summary(&diagnosis);
     let mut augmented = found.rest.augmented.clone();
     augmented.triads = corrected(sim, &driven);
-    Outcome { diagnosis, augmented }
+    let residuals = found.triads.iter().flat_map(|of| {
+        let sent = of.triad.channels().map(|channel| part.values(channel).unwrap_or_default());
+        residuals::residuals(of, sim, sent, &aligned.motions, part.rate_hz, from_s)
+    });
+    Outcome { diagnosis, augmented, residuals: residuals.collect() }
 }
 
 /// Nats of the gap that remains without the motion's, where there is one that counts.

@@ -24,6 +24,7 @@ mod places;
 mod poses;
 mod quasi_static;
 mod reference;
+pub mod residuals;
 pub mod rests;
 #[cfg(test)]
 mod round_trip;
@@ -32,6 +33,7 @@ pub mod select;
 mod tumble;
 
 pub use reference::{Reference, ReferenceError};
+pub use residuals::Residuals;
 pub use tumble::diagnose_tumble;
 
 use super::diagnose::{Options, Outcome};

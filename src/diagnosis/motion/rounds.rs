@@ -51,6 +51,11 @@ impl Settled {
         Weighing::new(&self.screen, &self.base, &self.groups)
     }
 
+    /// Samples less everything that answers the motion, U; no number where a sample is left out.
+    pub(super) fn rest(&self, axis: usize) -> &[f64] {
+        &self.rest[axis]
+    }
+
     /// The groups that were chosen.
     pub(super) fn chosen(&self) -> impl Iterator<Item = (usize, &Group)> {
         self.choice.groups.iter().map(|place| (*place, &self.groups[*place]))

@@ -188,6 +188,23 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
     })
 }
 
+/// What a triad with these effects shows of a motion on average, per axis, U.
+#[must_use]
+pub fn expected(
+    triad: Triad,
+    rate_hz: f64,
+    reference: &[Motion],
+    known: &[Arc<dyn TriadEffect>],
+    level: Axes,
+) -> [Vec<f64>; 3] {
+    let nothing = vec![0.0; reference.len()];
+    let samples = std::array::from_fn(|_| nothing.as_slice());
+    let record = Record { rate_hz, triad, samples, reference, temperature_c: None, left_out: &[] };
+    let request = Request { known, level, candidates: &[], clock: Clock::SHARED, filters: &NO_FILTERS };
+    let (design, state) = Design::new(&record, &request);
+    design.response(&state)
+}
+
 /// Does something with a problem's solution.
 fn solved<T>(
     record: &Record<'_>,
