@@ -40,6 +40,8 @@ pub enum Foreign {
     ForceSquared,
     /// Its scale factor follows the temperature.
     WarmScale,
+    /// It follows its input later on one axis than on another, and rounds its corners: a filter, to third order.
+    Bandwidth,
 }
 
 impl Foreign {
@@ -54,12 +56,13 @@ impl Foreign {
             Self::LeverArm => "stands off the point that the reference tells the motion of (a lever arm)",
             Self::ForceSquared => "shows the square of the specific force (g²-sensitivity, vibration rectification)",
             Self::WarmScale => "has a scale factor that follows the temperature",
+            Self::Bandwidth => "rounds the corners of a motion as a filter does that its noise does not show",
         }
     }
 
     fn of(triad: Triad) -> Vec<Self> {
         let own = if triad == Triad::Gyro { Self::ForceSquared } else { Self::LeverArm };
-        vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale]
+        vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale, Self::Bandwidth]
     }
 }
 
@@ -197,13 +200,22 @@ pub fn foreign(
                         own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
                     }
                 }
+                Foreign::Bandwidth => (2..4).for_each(|order| own(axis, derivative(values, order))),
                 Foreign::LeverArm => {}
             }
         }
-        if of == Foreign::LeverArm {
-            columns.extend(lever(motions, rate_hz));
+        match of {
+            Foreign::LeverArm => columns.extend(lever(motions, rate_hz)),
+            // The mean of the three delays is a latency's.
+            Foreign::Bandwidth => columns.extend([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]].map(|signs| {
+                std::array::from_fn(|axis| {
+                    let scaled = |value: f64| signs[axis] * value;
+                    (signs[axis] != 0.0).then(|| derivative(&inputs[axis], 1).into_iter().map(scaled).collect())
+                })
+            })),
+            _ => {}
         }
-        columns.iter_mut().flatten().flatten().for_each(|values| centre(values));
+        columns.iter_mut().for_each(centre);
         columns.retain(|column| column.iter().flatten().flatten().any(|value| *value != 0.0));
         if !columns.is_empty() {
             counts.push((of, columns.len()));
@@ -213,12 +225,20 @@ pub fn foreign(
     (counts, extras)
 }
 
-/// About their mean, the largest 1: a mean is a bias's.
-fn centre(values: &mut [f64]) {
-    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let most = values.iter().fold(0.0f64, |most, value| most.max((value - mean).abs()));
+/// About their means, the largest of all axes 1: a mean is a bias's.
+fn centre(column: &mut [Option<Vec<f64>>; 3]) {
+    let axes = || column.iter().flatten();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let far = |values: &Vec<f64>| {
+        let mean = mean(values);
+        values.iter().fold(0.0f64, |most, value| most.max((value - mean).abs()))
+    };
+    let most = axes().map(far).fold(0.0, f64::max);
     let scale = if most > 1e-12 { most.recip() } else { 0.0 };
-    values.iter_mut().for_each(|value| *value = (*value - mean) * scale);
+    for values in column.iter_mut().flatten() {
+        let mean = mean(values);
+        values.iter_mut().for_each(|value| *value = (*value - mean) * scale);
+    }
 }
 
 /// How far values are ahead of what follows them with a time constant, in samples.
@@ -242,6 +262,21 @@ fn play(values: &[f64], half: f64) -> Vec<f64> {
         .map(|value| {
             dragged = dragged.clamp(value - half, value + half);
             value - dragged
+        })
+        .collect()
+}
+
+/// The first, second or third difference about each value, per sample; the ends stay.
+fn derivative(values: &[f64], order: usize) -> Vec<f64> {
+    let last = values.len().saturating_sub(1);
+    (0..values.len())
+        .map(|t| {
+            let at = |back: usize, on: usize| values[(t + on).saturating_sub(back).min(last)];
+            match order {
+                1 => 0.5 * (at(0, 1) - at(1, 0)),
+                2 => at(0, 1) - 2.0 * at(0, 0) + at(1, 0),
+                _ => 0.5 * (at(0, 2) - 2.0 * at(0, 1) + 2.0 * at(1, 0) - at(2, 0)),
+            }
         })
         .collect()
 }

@@ -8,11 +8,13 @@ use super::{BLOCKS, noise};
 use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::recording::Recording;
+use crate::diagnosis::report::Diagnosis;
 use crate::diagnosis::response::{self, Candidate, Clock, Fit, Record, Request, Screen};
 use crate::diagnosis::{facts, prepare};
 use crate::effects::TriadEffect;
-use crate::sample::Triad;
+use crate::sample::{Channel, Triad};
 use crate::simulator::SensorModel;
+use serde_json::Value;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -109,7 +111,11 @@ pub(super) fn run(
         let now = signature(&settled, &rest.augmented);
         round += 1;
         if (round > 1 && before.as_ref() == Some(&now)) || round == ROUNDS {
-            let delays: Vec<Delay> = settled.iter().filter_map(|of| Delay::of(of.triad, &of.fit.estimates)).collect();
+            let late = |of: &Settled| {
+                let delay = Delay::of(of.triad, &of.fit.estimates)?;
+                Some(delay.or_of_a_filter(filter_error_s(of.triad, &rest.diagnosis)))
+            };
+            let delays: Vec<Delay> = settled.iter().filter_map(late).collect();
             let price_of_one = pricing(options, triads.len(), 1.0).price(1, 2);
             let lateness = lateness::tell(&delays, aligned.shared, price_of_one);
             return Ok(Found { triads: settled, rest, lateness, price_of_one });
@@ -160,6 +166,30 @@ fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
         Some(effects.iter().map(move |effect| (channel as usize, effect.name())))
     });
     (settled.iter().map(|of| of.choice.groups.clone()).collect(), names.flatten().collect())
+}
+
+/// Standard error of the delay that a low pass of a triad makes, s: 1/(2π·f) with the error of f, the mean of three axes; 0
+/// without one.
+fn filter_error_s(triad: Triad, found: &Diagnosis) -> f64 {
+    let square = |channel: Channel| {
+        let lists = found.causes.iter().filter(|cause| cause.effect == "low_pass");
+        let [low, high] =
+            lists.filter_map(|cause| ends_of(cause.uncertainty.get(channel.name())?, "cutoff_hz")).next()?;
+        Some(((low.recip() - high.recip()) / (std::f64::consts::TAU * 2.0 * 1.96)).powi(2))
+    };
+    triad.channels().into_iter().filter_map(square).filter(|square| square.is_finite()).sum::<f64>().sqrt() / 3.0
+}
+
+/// The first interval of that name among the intervals of one or several effects.
+fn ends_of(of: &Value, name: &str) -> Option<[f64; 2]> {
+    match of {
+        Value::Array(list) => list.iter().find_map(|one| ends_of(one, name)),
+        Value::Object(map) => {
+            let ends = map.get(name)?.as_array()?;
+            Some([ends.first()?.as_f64()?, ends.get(1)?.as_f64()?])
+        }
+        _ => None,
+    }
 }
 
 /// The record with the answers taken off.
@@ -240,17 +270,25 @@ impl About<'_> {
         let all = with_delay(candidates.clone());
         let request = Request { known: &known, level, candidates: &all, clock, filters: &filters };
         let (counts, extras) = groups::foreign(triad, motions, rate_hz, self.temperature_c);
-        let screen = response::screen(&self.record(triad, &samples, &left_out), &law, &request, extras, BLOCKS)?;
+        let screen = response::screen(&self.record(triad, &samples, sent, &left_out), &law, &request, extras, BLOCKS)?;
         let mean_freedom = noise::mean_freedom(self.told, triad, rate_hz, n);
         let mut groups = groups::groups(&candidates, screen.own, &counts, pricing(options, triads, mean_freedom));
         groups.iter_mut().for_each(|group| group.price *= lenient);
+        let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
+        let mut base: Vec<usize> = (inside..screen.own).collect();
+        // Of a filter that the noise shows the motion tells the corner better than the noise does: what its interval leaves open
+        // is taken off first.
+        if filters.iter().any(|of| !of.is_empty()) {
+            let (known, open) =
+                groups.into_iter().partition(|group| group.member != Member::Foreign(Foreign::Bandwidth));
+            groups = known;
+            base.extend(open.into_iter().flat_map(|group: Group| group.columns));
+        }
         let wanted = |group: &Group| match group.member {
             Member::Library(candidate) => options.wants(candidate.name()),
             Member::Foreign(_) => true,
         };
         groups.retain(wanted);
-        let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
-        let base: Vec<usize> = (inside..screen.own).collect();
         let choice = Weighing::new(&screen, &base, &groups).choose();
         // What is outside the library is taken off before the rest is fitted as the simulator makes it.
         let weighing = Weighing::new(&screen, &base, &groups);
@@ -285,7 +323,7 @@ impl About<'_> {
         let mut chosen = with_delay(chosen);
         chosen.push(Candidate::Saturation);
         let request = Request { candidates: &chosen, ..request };
-        let fit = response::fit(&self.record(triad, &samples, &left_out), &law, &request)?;
+        let fit = response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?;
         // What the temperature does is left to the diagnosis of what remains.
         let per_c = |axis: usize| {
             let name = format!("{} per_c", ["x", "y", "z"][axis]);
@@ -321,11 +359,18 @@ impl About<'_> {
         let filters = noise::filters(self.told, triad);
         let request =
             Request { known: &known, level, candidates: &candidates, clock: Clock::SEPARATE, filters: &filters };
-        Ok(response::fit(&self.record(triad, &samples, &left_out), &law, &request)?)
+        Ok(response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?)
     }
 
-    fn record<'b>(&'b self, triad: Triad, samples: &'b [Vec<f64>; 3], left_out: &'b [bool]) -> Record<'b> {
+    fn record<'b>(
+        &'b self,
+        triad: Triad,
+        samples: &'b [Vec<f64>; 3],
+        sent: [&'b [f64]; 3],
+        left_out: &'b [bool],
+    ) -> Record<'b> {
         Record {
+            sent: Some(sent),
             rate_hz: self.part.rate_hz,
             triad,
             samples: samples.each_ref().map(Vec::as_slice),

@@ -54,6 +54,7 @@ fn the_response_is_the_simulators_without_noise() {
             reference: &case.reference,
             temperature_c: None,
             left_out: &[],
+            sent: None,
         };
         // Once with all effects known and kept, once with all as candidates at their known values.
         for candidates in [&[][..], &candidates] {
@@ -81,6 +82,7 @@ fn what_is_known_already_gains_nothing_and_what_is_lacking_gains_what_it_costs_t
         reference: &case.reference,
         temperature_c: None,
         left_out: &[],
+        sent: None,
     };
     let both = [Candidate::ScaleFactor, Candidate::Misalignment];
     let known = [scale.0.make(&scale.1)];
@@ -302,6 +304,7 @@ fn clipping_is_found_beside_a_regression_and_its_samples_are_bridged() {
         reference: &refused.reference,
         temperature_c: None,
         left_out: &[],
+        sent: None,
     };
     let error = fit(&record, &refused.law, &request(&[Candidate::Bias])).unwrap_err();
     assert!(matches!(error, ResponseError::LeftOut { needed: SAMPLES_MIN, .. }), "{error}");
@@ -322,6 +325,7 @@ fn a_bias_that_goes_with_the_temperature_is_taken_beside_the_motions() {
         reference: &case.reference,
         temperature_c: Some(&temperature_c),
         left_out: &[],
+        sent: None,
     };
     let found = fit(&record, &case.law, &request(&[Candidate::ScaleFactor, Candidate::Bias])).unwrap();
     for (name, truth) in [("x per_c", 0.0), ("y per_c", 0.01), ("z per_c", 0.0)] {
@@ -341,6 +345,7 @@ fn what_cannot_be_fitted_is_refused_with_what_was_found() {
         reference: &case.reference,
         temperature_c: None,
         left_out: &[],
+        sent: None,
     };
     let message = |record: Record<'_>, candidates: &[Candidate]| {
         fit(&record, &case.law, &request(candidates)).unwrap_err().to_string()
@@ -380,6 +385,7 @@ fn a_sensor_with_a_boxcar_has_a_law_too() {
         reference: &reference,
         temperature_c: None,
         left_out: &[],
+        sent: None,
     };
     let found = fit(&record, &law, &request(&[Candidate::Bias])).unwrap();
     assert!(found.misfit.iter().all(|square| (square - 1.0).abs() < 0.15), "{:?}", found.misfit);

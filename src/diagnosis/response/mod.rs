@@ -82,6 +82,9 @@ pub struct Record<'a> {
     pub temperature_c: Option<&'a [f64]>,
     /// Samples that are missing or no noise, and are left out of all axes; empty if none is. What stands there is a finite number.
     pub left_out: &'a [bool],
+    /// The samples as they were sent, where a course was taken off those above: what the sensor cuts off is seen in these. Those
+    /// that are missing are no numbers here.
+    pub sent: Option<[&'a [f64]; 3]>,
 }
 
 /// Filters of no axis.
@@ -199,7 +202,7 @@ pub fn expected(
 ) -> [Vec<f64>; 3] {
     let nothing = vec![0.0; reference.len()];
     let samples = std::array::from_fn(|_| nothing.as_slice());
-    let record = Record { rate_hz, triad, samples, reference, temperature_c: None, left_out: &[] };
+    let record = Record { rate_hz, triad, samples, reference, temperature_c: None, left_out: &[], sent: None };
     let request = Request { known, level, candidates: &[], clock: Clock::SHARED, filters: &NO_FILTERS };
     let (design, state) = Design::new(&record, &request);
     design.response(&state)
@@ -215,7 +218,7 @@ fn solved<T>(
     check(record, law, request)?;
     let (design, known) = Design::new(record, request);
     let input: Vec<Axes> = record.reference.iter().map(|motion| design.input(motion)).collect();
-    let clipping = Clipping::find_or_known(record.samples, &input, request.known);
+    let clipping = Clipping::find_or_known(record.sent.unwrap_or(record.samples), &input, request.known);
     let limit = clipping.map(|clipping| clipping.limit);
     let whitening = Whitening::new(law);
     let mut search = Search { record, design: &design, whitening, offset_unknown: request.clock.offset_unknown };

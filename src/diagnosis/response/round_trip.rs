@@ -86,6 +86,7 @@ impl Case {
             reference: &self.reference,
             temperature_c: None,
             left_out: &[],
+            sent: None,
         };
         fit(&record, &self.law, &Request { known: &[], level: [0.0; 3], candidates, clock, filters: &NO_FILTERS })
             .unwrap()

@@ -260,6 +260,7 @@ mod tests {
             reference: &case.reference,
             temperature_c: None,
             left_out: &[],
+            sent: None,
         };
         let request = |candidates| Request {
             known: &[],

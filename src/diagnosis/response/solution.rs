@@ -74,8 +74,11 @@ impl Search<'_, '_> {
         let deviations = self.whitening.sample_deviations();
         let bridges: [Bridges; 3] = std::array::from_fn(|axis| {
             let out = |(index, shown): (usize, &f64)| {
-                let response = response.map(|axes| axes[axis][index]);
-                let near = limit.is_some_and(|limit| is_near(limit, *shown, response, deviations[axis]));
+                // A course that was taken off is on both again: the limit is that of what was sent.
+                let sent = self.record.sent.map_or(*shown, |axes| axes[axis][index]);
+                let course = Some(sent - shown).filter(|course| course.is_finite()).unwrap_or(0.0);
+                let response = response.map(|axes| axes[axis][index] + course);
+                let near = limit.is_some_and(|limit| is_near(limit, sent, response, deviations[axis]));
                 near || !reached.contains(&index) || self.record.left_out.get(index) == Some(&true)
             };
             Bridges::new(self.record.samples[axis].iter().enumerate().map(out))
