@@ -1,6 +1,6 @@
-//! What a diagnosis costs: nine channels of five hours at 40 Hz with one effect, two channels of 27 minutes, and the exact
-//! calibration at that size; time, processor time and peak of the heap, beside cosine transforms of the same samples, of which
-//! whitening takes at least one. `cargo bench --bench diagnosis`.
+//! What a diagnosis costs: nine channels of five hours at 40 Hz with one effect, two channels of 27 minutes, the exact
+//! calibration at that size, and 20 minutes on a rate table at 100 Hz against their reference; time, processor time and peak of
+//! the heap, beside cosine transforms of the same samples, of which whitening takes at least one. `cargo bench --bench diagnosis`.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
@@ -9,11 +9,13 @@ use std::sync::Arc;
 use std::time::Instant;
 use vn100d::diagnosis::calibration::{Nulls, RECORDS};
 use vn100d::diagnosis::transform::Cosines;
-use vn100d::diagnosis::{Options, Recording, diagnose};
+use vn100d::diagnosis::{Options, Outcome, Recording, Reference, diagnose, diagnose_moved};
 use vn100d::effects::Tone;
+use vn100d::effects::triad::ScaleFactor;
 use vn100d::jobs::TwoThreads;
-use vn100d::sample::Channel;
-use vn100d::simulator::{SensorModel, Simulator, default_model};
+use vn100d::motion::{Course, Kind, Site};
+use vn100d::sample::{Channel, Triad};
+use vn100d::simulator::{Motion, SensorModel, Simulator, default_model};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
@@ -50,13 +52,38 @@ fn record(channels: &[Channel], samples: usize) -> (Recording, SensorModel) {
     (real, model)
 }
 
-fn measure(what: &str, channels: &[Channel], samples: usize, rounds: usize) {
-    let (real, model) = record(channels, samples);
-    let options = Options { workers: &TwoThreads, ..Options::default() };
+/// A record on a rate table whose gyro has a scale factor that the model has not, and what drove it.
+fn on_a_table(length_s: f64, rate_hz: f64) -> (Recording, Reference, SensorModel) {
+    let mut model = default_model();
+    model.channels.retain(|channel, _| matches!(channel.triad(), Some(Triad::Gyro | Triad::Accel)));
+    model.triads.clear();
+    model.channels.values_mut().for_each(|of| of.effects.clear());
+    model.rate_hz = rate_hz;
+    let mut truth = model.clone();
+    let effect = Arc::new(ScaleFactor { axes: [1e-3, -5e-4, 0.0] });
+    truth.triads.entry(Triad::Gyro).or_default().effects.push(effect);
+    let samples = (length_s * rate_hz) as usize;
+    let course = Course::new(Kind::RateTable, length_s, Site::default()).expect("a length");
+    let motions: Vec<Motion> = course.sampled(rate_hz).take(samples).collect();
+    let rows = motions.iter().enumerate().map(|(index, motion)| (index as f64 / rate_hz, *motion));
+    let reference = Reference::new(rows).expect("rows in order");
+    let simulator = Simulator::new(&truth, 1, rate_hz, length_s).expect("a model that can be simulated");
+    let mut simulator = simulator.with_motion(motions.into_iter());
+    let mut real = Recording { rate_hz, ..Recording::default() };
+    real.channels = model.channels.keys().map(|channel| (*channel, Vec::with_capacity(samples))).collect();
+    for _ in 0..samples {
+        let sample = simulator.next_sample().expect("as many as there are motions");
+        real.channels.iter_mut().for_each(|(channel, values)| values.push(sample.values[*channel as usize]));
+    }
+    (real, reference, model)
+}
+
+/// Diagnoses a record several times.
+fn measure(what: &str, real: &Recording, expected: &str, rounds: usize, diagnose: impl Fn() -> Outcome) {
     let (mut took, mut worked, mut transforms, mut peak) = (Vec::new(), Vec::new(), Vec::new(), 0.0f64);
     for _ in 0..rounds {
         let begun_s = processor_s();
-        let mut transform = Cosines::new(samples);
+        let mut transform = Cosines::new(real.len());
         for (_, values) in &real.channels {
             transform.forward(&mut values.clone());
         }
@@ -64,11 +91,11 @@ fn measure(what: &str, channels: &[Channel], samples: usize, rounds: usize) {
         ALLOCATOR.reset_peak_usage();
         let before = ALLOCATOR.current_usage_as_mb();
         let (begun, begun_s) = (Instant::now(), processor_s());
-        let outcome = diagnose(&real, &model, &options).expect("a record that can be compared");
+        let outcome = diagnose();
         took.push(begun.elapsed().as_secs_f64());
         worked.push(processor_s() - begun_s);
         peak = peak.max(f64::from(ALLOCATOR.peak_usage_as_mb() - before));
-        assert_eq!(outcome.diagnosis.causes.first().map(|cause| cause.effect), Some("tone"));
+        assert_eq!(outcome.diagnosis.causes.first().map(|cause| cause.effect), Some(expected));
     }
     let median = |of: &mut Vec<f64>| {
         of.sort_unstable_by(f64::total_cmp);
@@ -81,15 +108,30 @@ fn measure(what: &str, channels: &[Channel], samples: usize, rounds: usize) {
     );
 }
 
+fn at_rest(what: &str, channels: &[Channel], samples: usize, rounds: usize) {
+    let (real, model) = record(channels, samples);
+    let options = Options { workers: &TwoThreads, ..Options::default() };
+    measure(what, &real, "tone", rounds, || diagnose(&real, &model, &options).expect("a record that can be compared"));
+}
+
+fn with_a_motion(what: &str, length_s: f64, rate_hz: f64, rounds: usize) {
+    let (real, reference, model) = on_a_table(length_s, rate_hz);
+    let options = Options { workers: &TwoThreads, ..Options::default() };
+    let found = || diagnose_moved(&real, &reference, &model, &options).expect("a record that can be compared");
+    measure(what, &real, "scale_factor", rounds, found);
+}
+
 fn main() {
     // `cargo test --benches` only wants to know that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     if quick {
-        return measure("two channels", &[Channel::AccelZ, Channel::GyroX], 20_000, 1);
+        at_rest("two channels", &[Channel::AccelZ, Channel::GyroX], 20_000, 1);
+        return with_a_motion("two minutes on a table", 120.0, 100.0, 1);
     }
-    measure("5 h at 40 Hz, nine channels", &Channel::ANALYSED, 720_000, 3);
+    with_a_motion("20 min at 100 Hz on a rate table, six channels", 1200.0, 100.0, 5);
+    at_rest("5 h at 40 Hz, nine channels", &Channel::ANALYSED, 720_000, 3);
     let two = [Channel::AccelZ, Channel::GyroX];
-    measure("27 min at 40 Hz, two channels", &two, 65_536, 15);
+    at_rest("27 min at 40 Hz, two channels", &two, 65_536, 15);
     let (real, model) = record(&two, 65_536);
     let (begun, begun_s) = (Instant::now(), processor_s());
     let tails = Nulls::of(&real, &model).tails(RECORDS, &TwoThreads, &|_| true).expect("levels of noise");

@@ -122,3 +122,40 @@ fn a_diagnosis_that_is_interrupted_begins_anew_at_the_next_start_and_a_cancelled
         list["diagnoses"].as_array().unwrap().iter().map(|one| one["state"].as_str().unwrap()).collect();
     assert_eq!(states, ["done", "cancelled", "done"], "{list:#}");
 }
+
+#[test]
+fn a_capture_of_a_known_motion_is_diagnosed_against_it() {
+    let world = World::new();
+    let path = |name: &str| world.path(name).to_str().unwrap().to_owned();
+    let channels: serde_json::Map<String, Value> = [("gyro", 6e-5), ("accel", 1.4e-3)]
+        .into_iter()
+        .flat_map(|(triad, n)| ["x", "y", "z"].map(|axis| (format!("{triad}_{axis}"), json!({"N": n}))))
+        .collect();
+    let model = |triads: Value| json!({"format": "vn100d-sensor-model-1", "name": "unit 7", "rate_hz": 40, "channels": channels, "triads": triads});
+    let effect = json!({"effect": "scale_factor", "x": 1e-3, "y": -5e-4, "z": 0.0});
+    std::fs::write(path("truth.json"), model(json!({"gyro": {"effects": [effect]}})).to_string()).unwrap();
+    let (data, truth, motion) = (path("data"), path("truth.json"), path("motion.csv"));
+    let simulate = ["simulate", "--model", &truth, "--duration", "4min", "--seed", "7", "--motion", "rate-table"];
+    let ended =
+        vn100d(&[&["--data-dir", &data], &simulate[..], &["--motion-out", &motion, "--into-db", "desk"]].concat());
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    let daemon = world.daemon("", &[]);
+    let reference = std::fs::read_to_string(&motion).unwrap();
+    let (status, job) = submitted(&world, &json!({"sim": model(json!({})), "reference": reference}));
+    assert_eq!(status, 202, "{job}");
+    assert!(job["params"]["reference"]["bytes"].as_u64() == Some(reference.len() as u64), "{job}");
+    let route = format!("/v1/diagnoses/{}", job["id"]);
+    let report = world.until("the diagnosis", PATIENCE, || world.try_get(&route), &daemon);
+    let cause = &report["causes"][0];
+    assert_eq!((&cause["effect"], &cause["triad"]), (&json!("scale_factor"), &json!("gyro")), "{report:#}");
+    assert!((cause["parameters"]["gyro"]["x"].as_f64().unwrap() - 1e-3).abs() < 1e-4, "{cause:#}");
+    assert_eq!(report["where"][0]["at"]["quantity"], "rate", "{report:#}");
+    let Value::String(page) = world.get(&format!("/diagnoses/{}", job["id"])) else { panic!("a page is no JSON") };
+    assert!(page.contains("Beyond the motion") && page.contains("gyro_x against the rate about x"), "{page}");
+    // The name of the motion that the simulator went through says the same.
+    let (status, job) = submitted(&world, &json!({"sim": model(json!({})), "reference": "rate-table"}));
+    assert_eq!(status, 202, "{job}");
+    let route = format!("/v1/diagnoses/{}", job["id"]);
+    let named = world.until("the second", PATIENCE, || world.try_get(&route), &daemon);
+    assert_eq!(named["causes"][0]["effect"], "scale_factor", "{named:#}");
+}

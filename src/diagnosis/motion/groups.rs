@@ -17,6 +17,8 @@ use std::ops::Range;
 const CLEARLY: f64 = 3.0;
 /// Time constants with which a sensor may creep after its input, s.
 const CREEPS_S: [f64; 4] = [0.5, 2.0, 8.0, 32.0];
+/// Time constants of filters, samples: sums of these follow as any low pass of up to some ten samples does.
+const FOLLOWS: [f64; 4] = [0.7, 1.8, 4.5, 11.0];
 /// Half widths of a play, in parts of the largest input.
 const PLAYS: [f64; 3] = [0.02, 0.1, 0.3];
 /// Where a curve may bend, in parts of the largest input.
@@ -40,7 +42,7 @@ pub enum Foreign {
     ForceSquared,
     /// Its scale factor follows the temperature.
     WarmScale,
-    /// It follows its input later on one axis than on another, and rounds its corners: a filter, to third order.
+    /// It follows its input within some samples, otherwise than by a delay: a filter.
     Bandwidth,
 }
 
@@ -200,20 +202,15 @@ pub fn foreign(
                         own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
                     }
                 }
-                Foreign::Bandwidth => (2..4).for_each(|order| own(axis, derivative(values, order))),
+                Foreign::Bandwidth => {
+                    FOLLOWS.iter().for_each(|samples| own(axis, creep(values, *samples)));
+                    (2..4).for_each(|order| own(axis, derivative(values, order)));
+                }
                 Foreign::LeverArm => {}
             }
         }
-        match of {
-            Foreign::LeverArm => columns.extend(lever(motions, rate_hz)),
-            // The mean of the three delays is a latency's.
-            Foreign::Bandwidth => columns.extend([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]].map(|signs| {
-                std::array::from_fn(|axis| {
-                    let scaled = |value: f64| signs[axis] * value;
-                    (signs[axis] != 0.0).then(|| derivative(&inputs[axis], 1).into_iter().map(scaled).collect())
-                })
-            })),
-            _ => {}
+        if of == Foreign::LeverArm {
+            columns.extend(lever(motions, rate_hz));
         }
         columns.iter_mut().for_each(centre);
         columns.retain(|column| column.iter().flatten().flatten().any(|value| *value != 0.0));
@@ -266,14 +263,13 @@ fn play(values: &[f64], half: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The first, second or third difference about each value, per sample; the ends stay.
+/// The second or third difference about each value, per sample: what a delay is beyond its first order. The ends stay.
 fn derivative(values: &[f64], order: usize) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     (0..values.len())
         .map(|t| {
             let at = |back: usize, on: usize| values[(t + on).saturating_sub(back).min(last)];
             match order {
-                1 => 0.5 * (at(0, 1) - at(1, 0)),
                 2 => at(0, 1) - 2.0 * at(0, 0) + at(1, 0),
                 _ => 0.5 * (at(0, 2) - 2.0 * at(0, 1) + 2.0 * at(1, 0) - at(2, 0)),
             }

@@ -27,11 +27,18 @@ pub(super) const BELIEF: f64 = 0.013;
 pub const POSES_MIN: usize = 6;
 /// Variance of flicker's mean over a rest about the record's, in B²; ln of the record's length over the rest's, and some.
 const FLICKER: f64 = 1.0;
+/// The same of the record's mean about nothing, which all poses share: flicker down to a thirty-second of the record's own frequency.
+const FLICKER_OF_ALL: f64 = 1.13;
+/// How far an accelerometer is believed to be off at most, as standard deviations: bias in m/s², the others as fractions. Poses
+/// that do not show a number leave it there.
+const OFF: [f64; 2] = [1.0, 0.1];
 const STEPS: usize = 8;
 /// How far a turn by hand may end from where it began, rad: half a degree.
 const PLACED: f64 = 0.0087;
 /// How near to whole circles a turn is, in parts.
 const WHOLE: f64 = 0.04;
+/// What may be turned about other axes, or back, in parts of the turn: noise's path and a hand's tremble.
+const BESIDE: f64 = 0.2;
 
 /// One of the three effects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -89,6 +96,15 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     std::array::from_fn(|axis| less[axis] - once[axis] + twice[axis])
 }
 
+/// Standard deviation of what is believed of a number: gravity's last, then of bias and of fractions.
+pub(super) fn belief(number: usize) -> f64 {
+    match number {
+        9 => BELIEF,
+        0..3 => OFF[0],
+        _ => OFF[1],
+    }
+}
+
 /// Numbers that parts have; gravity is always there.
 pub(super) fn columns_of(parts: &[usize]) -> Vec<usize> {
     parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect()
@@ -119,7 +135,7 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
                     0.0
                 };
                 let walk = k * k * at_s(&rests[row]).min(at_s(&rests[column]));
-                unit[row][axis] * unit[column][axis] * (own + walk)
+                unit[row][axis] * unit[column][axis] * (own + FLICKER_OF_ALL * b * b + walk)
             })
             .sum()
     });
@@ -151,10 +167,11 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
             }
             let weights = DMatrix::from_diagonal(&DVector::from_column_slice(keep));
             let mut matrix = design.transpose() * &weights * &design;
-            let last = own.len() - 1;
-            matrix[(last, last)] += BELIEF.powi(-2);
             let mut right = design.transpose() * &weights * &residual;
-            right[last] -= numbers[9] / BELIEF.powi(2);
+            for (place, number) in own.iter().enumerate() {
+                matrix[(place, place)] += belief(*number).powi(-2);
+                right[place] -= numbers[*number] / belief(*number).powi(2);
+            }
             let scales = DVector::from_fn(own.len(), |row, _| matrix[(row, row)].max(1e-300).sqrt().recip());
             let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| matrix[(r, c)] * scales[r] * scales[c]);
             let pseudo = scaled.pseudo_inverse(1e-9).ok()?;
@@ -164,8 +181,8 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
                 numbers[*number] += step;
             }
             let left = weigh(misfit(&numbers, &everywhere))?;
-            square = left.iter().zip(keep).map(|(value, keep)| keep * value * value).sum::<f64>()
-                + (numbers[9] / BELIEF).powi(2);
+            let believed: f64 = own.iter().map(|number| (numbers[*number] / belief(*number)).powi(2)).sum();
+            square = left.iter().zip(keep).map(|(value, keep)| keep * value * value).sum::<f64>() + believed;
         }
         Some((numbers, inverse, square))
     };
@@ -175,8 +192,8 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {
         let parts: Vec<usize> = (0..3).filter(|part| subset >> part & 1 == 1).collect();
-        // As many numbers as poses explain anything.
-        if 3 * parts.len() + 1 > count {
+        // As many numbers as poses explain anything; gravity's is believed besides.
+        if 3 * parts.len() > count {
             *kept = f64::INFINITY;
             continue;
         }
@@ -247,7 +264,14 @@ pub(super) fn turned(rests: &[Rest], gyro: [&[f64]; 3], rate_hz: f64, n: [f64; 3
         let angle: f64 = gyro[axis][from..to].iter().map(|value| (value - bias) / rate_hz).sum();
         let circles = (angle.abs() / std::f64::consts::TAU).round();
         let whole = circles * std::f64::consts::TAU;
-        if circles < 1.0 || (angle.abs() / whole - 1.0).abs() > WHOLE {
+        // About this axis alone and one way: turned here and there, angles of single axes do not add up to circles.
+        let path = |of: usize| {
+            let rested = 0.5 * (before[of] + after[of]);
+            gyro[of][from..to].iter().map(|value| (value - rested).abs() / rate_hz).sum::<f64>()
+        };
+        let about = (0..3).filter(|of| *of != axis).map(path).sum::<f64>() < BESIDE * angle.abs();
+        let one_way = path(axis) < (1.0 + BESIDE) * angle.abs();
+        if circles < 1.0 || (angle.abs() / whole - 1.0).abs() > WHOLE || !about || !one_way {
             continue;
         }
         let seconds = (to - from) as f64 / rate_hz;

@@ -9,7 +9,7 @@
 //! Stat. Assoc. 84), so that windows with a jerk in them count little. Where the scale is above [`STEADY`] nothing is told: a
 //! hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
-use super::poses::{BELIEF, PARTS, Tumbled, columns_of, price};
+use super::poses::{PARTS, Tumbled, belief, columns_of, price};
 use super::rests::{self, Rest};
 use super::select::Choice;
 use crate::diagnosis::recording::Recording;
@@ -175,10 +175,10 @@ fn density(of: f64) -> f64 {
     -0.5 * (FREEDOM + 1.0) * (of * of / FREEDOM).ln_1p()
 }
 
-/// The most likely numbers and scale under Student's t, by expectation and maximisation; gravity is believed to
-/// [`BELIEF`].
+/// The most likely numbers and scale under Student's t, by expectation and maximisation, with what is believed of
+/// each.
 fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<Fit> {
-    let (count, last) = (design.nrows(), own.len() - 1);
+    let count = design.nrows();
     let mut numbers = DVector::zeros(own.len());
     let mut inverse = DMatrix::zeros(own.len(), own.len());
     let mut square = off.norm_squared() / count as f64;
@@ -188,7 +188,9 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
         let weighed = DMatrix::from_fn(count, own.len(), |row, column| weights[row] * design[(row, column)]);
         let mut information = design.transpose() * &weighed / square.max(1e-18);
         let right = weighed.transpose() * off / square.max(1e-18);
-        information[(last, last)] += BELIEF.powi(-2);
+        for (place, number) in own.iter().enumerate() {
+            information[(place, place)] += belief(*number).powi(-2);
+        }
         let scales = DVector::from_fn(own.len(), |row, _| information[(row, row)].max(1e-300).sqrt().recip());
         let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| information[(r, c)] * scales[r] * scales[c]);
         let pseudo = scaled.pseudo_inverse(1e-10).ok()?;
@@ -200,9 +202,9 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
     }
     let left = off - design * &numbers;
     let scale = square.sqrt();
-    let nats = left.iter().map(|value| density(value / scale)).sum::<f64>()
-        - count as f64 * scale.ln()
-        - 0.5 * (numbers[last] / BELIEF).powi(2);
+    let believed: f64 = own.iter().zip(numbers.iter()).map(|(number, value)| (value / belief(*number)).powi(2)).sum();
+    let nats =
+        left.iter().map(|value| density(value / scale)).sum::<f64>() - count as f64 * scale.ln() - 0.5 * believed;
     // Student's information about a place is (ν + 1)/(ν + 3) of the weights'.
     inverse *= (FREEDOM + 3.0) / (FREEDOM + 1.0);
     let (numbers, left) = (numbers.iter().copied().collect(), left.iter().copied().collect());

@@ -77,6 +77,13 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
         still(&forces[place], least_force, MOVED[0])
             && rates.as_ref().is_none_or(|rates| still(&rates[place], least_rate, MOVED[1]))
     };
+    // A table that turns steadily is quiet too: at rest the rate is the slowest that there is, the gyro's bias.
+    let pace = |place: usize| {
+        let of = rates.as_ref().and_then(|rates| rates[place].as_ref());
+        of.map_or(0.0, |(rate, _)| rate.iter().map(|value| value * value).sum::<f64>().sqrt())
+    };
+    let slowest = (0..parts).filter(|place| quiet(*place)).map(pace).fold(f64::INFINITY, f64::min);
+    let quiet = |place: usize| quiet(place) && pace(place) <= slowest + MOVED[1];
     let mut found = Vec::new();
     let mut open: Option<Range<usize>> = None;
     for place in 0..=parts {

@@ -113,7 +113,8 @@ pub(super) fn run(
         if (round > 1 && before.as_ref() == Some(&now)) || round == ROUNDS {
             let late = |of: &Settled| {
                 let delay = Delay::of(of.triad, &of.fit.estimates)?;
-                Some(delay.or_of_a_filter(filter_error_s(of.triad, &rest.diagnosis)))
+                // A corner's interval knows the law's own form alone.
+                Some(delay.or_of_a_filter(2.0 * filter_error_s(of.triad, &rest.diagnosis)))
             };
             let delays: Vec<Delay> = settled.iter().filter_map(late).collect();
             let price_of_one = pricing(options, triads.len(), 1.0).price(1, 2);

@@ -109,6 +109,15 @@ fn in_time(
     for values in columns.iter_mut().flatten().flatten().chain(&mut samples) {
         search.whitening.in_time(values);
     }
+    // A bridge carries the noise of the few samples at its ends over many: in time, where values are uncorrelated, what is left
+    // out counts for nothing instead.
+    for axis in 0..3 {
+        let stretches = search.whitening.bridges[axis].stretches();
+        let of_axis = columns.iter_mut().filter_map(|column| column[axis].as_mut());
+        for values in of_axis.chain(std::iter::once(&mut samples[axis])) {
+            stretches.iter().for_each(|stretch| values[stretch.clone()].fill(0.0));
+        }
+    }
     (columns, samples)
 }
 

@@ -9,7 +9,7 @@ use crate::sample::{Channel, Triad};
 use crate::simulator::{ModelError, Motion, SensorModel};
 use crate::trial::draw::Draw;
 use crate::trial::ground::{TemperatureCourse, as_read, flicker};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest as _, Sha256};
@@ -23,6 +23,9 @@ pub const SAMPLES_MIN: usize = 6000;
 /// Part of the samples beyond a limit at 1 of its size, and a cutoff there in parts of the rate.
 const CUT_OFF: f64 = 1e-3;
 const CORNER: f64 = 0.4;
+/// Share of the largest information below which a motion does not show a combination of an effect's numbers: a size that is a
+/// thousand times that of the others is no size of a first-order effect.
+const UNSEEN: f64 = 1e-6;
 
 /// An effect that a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -64,6 +67,20 @@ impl Key {
         let text = serde_json::to_string(self).unwrap_or_default();
         Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
     }
+}
+
+/// The part of a direction that a motion shows: without combinations of numbers that have no information to speak of.
+fn shown_of(information: &DMatrix<f64>, along: DVector<f64>) -> DVector<f64> {
+    let eigen = SymmetricEigen::new(information.clone());
+    let most = eigen.eigenvalues.max();
+    let mut own = eigen.eigenvectors.tr_mul(&along);
+    for (value, eigenvalue) in own.iter_mut().zip(eigen.eigenvalues.iter()) {
+        if *eigenvalue < UNSEEN * most {
+            *value = 0.0;
+        }
+    }
+    let shown = &eigen.eigenvectors * own;
+    if shown.norm() > 0.0 { shown } else { along }
 }
 
 /// A sealed case.
@@ -154,6 +171,7 @@ impl Case {
                     if *kind == Kind::Latency {
                         along[0] = 1.0;
                     }
+                    along = shown_of(&information, along);
                     along /= along.norm() / (count as f64).sqrt();
                     let seen = (along.transpose() * information * &along)[(0, 0)].max(1e-300);
                     let limit = (needed(count) / seen).sqrt();
