@@ -184,7 +184,9 @@ impl Sealed<'_> {
             let closed = || {
                 let (before, floor) = (number(report, "after_parameters")?, number(report, "floor")?);
                 let after = number(&truth, "after_parameters")?;
-                number(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
+                // Where nothing was named the motion's gap is in no number: the truth closes it.
+                let Some(_) = number(report, "closed") else { return Some(1.0) };
+                (before > floor).then(|| (before - after) / (before - floor))
             };
             Ok(closed())
         })

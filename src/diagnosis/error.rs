@@ -79,6 +79,17 @@ pub enum DiagnosisError {
         /// Those it takes.
         least: usize,
     },
+    /// The reference is far longer than the recording.
+    #[error(
+        "the reference lasts {found_s:.0} s, the recording {record_s:.0} s; at most ten times the recording and an hour can be \
+         searched: is `time_s` in seconds? Else cut it"
+    )]
+    ReferenceLong {
+        /// The reference's length.
+        found_s: f64,
+        /// The recording's.
+        record_s: f64,
+    },
     /// A triad's answer cannot be fitted.
     #[error("the answer to the motion cannot be fitted: {0}")]
     Response(#[from] super::response::ResponseError),

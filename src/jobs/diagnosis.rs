@@ -7,7 +7,7 @@
 use super::plan::Plan;
 use super::runner::Outcome;
 use super::{Gridded, JobError, JobKind, fitted, gridded};
-use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Recording, Reference, Residuals, Workers};
+use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Reference, Residuals, Workers};
 use crate::motion::file::Rows;
 use crate::motion::{Course, Kind, Site};
 use crate::sample::Channel;
@@ -26,6 +26,8 @@ use std::time::Duration;
 const ROOM: u64 = 14_000_000;
 /// What the work on one channel takes besides what stays of all, in channels.
 const BESIDES: u64 = 10;
+/// By how much less of a record of a motion there is room for.
+const OF_A_MOTION: u64 = 4;
 /// How often it is looked whether the job is still wanted.
 const LOOK: Duration = Duration::from_millis(200);
 /// Before the number of a model in its id: a number alone is a capture.
@@ -115,9 +117,16 @@ fn of_csv(text: &str) -> Result<Reference, String> {
 }
 
 /// What the sensor went through during a recording.
-fn reference_of(text: &str, recording: &Recording) -> Result<Reference, JobError> {
+fn reference_of(text: &str, gridded: &Gridded) -> Result<Reference, JobError> {
     let none = |reason: String| JobError::InsufficientData { reason };
     let Some(kind) = Kind::from_name(text) else { return of_csv(text).map_err(none) };
+    // A named motion is as long as the simulation was, and begins with it.
+    if gridded.left_out > 0 || gridded.full || gridded.from_s > 0.0 {
+        return Err(none(format!(
+            "the motion `{text}` is that of a whole capture, and only a part of this one can be compared; give the motion's CSV"
+        )));
+    }
+    let recording = &gridded.recording;
     let course = Course::new(kind, recording.length_s(), Site::default()).map_err(|error| none(error.to_string()))?;
     let time_s = |index: usize| index as f64 / recording.rate_hz;
     let rows = (0..recording.len()).map(|index| (time_s(index), course.at(time_s(index))));
@@ -292,13 +301,15 @@ fn document_of(
         }
     };
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
-    let gridded = gridded(reader, &plan, room(&plan))?;
+    // A motion is screened with a hundred columns of a triad beside its samples.
+    let room = if parameters.reference.is_some() { room(&plan) / OF_A_MOTION } else { room(&plan) };
+    let gridded = gridded(reader, &plan, room)?;
     let from = begun + 0.05;
     wire.is_at(from);
     let name = reader.capture(job.capture)?.name;
     let workers = OneByOne { wire, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
-    let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded.recording)).transpose()?;
+    let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded)).transpose()?;
     let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;

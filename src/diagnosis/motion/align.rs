@@ -15,6 +15,9 @@ use realfft::num_complex::Complex;
 
 /// Periods of the record by which the length of a reference of the same clock may differ.
 const SAME: f64 = 1.5;
+/// How long a reference may be: so many times the record, and an hour. It is searched at the record's rate.
+const LONGER: f64 = 10.0;
+const LONGER_S: f64 = 3600.0;
 /// Fewest samples that both have in common.
 pub const LEAST: usize = 1000;
 
@@ -30,6 +33,8 @@ pub struct Aligned {
     pub shared: bool,
     /// How far into the reference the record's first sample is, s.
     pub begins_s: f64,
+    /// By how much slower the reference's time passes than the record's, s/s.
+    pub gains: f64,
 }
 
 /// Brings a reference to the record's instants.
@@ -45,6 +50,9 @@ pub fn align(
     let rate_hz = real.rate_hz;
     let (n, length_s) = (real.len(), reference.length_s());
     let record_s = n.saturating_sub(1) as f64 / rate_hz;
+    if length_s > LONGER * record_s + LONGER_S {
+        return Err(DiagnosisError::ReferenceLong { found_s: length_s, record_s });
+    }
     let shared = (record_s - length_s).abs() * rate_hz <= SAME;
     let begins_s = if shared { 0.0 } else { begin_s(real, reference, triads) };
     at(real, reference, sim, Lie { begins_s, gains: 0.0, shared })
@@ -99,7 +107,7 @@ pub(super) fn at(
         }
         mean
     };
-    Ok(Aligned { from, motions: (from..to).map(&mut at).collect(), shared, begins_s })
+    Ok(Aligned { from, motions: (from..to).map(&mut at).collect(), shared, begins_s, gains })
 }
 
 /// How far into the reference the record begins, s; below 0 where it begins before.

@@ -79,7 +79,9 @@ pub(super) fn outcome(
         driven.extend(late.filter(|_| options.wants("latency")).map(|(delay, nats)| latency(of, *delay, *nats, found)));
         driven.extend(saturation(of).filter(|_| options.wants("saturation")));
         alternatives.extend(weighed(of));
-        located.extend(places::places(of, &aligned.motions, part.rate_hz, from_s));
+        let bias = |channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0);
+        let level = of.triad.channels().map(bias);
+        located.extend(places::places(of, level, late.is_some(), &aligned.motions, part.rate_hz, from_s));
         let own = add(&mut sums, of, late.is_some());
         for (channel, [whole, left]) in of.triad.channels().into_iter().zip(own) {
             if let Some(gap) = diagnosis.per_channel.get_mut(channel.name()) {
@@ -376,8 +378,8 @@ fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, driven: &[Driven]) {
     let rest = if rest_counts { (gap.after_parameters - gap.floor) * all } else { 0.0 };
     let rest_closed = gap.closed.map_or(0.0, |part| part * rest);
     let rest_error = gap.closed_ci95.map_or(0.0, |[low, high]| (high - low) / (2.0 * NORMAL_95) * rest);
-    let named = driven.iter().any(|one| one.gain.is_some());
-    if named && whole > floor {
+    let ratio_is_told = driven.iter().any(|one| one.gain.is_some()) || gap.closed.is_some();
+    if ratio_is_told && whole > floor {
         let ratio = |whole: f64, closed: f64, more: f64| (closed + rest_closed + more) / (whole - floor + rest);
         gap.closed = Some(ratio(whole, closed, 0.0)).filter(|value| value.is_finite());
         let mut stream = Stream::new(BLOCKS as u64, StreamId { owner: 0, effect: 3, instance: 0 });
@@ -477,10 +479,14 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
         for of in &found.triads {
             let rate = of.fit.estimates.iter().find(|one| one.parameter == "rate_error");
             let off = rate.and_then(|one| Some((one.value, one.standard_error?)));
+            // What was taken into account when it was laid beside the record, and what is left.
+            let off = off.map(|(value, error)| (aligned.gains + value, error));
             if let Some((value, error)) = off.filter(|(value, error)| value.abs() > 4.0 * error && value.abs() > 1e-7) {
                 notes.push(format!(
-                    "by the {} that clock gains {value:.2e} s a second (± {error:.0e}) on the recording's",
-                    of.triad.name()
+                    "by the {} that clock {} {:.2e} s a second (± {error:.0e}) on the recording's",
+                    of.triad.name(),
+                    if value > 0.0 { "loses" } else { "gains" },
+                    value.abs()
                 ));
             }
         }

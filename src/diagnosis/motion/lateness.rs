@@ -72,6 +72,10 @@ pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let real = |of: &Delay| of.nats() > price;
     match (real(&early), real(&late)) {
         (false, false) => Verdict::default(),
+        // The reference is late, as far as the one tells that can.
+        (false, true) if late.seconds < 0.0 => {
+            Verdict { offset_s: Some(late.seconds), open: true, ..Verdict::default() }
+        }
         // One of them is late and nothing says that the other is.
         (false, true) => Verdict { latencies: vec![(late, late.nats())], ..Verdict::default() },
         // The reference itself is late.
@@ -110,6 +114,8 @@ mod tests {
         assert!(early.latencies.is_empty() && early.offset_s.unwrap() < -0.09);
         assert_eq!(of((1e-4, 1e-4), (1e-3, 1e-3), true), Verdict::default());
         assert_eq!(of((0.02, 1e-4), (0.05, 1e-3), true).latencies.len(), 2);
+        let late = of((-0.02, 1e-4), (-0.05, 0.1), true);
+        assert!(late.latencies.is_empty() && late.offset_s == Some(-0.02), "{late:?}");
     }
 
     #[test]

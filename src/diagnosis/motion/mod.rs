@@ -17,6 +17,7 @@
 
 pub mod align;
 mod compose;
+mod felt;
 pub mod groups;
 mod lateness;
 mod noise;
@@ -40,9 +41,13 @@ use super::diagnose::{Options, Outcome};
 use super::error::DiagnosisError;
 use super::field;
 use super::recording::Recording;
+use crate::motion::gravity;
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
+use crate::units::STANDARD_GRAVITY_M_S2;
 
+/// Samples by which a clock's offset may be off before the reference is laid anew.
+const ALIGNED: f64 = 0.05;
 /// Blocks of time for what is held out, and into how many folds they go in turn.
 pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
@@ -83,6 +88,11 @@ pub fn diagnose_moved(
     options: &Options<'_>,
 ) -> Result<Outcome, DiagnosisError> {
     super::prepare::comparable(real, sim)?;
+    // A model of a sensor at rest holds gravity as bias; a reference brings its own.
+    let mut held = sim.clone();
+    let taken_out = gravity::take_out(&mut held, STANDARD_GRAVITY_M_S2);
+    let given = sim;
+    let sim = &held;
     let triads: Vec<Triad> = [Triad::Gyro, Triad::Accel]
         .into_iter()
         .filter(|triad| triad.channels().iter().all(|channel| sim.channels.contains_key(channel)))
@@ -99,6 +109,27 @@ pub fn diagnose_moved(
         aligned = align::at(real, reference, sim, lie)?;
         part = real.part(aligned.from..aligned.from + aligned.motions.len());
     }
-    let found = rounds::run(&part, &aligned, sim, &triads, options)?;
-    Ok(compose::outcome(&found, real, &part, &aligned, sim, options))
+    let mut found = rounds::run(&part, &aligned, sim, &triads, options)?;
+    // Laid beside the triad that tells the time best, which is the late one: what all are late by is the clock's.
+    if let Some(offset_s) = found.lateness.offset_s.filter(|of| !aligned.shared && of.abs() * real.rate_hz > ALIGNED) {
+        let begins_s = aligned.begins_s - offset_s;
+        aligned = align::at(real, reference, sim, align::Lie { begins_s, gains: aligned.gains, shared: false })?;
+        part = real.part(aligned.from..aligned.from + aligned.motions.len());
+        found = rounds::run(&part, &aligned, sim, &triads, options)?;
+    }
+    let mut outcome = compose::outcome(&found, real, &part, &aligned, sim, options);
+    if taken_out.is_some() {
+        outcome.diagnosis.notes.push(format!(
+            "the model holds gravity as the accelerometer's bias: {STANDARD_GRAVITY_M_S2} m/s² were taken out of it along its own \
+             direction, the motion brings its own"
+        ));
+        // The corrected model is one at rest as the given one was, but for what was found.
+        for channel in Triad::Accel.channels() {
+            if let (Some(of), Some(own)) = (outcome.augmented.channels.get_mut(&channel), given.channels.get(&channel))
+            {
+                of.bias = own.bias;
+            }
+        }
+    }
+    Ok(outcome)
 }

@@ -1,12 +1,12 @@
 //! Noise: the law that a triad's answer is weighed by, of a model as far as it is known.
 
-use crate::diagnosis::response::{NO_FILTERS, NoiseLaw, ResponseError};
-use crate::effects::{At, Effect, Stage, USUAL_TEMPERATURE_C};
+use crate::diagnosis::response::{NoiseLaw, ResponseError};
+use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
 use std::sync::Arc;
 
-/// Effects that have a density throughout a record; drifts are taken off before, single samples are left out.
+/// Effects that have a density throughout a record; drifts are taken off before.
 const LASTING: [&str; 7] =
     ["quantization_noise", "gauss_markov", "resonance", "low_pass", "moving_average", "resolution", "common_mode"];
 /// How well N, B and K are believed to be known where a model says no interval: standard deviations of ln of their squares.
@@ -25,6 +25,16 @@ pub(super) fn law(
     let mut plain = model.clone();
     for (axis, channel) in triad.channels().into_iter().enumerate() {
         let Some(of) = plain.channels.get_mut(&channel) else { continue };
+        // What comes and goes is white noise of its mean square: too much in its quiet, which costs power and blames nobody.
+        let record = Record { rate_hz, samples: samples as u64 };
+        for effect in of.effects.iter().filter(|effect| !LASTING.contains(&effect.name())) {
+            let factor = effect.white_moments(record).map_or(1.0, |of| of.variance);
+            let added = effect.moments(record).filter(|_| effect.stage() == Stage::Noise).map_or(0.0, |of| of.variance);
+            let square = factor.max(1.0) * of.n * of.n + added / rate_hz;
+            if square.is_finite() {
+                of.n = square.sqrt();
+            }
+        }
         of.effects.retain(|effect| LASTING.contains(&effect.name()));
         of.uncertainty = None;
         let least = 1e-3 * scale[axis] / rate_hz.sqrt();
@@ -37,13 +47,12 @@ pub(super) fn law(
 
 /// The filters of each axis that a motion passes.
 pub(super) fn filters(model: &SensorModel, triad: Triad) -> [Vec<Arc<dyn Effect>>; 3] {
-    // Before samples are decimated filters act at another rate, and what they do at this one is small.
-    if model.sampling.is_some() {
-        return NO_FILTERS.clone();
-    }
+    // Before samples are decimated filters act at another rate: a cutoff in Hz is the same at this one, a window is not.
+    let decimated = model.sampling.is_some();
     triad.channels().map(|channel| {
         let effects = model.channels.get(&channel).map(|of| of.effects.as_slice()).unwrap_or_default();
-        effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth).cloned().collect()
+        let filters = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
+        filters.filter(|effect| !decimated || effect.name() == "low_pass").cloned().collect()
     })
 }
 

@@ -2,6 +2,8 @@
 
 use super::rounds::Settled;
 use crate::diagnosis::report::{Driver, Place};
+use crate::diagnosis::response;
+use crate::effects::triad::Axes;
 use crate::simulator::Motion;
 
 /// Bins of a motion's range.
@@ -17,11 +19,22 @@ const UPRIGHT: f64 = 0.97;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Where the gap of a triad lies, with its nats: one place per axis with a material part of it.
-pub(super) fn places(of: &Settled, motions: &[Motion], rate_hz: f64, from_s: f64) -> Vec<(f64, Place)> {
+pub(super) fn places(
+    of: &Settled,
+    level: Axes,
+    late: bool,
+    motions: &[Motion],
+    rate_hz: f64,
+    from_s: f64,
+) -> Vec<(f64, Place)> {
     let columns = of.weighing().columns(&of.choice.groups);
-    let chosen = &columns[of.base.len()..];
     let (_, numbers) = of.screen.gain(&columns);
-    let course = of.screen.course(chosen, &numbers[of.base.len()..]);
+    // A delay that is a latency is the first of the base.
+    let told = |place: &usize| *place >= of.base.len() || (late && *place == 0);
+    let (chosen, by): (Vec<usize>, Vec<f64>) =
+        (0..columns.len()).filter(told).map(|place| (columns[place], numbers[place])).unzip();
+    let course = of.screen.course(&chosen, &by);
+    let model = response::expected(of.triad, rate_hz, motions, &of.known, level);
     let totals = course.each_ref().map(|values| values.iter().sum::<f64>());
     let all: f64 = totals.iter().sum();
     let mut places = Vec::new();
@@ -31,7 +44,7 @@ pub(super) fn places(of: &Settled, motions: &[Motion], rate_hz: f64, from_s: f64
         }
         let values = &course[axis];
         let [from, to] = shortest(values, totals[axis]);
-        let rising = mean_gap(of, axis, motions, values);
+        let rising = mean_gap(&of.fit.response[axis], &model[axis], values);
         places.push((
             totals[axis],
             Place {
@@ -52,13 +65,8 @@ pub(super) fn places(of: &Settled, motions: &[Motion], rate_hz: f64, from_s: f64
 }
 
 /// Whether the sensor shows more than the model where the gap lies, weighed by it.
-fn mean_gap(of: &Settled, axis: usize, motions: &[Motion], weights: &[f64]) -> f64 {
-    let input = |motion: &Motion| match of.triad {
-        crate::sample::Triad::Gyro => motion.gyro_rad_s[axis],
-        _ => motion.accel_m_s2[axis],
-    };
-    let pairs = of.fit.response[axis].iter().zip(motions).zip(weights);
-    pairs.map(|((response, motion), weight)| weight * (response - input(motion))).sum()
+fn mean_gap(response: &[f64], model: &[f64], weights: &[f64]) -> f64 {
+    response.iter().zip(model).zip(weights).map(|((response, model), weight)| weight * (response - model)).sum()
 }
 
 /// The shortest stretch of time, in blocks of a hundredth, that has most of it.

@@ -62,7 +62,7 @@ pub(super) struct Tumbled {
     pub(super) prices: [f64; 3],
     /// Nats that the chosen numbers from all other poses explain of each pose.
     pub(super) held_out: f64,
-    /// |m| − g per rest before, m/s², and after.
+    /// |m| − g per rest before, m/s², and after; of windows each half with the numbers of the other.
     pub(super) before: Vec<f64>,
     pub(super) after: Vec<f64>,
     /// Chance that what is left is the noise's.

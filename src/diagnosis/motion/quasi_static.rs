@@ -23,6 +23,8 @@ pub(super) const WINDOW_S: f64 = 2.0;
 const LEAST: usize = 24;
 /// Poses, 8° apart, from which on a record is one of a sensor that is turned.
 pub(super) const TURNED: usize = 3;
+/// Part of the record in which it has to be turned.
+const MATERIAL: f64 = 0.3;
 /// Fewest poses that tell nine numbers.
 const POSES_MIN: usize = 12;
 /// Largest scale of what is left, m/s².
@@ -88,9 +90,14 @@ impl Windows {
         all
     }
 
-    /// Whether the sensor was turned through poses.
-    pub(super) fn turn(&self) -> bool {
-        rests::poses(&self.stands) >= TURNED
+    /// Whether the sensor was turned through poses, for a good part of the record: not picked up once and laid down.
+    pub(super) fn turn(&self, rests: &[Rest]) -> bool {
+        let resting = |stand: &Rest| {
+            let [middle, length] = [(stand.within.start + stand.within.end) / 2, stand.within.len()];
+            rests.iter().any(|rest| rest.within.start < middle + length / 2 && middle < rest.within.end + length / 2)
+        };
+        let turned = self.stands.iter().filter(|stand| !resting(stand)).count();
+        rests::poses(&self.stands) >= TURNED && turned as f64 >= MATERIAL * self.stands.len() as f64
     }
 }
 
@@ -123,16 +130,16 @@ pub(super) fn quasi_static(windows: &Windows, level: f64) -> Option<Tumbled> {
         .map(|subset| fit(&(0..3).filter(|part| subset >> part & 1 == 1).collect::<Vec<_>>(), &everywhere))
         .collect::<Option<_>>()?;
     let prices = PARTS.map(|_| price(3.0, level));
-    let score = |subset: usize| all[subset].nats - f64::from(subset.count_ones()) * prices[0];
+    // Neighbours that are alike count for fewer than they are.
+    let alike = all.last().map_or(0.0, |of| correlation(&of.left)).max(0.0);
+    let fewer = (1.0 - alike) / (1.0 + alike);
+    let score = |subset: usize| fewer * all[subset].nats - f64::from(subset.count_ones()) * prices[0];
     let own = (0..8).max_by(|one, other| score(*one).total_cmp(&score(*other)))?;
     let best = &all[own];
     if best.scale > STEADY {
         return None;
     }
     let parts: Vec<usize> = (0..3).filter(|part| own >> part & 1 == 1).collect();
-    // Neighbours that are alike count for fewer than they are.
-    let alike = correlation(&best.left).max(0.0);
-    let fewer = (1.0 - alike) / (1.0 + alike);
     let gains = std::array::from_fn(|part| match own >> part & 1 {
         1 => fewer * (best.nats - all[own & !(1 << part)].nats),
         _ => 0.0,
@@ -144,17 +151,22 @@ pub(super) fn quasi_static(windows: &Windows, level: f64) -> Option<Tumbled> {
     }
     // Each half foretold by the other.
     let mut held_out = 0.0;
+    let (mut before, mut after) = (vec![0.0; count], vec![0.0; count]);
     let half = |odd: usize| (0..count).filter(|place| place * BLOCKS / count % 2 == odd).collect::<Vec<_>>();
     for (from, to) in [(half(0), half(1)), (half(1), half(0))] {
         let (plain, found) = (fit(&[], &from)?, fit(&parts, &from)?);
-        let nats = |of: &Fit, own: &[usize]| -> f64 {
-            let left = |place: &usize| {
-                off[*place]
-                    - own.iter().zip(&of.numbers).map(|(number, value)| whole(*place, *number) * value).sum::<f64>()
-            };
-            to.iter().map(|place| density(left(place) / of.scale) - of.scale.ln()).sum()
+        let left = |of: &Fit, own: &[usize], place: usize| {
+            let explained = own.iter().zip(&of.numbers).map(|(number, value)| whole(place, *number) * value);
+            off[place] - explained.sum::<f64>()
         };
-        held_out += fewer * (nats(&found, &columns_of(&parts)) - nats(&plain, &columns_of(&[])));
+        for (fit, own, left_of, sign) in
+            [(&found, columns_of(&parts), &mut after, 1.0), (&plain, columns_of(&[]), &mut before, -1.0)]
+        {
+            for place in &to {
+                left_of[*place] = left(fit, &own, *place);
+                held_out += sign * fewer * (density(left_of[*place] / fit.scale) - fit.scale.ln());
+            }
+        }
     }
     Some(Tumbled {
         values,
@@ -163,8 +175,8 @@ pub(super) fn quasi_static(windows: &Windows, level: f64) -> Option<Tumbled> {
         gains,
         prices,
         held_out,
-        before: all[0].left.clone(),
-        after: best.left.clone(),
+        before,
+        after,
         // The scale is fitted: nothing is left that it would not explain.
         p_value: 1.0,
     })
@@ -257,7 +269,7 @@ mod tests {
     fn found(real: &Recording) -> Option<Tumbled> {
         let of = |triad: Triad| triad.channels().map(|channel| real.values(channel).unwrap());
         let windows = Windows::of(real, of(Triad::Accel), of(Triad::Gyro), [0.0; 3]);
-        assert!(windows.turn());
+        assert!(windows.turn(&[]));
         quasi_static(&windows, 0.05)
     }
 

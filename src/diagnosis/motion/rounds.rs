@@ -304,10 +304,11 @@ impl About<'_> {
             groups::foreign(triad, motions, rate_hz, self.temperature_c).1
         };
         for (column, number) in foreign {
-            for (sum, values) in outside.iter_mut().zip(&made[column - screen.own].axes) {
-                for (sum, value) in sum.iter_mut().zip(values.as_deref().unwrap_or_default()) {
-                    *sum += number * value;
-                }
+            for (axis, sum) in outside.iter_mut().enumerate() {
+                // The screen had it behind the filters.
+                let Some(mut values) = made[column - screen.own].axes[axis].clone() else { continue };
+                response::filtered(&filters[axis], rate_hz, &mut values);
+                sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
             }
         }
         for (values, of) in samples.iter_mut().zip(&outside) {

@@ -4,6 +4,7 @@
 //! The rests are found by themselves ([`super::rests`]); what their means say is in [`super::poses`], what a slow turn says in
 //! [`super::quasi_static`]; what the noise says is found in the longest rest, as in any record at rest.
 
+use super::felt::felt;
 use super::poses::{self, BELIEF, PARTS, POSES_MIN, Part, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
@@ -25,6 +26,7 @@ use std::sync::Arc;
 const RIGHT: f64 = 0.95;
 /// A rest that is this unlikely to be noise leaves something unknown.
 const REMAINS: f64 = 0.005;
+const AXES: [&str; 3] = ["x", "y", "z"];
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// Compares a record that rests in several poses with a model; None where it does not, or where it is at rest throughout.
@@ -44,10 +46,12 @@ pub fn diagnose_tumble(
     if !has(Triad::Accel) || prepare::comparable(real, sim).is_err() {
         return None;
     }
-    let rests = rests(real);
+    // What the model has already is no cause.
+    let felt = felt(real, sim);
+    let rests = rests(&felt);
     let tumble = count_poses(&rests) >= POSES_MIN;
     let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
-        let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| real.values(channel)).collect();
+        let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| felt.values(channel)).collect();
         all?.try_into().ok()
     };
     let gyro = columns(Triad::Gyro);
@@ -58,10 +62,10 @@ pub fn diagnose_tumble(
     };
     let longest = rests.iter().max_by_key(|rest| rest.within.len())?;
     let windows = match (gyro, columns(Triad::Accel)) {
-        (Some(gyro), Some(accel)) => Windows::of(real, accel, gyro, longest.rate.unwrap_or_default()),
+        (Some(gyro), Some(accel)) => Windows::of(&felt, accel, gyro, longest.rate.unwrap_or_default()),
         _ => Windows::default(),
     };
-    if (!tumble && turns.is_empty() && !windows.turn()) || longest.within.len() < prepare::LEAST {
+    if (!tumble && turns.is_empty() && !windows.turn(&rests)) || longest.within.len() < prepare::LEAST {
         return None;
     }
     let still = real.part(longest.within.clone());
@@ -133,8 +137,8 @@ fn tell(
     poses: Option<&Poses<'_>>,
     turns: &[Turned],
 ) {
-    let mut named: Vec<Named> = poses.map(of_poses).unwrap_or_default();
-    named.extend(of_turns(turns));
+    let mut named: Vec<Named> = poses.map(|poses| of_poses(poses, sim)).unwrap_or_default();
+    named.extend(of_turns(turns, sim));
     let diagnosis = &mut outcome.diagnosis;
     let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
     let mut notes = vec![format!(
@@ -239,7 +243,7 @@ fn parameters(effect: &dyn TriadEffect) -> Value {
 }
 
 /// What the magnitudes name.
-fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
+fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Named> {
     let of = &poses.of;
     let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
     of.choice
@@ -247,13 +251,21 @@ fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
         .iter()
         .map(|group| {
             let part = PARTS[*group];
-            let axes: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
-            let (names, effect): ([&str; 3], Arc<dyn TriadEffect>) = match part {
-                Part::Bias => (["x", "y", "z"], Arc::new(Bias { axes })),
-                Part::ScaleFactor => (["x", "y", "z"], Arc::new(ScaleFactor { axes })),
+            let (name, names) = match part {
+                Part::Bias => ("bias", AXES),
+                Part::ScaleFactor => ("scale_factor", AXES),
+                Part::CrossAxis => ("cross_axis_sensitivity", ["xy", "xz", "yz"]),
+            };
+            let found: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
+            // To first order what is found beside what is known adds to it.
+            let known = known(sim, Triad::Accel, name, names);
+            let axes: Axes = std::array::from_fn(|axis| known[axis] + found[axis]);
+            let effect: Arc<dyn TriadEffect> = match part {
+                Part::Bias => Arc::new(Bias { axes }),
+                Part::ScaleFactor => Arc::new(ScaleFactor { axes }),
                 Part::CrossAxis => {
                     let [xy, xz, yz] = axes;
-                    (["xy", "xz", "yz"], Arc::new(CrossAxisSensitivity { xy, xz, yz }))
+                    Arc::new(CrossAxisSensitivity { xy, xz, yz })
                 }
             };
             let ends = |axis: usize| {
@@ -268,7 +280,7 @@ fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
             )];
             for (axis, name) in names.iter().enumerate() {
                 let error = of.errors[3 * group + axis];
-                if axes[axis].abs() > 3.0 * error {
+                if found[axis].abs() > 3.0 * error {
                     evidence.push(format!("{name} {:.3e} ± {error:.1e}", axes[axis]));
                 }
             }
@@ -280,7 +292,7 @@ fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
                     (Part::CrossAxis, _) => &[1, 2],
                     (_, axis) => std::slice::from_ref(axis),
                 };
-                at.iter().any(|place| axes[*place].abs() > NORMAL_95 * of.errors[3 * group + place])
+                at.iter().any(|place| found[*place].abs() > NORMAL_95 * of.errors[3 * group + place])
             };
             let own: Vec<String> = (0..3).filter(concerned).map(|axis| channels[axis].clone()).collect();
             Named {
@@ -295,15 +307,24 @@ fn of_poses(poses: &Poses<'_>) -> Vec<Named> {
         .collect()
 }
 
+/// What a model's triad has of an effect already.
+fn known(sim: &SensorModel, triad: Triad, effect: &str, names: [&str; 3]) -> Axes {
+    let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.name() == effect));
+    let parameters = own.map(|own| own.parameters()).unwrap_or_default();
+    names.map(|name| {
+        parameters.iter().find(|(own, _)| *own == name).and_then(|(_, value)| value.as_f64()).unwrap_or(0.0)
+    })
+}
+
 /// What the circles name.
-fn of_turns(turns: &[Turned]) -> Option<Named> {
+fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Named> {
     let channels = Triad::Gyro.channels();
-    let mut axes = [0.0; 3];
+    let mut axes = known(sim, Triad::Gyro, "scale_factor", AXES);
     let (mut ends, mut evidence, mut gain) = (Map::new(), Vec::new(), 0.0);
     for one in turns {
-        axes[one.axis] = one.scale;
-        let half = NORMAL_95 * one.error;
-        ends.insert(["x", "y", "z"][one.axis].to_owned(), json!([one.scale - half, one.scale + half]));
+        axes[one.axis] += one.scale;
+        let (scale, half) = (axes[one.axis], NORMAL_95 * one.error);
+        ends.insert(AXES[one.axis].to_owned(), json!([scale - half, scale + half]));
         evidence.push(format!(
             "{}: {} turned from {:.1} s on between two rests in one pose come out as {:.3} of it; the turn's end is taken to \
              be known to half a degree",

@@ -72,6 +72,16 @@ impl State {
     }
 }
 
+/// Passes values through filters.
+pub(crate) fn filtered(filters: &[Arc<dyn Effect>], rate_hz: f64, values: &mut [f64]) {
+    let length_s = values.len() as f64 / rate_hz;
+    for filter in filters {
+        // A filter draws nothing.
+        let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
+        filter.sampler(rate_hz, length_s, stream).apply(values);
+    }
+}
+
 /// What a stage shows more for a change of each axis of its input: the change's image, axis by axis.
 fn slopes(effects: &[Arc<dyn TriadEffect>], drive: Drive, step: f64) -> [Axes; 3] {
     if effects.is_empty() {
@@ -209,12 +219,7 @@ impl<'a> Design<'a> {
 
     /// Lets values of an axis pass its filters, in place; linear, and from what they begin with.
     pub(super) fn pass(&self, axis: usize, values: &mut [f64]) {
-        let length_s = values.len() as f64 / self.record.rate_hz;
-        for filter in &self.filters[axis] {
-            // A filter draws nothing.
-            let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
-            filter.sampler(self.record.rate_hz, length_s, stream).apply(values);
-        }
+        filtered(&self.filters[axis], self.record.rate_hz, values);
     }
 
     fn at(&self, index: usize) -> At {

@@ -43,6 +43,7 @@ pub use candidate::Candidate;
 pub use clipping::Clipping;
 pub use clock::{Clock, Lateness};
 pub use confounding::{Confounding, Openness};
+pub(crate) use design::filtered;
 pub use error::ResponseError;
 pub use noise_law::NoiseLaw;
 pub use screen::{Extra, Screen, screen};

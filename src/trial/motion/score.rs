@@ -121,6 +121,9 @@ fn is(of: &TrueEffect, cause: &Value) -> bool {
 
 /// Whether each told interval of a triad's parameters holds the truth.
 fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
+    if of.kind.on_channels() {
+        return on_channels(of, cause);
+    }
     let ends = &cause["uncertainty"][&of.triad];
     let parameters = &cause["parameters"][&of.triad];
     let scale = match of.kind {
@@ -134,7 +137,7 @@ fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
         Kind::CrossAxisSensitivity => ["xy", "xz", "yz"].iter().map(|name| &ends[*name]).collect(),
         Kind::GSensitivity => (0..9).map(|place| &ends["m"][place / 3][place % 3]).collect(),
         Kind::Latency => vec![&ends["seconds"]],
-        Kind::Saturation | Kind::LowPass | Kind::TemperatureBias => Vec::new(),
+        Kind::Saturation => Vec::new(),
         _ => ["x", "y", "z"].iter().map(|name| &ends[*name]).collect(),
     };
     at.into_iter()
@@ -142,6 +145,23 @@ fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
         .filter_map(|(ends, truth)| {
             let (low, high) = (ends[0].as_f64()?, ends[1].as_f64()?);
             Some((low..=high).contains(&(truth * scale)))
+        })
+        .collect()
+}
+
+/// The same of an effect that stands with its channels.
+fn on_channels(of: &TrueEffect, cause: &Value) -> Vec<bool> {
+    let name = if of.kind == Kind::LowPass { "cutoff_hz" } else { "per_c" };
+    ["x", "y", "z"]
+        .iter()
+        .enumerate()
+        .filter_map(|(axis, letter)| {
+            let told = &cause["uncertainty"][format!("{}_{letter}", of.triad)];
+            let ends = &told.as_array().and_then(|list| list.first()).unwrap_or(told)[name];
+            let (low, high) = (ends[0].as_f64()?, ends[1].as_f64()?);
+            // One corner is all axes'.
+            let truth = of.numbers.get(axis).or(of.numbers.first())?;
+            Some((low..=high).contains(truth))
         })
         .collect()
 }
@@ -217,25 +237,30 @@ impl Score {
         let clear = |of: &&Judgement| of.over_limit.iter().all(|size| *size >= CLEAR);
         let unknown = |of: &Judgement| of.verdict == "unknown_effect";
         let spurious = |of: &Judgement| of.causes.iter().any(|cause| !cause.right);
+        // A refusal is no answer either.
+        let blamed = |of: &Judgement| !of.causes.is_empty() || !matches!(of.verdict.as_str(), "no_gap" | "parameters");
         let turned = [(Kind::Misalignment, "cross_axis_sensitivity"), (Kind::CrossAxisSensitivity, "misalignment")];
         let mixed = |of: &Judgement| {
             turned.iter().any(|(kind, other)| {
-                of.kinds.first() == Some(kind) && of.causes.iter().any(|cause| cause.effect == *other)
+                of.kinds.contains(kind)
+                    && !of.kinds.iter().any(|kind| kind.effect() == Some(other))
+                    && of.causes.iter().any(|cause| cause.effect == *other)
             })
         };
         let both = single().chain(pairs());
-        let closing = both.clone().filter(clear).filter_map(|of| Some((of.closed?, of.closed_by_truth?)));
+        // Where nothing was named nothing is closed.
+        let closing = both.clone().filter(clear).filter_map(|of| Some((of.closed.unwrap_or(0.0), of.closed_by_truth?)));
         let rates = BTreeMap::from([
             ("right_first_clear", Rate::of(single().filter(clear).map(|of| of.right_first))),
             ("right_first", Rate::of(single().map(|of| of.right_first))),
             ("both_named", Rate::of(pairs().filter(clear).map(|of| of.named.iter().all(|named| *named)))),
-            ("none_blamed", Rate::of(nothing().map(|of| !of.causes.is_empty() || unknown(of)))),
+            ("none_blamed", Rate::of(nothing().map(blamed))),
             ("none_named", Rate::of(nothing().map(|of| !of.causes.is_empty()))),
             ("held", Rate::of(both.clone().flat_map(|of| of.held.iter().copied()))),
             ("nearly_closed", Rate::of(closing.map(|(closed, truth)| closed >= NEARLY * truth))),
             (
                 "turned_mixed",
-                Rate::of(single().filter(|of| turned.iter().any(|(kind, _)| of.kinds[0] == *kind)).map(mixed)),
+                Rate::of(both.clone().filter(|of| turned.iter().any(|(kind, _)| of.kinds.contains(kind))).map(mixed)),
             ),
             ("unknown_found", Rate::of(outside().filter(clear).map(unknown))),
             ("false_unknown", Rate::of(both.clone().map(unknown))),
@@ -264,7 +289,7 @@ impl Score {
             })
         });
         let miss = |of: &&Judgement| match of.kinds.as_slice() {
-            [] => !of.causes.is_empty() || unknown(of),
+            [] => blamed(of),
             kinds if kinds.iter().any(|kind| kind.effect().is_none()) => !unknown(of),
             _ => spurious(of) || unknown(of) || of.named.iter().any(|named| !named),
         };
