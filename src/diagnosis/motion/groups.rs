@@ -62,7 +62,8 @@ impl Foreign {
         }
     }
 
-    fn of(triad: Triad) -> Vec<Self> {
+    /// Those that are looked for on a triad.
+    pub(super) fn of(triad: Triad) -> Vec<Self> {
         let own = if triad == Triad::Gyro { Self::ForceSquared } else { Self::LeverArm };
         vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale, Self::Bandwidth]
     }
@@ -111,7 +112,8 @@ impl Pricing {
     }
 
     /// The same of a bias.
-    fn price_of_mean(&self, numbers: usize, groups: usize) -> f64 {
+    #[must_use]
+    pub fn price_of_mean(&self, numbers: usize, groups: usize) -> f64 {
         /// Degrees of freedom from which on a variance is as good as known.
         const KNOWN: f64 = 3000.0;
         let price = self.price(numbers, groups);
@@ -162,64 +164,56 @@ pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)]
     groups
 }
 
-/// Columns of what is no effect of the library, with how many each has.
+/// Columns of what is no effect of the library.
 #[must_use]
 pub fn foreign(
+    of: Foreign,
     triad: Triad,
     motions: &[Motion],
     rate_hz: f64,
     temperature_c: Option<&[f64]>,
-) -> (Vec<(Foreign, usize)>, Vec<Extra>) {
+) -> Vec<Extra> {
     let input = |motion: &Motion| if triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 };
     let inputs: [Vec<f64>; 3] = std::array::from_fn(|axis| motions.iter().map(|motion| input(motion)[axis]).collect());
     let forces: [Vec<f64>; 3] = std::array::from_fn(|axis| motions.iter().map(|of| of.accel_m_s2[axis]).collect());
     let peak = inputs.iter().flatten().fold(0.0f64, |most, value| most.max(value.abs()));
-    let (mut counts, mut extras) = (Vec::new(), Vec::new());
-    for (group, of) in Foreign::of(triad).into_iter().enumerate() {
-        let mut columns: Vec<[Option<Vec<f64>>; 3]> = Vec::new();
-        let mut own = |axis: usize, values: Vec<f64>| {
-            let mut column: [Option<Vec<f64>>; 3] = [None, None, None];
-            column[axis] = Some(values);
-            columns.push(column);
-        };
-        for axis in 0..3 {
-            let values = &inputs[axis];
-            match of {
-                Foreign::Creep => CREEPS_S.iter().for_each(|tau_s| own(axis, creep(values, tau_s * rate_hz))),
-                Foreign::Play => PLAYS.iter().for_each(|part| own(axis, play(values, part * peak))),
-                Foreign::Curve => {
-                    own(axis, values.iter().map(|value| value.powi(3)).collect());
-                    let bend = |part: &f64| values.iter().map(|value| value.clamp(-part * peak, part * peak)).collect();
-                    BENDS.iter().for_each(|part| own(axis, bend(part)));
-                }
-                Foreign::Products => {
-                    (0..3).for_each(|other| own(axis, product(&inputs[other], &inputs[(other + 1) % 3])))
-                }
-                Foreign::ForceSquared => (0..3).for_each(|other| own(axis, product(&forces[other], &forces[other]))),
-                Foreign::WarmScale => {
-                    if let Some(temperature_c) = temperature_c {
-                        let mean = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
-                        own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
-                    }
-                }
-                Foreign::Bandwidth => {
-                    FOLLOWS.iter().for_each(|samples| own(axis, creep(values, *samples)));
-                    (2..4).for_each(|order| own(axis, derivative(values, order)));
-                }
-                Foreign::LeverArm => {}
+    let mut columns: Vec<Extra> = Vec::new();
+    let mut own = |axis: usize, values: Vec<f64>| {
+        let mut column: [Option<Vec<f64>>; 3] = [None, None, None];
+        column[axis] = Some(values);
+        columns.push(column);
+    };
+    for axis in 0..3 {
+        let values = &inputs[axis];
+        match of {
+            Foreign::Creep => CREEPS_S.iter().for_each(|tau_s| own(axis, creep(values, tau_s * rate_hz))),
+            Foreign::Play => PLAYS.iter().for_each(|part| own(axis, play(values, part * peak))),
+            Foreign::Curve => {
+                own(axis, values.iter().map(|value| value.powi(3)).collect());
+                let bend = |part: &f64| values.iter().map(|value| value.clamp(-part * peak, part * peak)).collect();
+                BENDS.iter().for_each(|part| own(axis, bend(part)));
             }
-        }
-        if of == Foreign::LeverArm {
-            columns.extend(lever(motions, rate_hz));
-        }
-        columns.iter_mut().for_each(centre);
-        columns.retain(|column| column.iter().flatten().flatten().any(|value| *value != 0.0));
-        if !columns.is_empty() {
-            counts.push((of, columns.len()));
-            extras.extend(columns.into_iter().map(|axes| Extra { group, axes }));
+            Foreign::Products => (0..3).for_each(|other| own(axis, product(&inputs[other], &inputs[(other + 1) % 3]))),
+            Foreign::ForceSquared => (0..3).for_each(|other| own(axis, product(&forces[other], &forces[other]))),
+            Foreign::WarmScale => {
+                if let Some(temperature_c) = temperature_c {
+                    let mean = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
+                    own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
+                }
+            }
+            Foreign::Bandwidth => {
+                FOLLOWS.iter().for_each(|samples| own(axis, creep(values, *samples)));
+                (2..4).for_each(|order| own(axis, derivative(values, order)));
+            }
+            Foreign::LeverArm => {}
         }
     }
-    (counts, extras)
+    if of == Foreign::LeverArm {
+        columns.extend(lever(motions, rate_hz));
+    }
+    columns.iter_mut().for_each(centre);
+    columns.retain(|column| column.iter().flatten().flatten().any(|value| *value != 0.0));
+    columns
 }
 
 /// About their means, the largest of all axes 1: a mean is a bias's.

@@ -23,11 +23,6 @@ impl Delay {
         Some(Self { triad, seconds, error_s: one.standard_error? }).filter(|of| of.error_s > 0.0)
     }
 
-    /// The same where a filter's delay, known to this error, is beside it.
-    pub(super) fn or_of_a_filter(self, error_s: f64) -> Self {
-        Self { error_s: self.error_s.hypot(error_s), ..self }
-    }
-
     fn nats(self) -> f64 {
         0.5 * (self.seconds / self.error_s).powi(2)
     }

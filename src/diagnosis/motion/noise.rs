@@ -9,6 +9,8 @@ use std::sync::Arc;
 /// Effects that have a density throughout a record; drifts are taken off before.
 const LASTING: [&str; 7] =
     ["quantization_noise", "gauss_markov", "resonance", "low_pass", "moving_average", "resolution", "common_mode"];
+/// Effects that add noise at times.
+const LOUD: [&str; 2] = ["bursts", "spikes"];
 /// How well N, B and K are believed to be known where a model says no interval: standard deviations of ln of their squares.
 const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
 /// Euler's constant.
@@ -29,7 +31,7 @@ pub(super) fn law(
         let record = Record { rate_hz, samples: samples as u64 };
         for effect in of.effects.iter().filter(|effect| !LASTING.contains(&effect.name())) {
             let factor = effect.white_moments(record).map_or(1.0, |of| of.variance);
-            let added = effect.moments(record).filter(|_| effect.stage() == Stage::Noise).map_or(0.0, |of| of.variance);
+            let added = effect.moments(record).filter(|_| LOUD.contains(&effect.name())).map_or(0.0, |of| of.variance);
             let square = factor.max(1.0) * of.n * of.n + added / rate_hz;
             if square.is_finite() {
                 of.n = square.sqrt();

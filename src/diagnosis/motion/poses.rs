@@ -12,6 +12,7 @@
 //!
 //! The noise of a mean over T s is N²/T, flicker's about B², and a walk's K²·min(tᵢ, tⱼ), which the poses share.
 
+use super::groups::Pricing;
 use super::rests::Rest;
 use super::select::Choice;
 use crate::effects::triad::Axes;
@@ -116,7 +117,13 @@ pub(super) fn price(numbers: f64, level: f64) -> f64 {
 }
 
 /// Fits the tumble; None with too few poses or a noise that is none.
-pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: f64) -> Option<Tumbled> {
+pub(super) fn tumbled(
+    rests: &[Rest],
+    rate_hz: f64,
+    model: &SensorModel,
+    level: f64,
+    mean_freedom: f64,
+) -> Option<Tumbled> {
     let count = rests.len();
     let channels = Triad::Accel.channels();
     let noise: Vec<[f64; 3]> = channels
@@ -187,7 +194,9 @@ pub(super) fn tumbled(rests: &[Rest], rate_hz: f64, model: &SensorModel, level: 
         Some((numbers, inverse, square))
     };
     let all = vec![1.0; count];
-    let prices = PARTS.map(|_| price(3.0, level));
+    // A bias is as sure as flicker's level is known, as against a reference.
+    let of_mean = Pricing { level, triads: 1, mean_freedom }.price_of_mean(3, PARTS.len());
+    let prices = PARTS.map(|part| if part == Part::Bias { of_mean } else { price(3.0, level) });
     let mut best: Option<(f64, Vec<usize>)> = None;
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {

@@ -8,13 +8,11 @@ use super::{BLOCKS, noise};
 use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::Diagnosis;
 use crate::diagnosis::response::{self, Candidate, Clock, Fit, Record, Request, Screen};
 use crate::diagnosis::{facts, prepare};
 use crate::effects::TriadEffect;
-use crate::sample::{Channel, Triad};
+use crate::sample::Triad;
 use crate::simulator::SensorModel;
-use serde_json::Value;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -40,6 +38,8 @@ pub(super) struct Settled {
     pub(super) choice: Choice,
     /// The fit of what was chosen.
     pub(super) fit: Fit,
+    /// How late it is.
+    delay: Option<Delay>,
     /// Degrees of freedom of the mean's variance.
     pub(super) mean_freedom: f64,
     /// What the model has already.
@@ -111,12 +111,7 @@ pub(super) fn run(
         let now = signature(&settled, &rest.augmented);
         round += 1;
         if (round > 1 && before.as_ref() == Some(&now)) || round == ROUNDS {
-            let late = |of: &Settled| {
-                let delay = Delay::of(of.triad, &of.fit.estimates)?;
-                // A corner's interval knows the law's own form alone.
-                Some(delay.or_of_a_filter(2.0 * filter_error_s(of.triad, &rest.diagnosis)))
-            };
-            let delays: Vec<Delay> = settled.iter().filter_map(late).collect();
+            let delays: Vec<Delay> = settled.iter().filter_map(|of| of.delay).collect();
             let price_of_one = pricing(options, triads.len(), 1.0).price(1, 2);
             let lateness = lateness::tell(&delays, aligned.shared, price_of_one);
             return Ok(Found { triads: settled, rest, lateness, price_of_one });
@@ -167,30 +162,6 @@ fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
         Some(effects.iter().map(move |effect| (channel as usize, effect.name())))
     });
     (settled.iter().map(|of| of.choice.groups.clone()).collect(), names.flatten().collect())
-}
-
-/// Standard error of the delay that a low pass of a triad makes, s: 1/(2π·f) with the error of f, the mean of three axes; 0
-/// without one.
-fn filter_error_s(triad: Triad, found: &Diagnosis) -> f64 {
-    let square = |channel: Channel| {
-        let lists = found.causes.iter().filter(|cause| cause.effect == "low_pass");
-        let [low, high] =
-            lists.filter_map(|cause| ends_of(cause.uncertainty.get(channel.name())?, "cutoff_hz")).next()?;
-        Some(((low.recip() - high.recip()) / (std::f64::consts::TAU * 2.0 * 1.96)).powi(2))
-    };
-    triad.channels().into_iter().filter_map(square).filter(|square| square.is_finite()).sum::<f64>().sqrt() / 3.0
-}
-
-/// The first interval of that name among the intervals of one or several effects.
-fn ends_of(of: &Value, name: &str) -> Option<[f64; 2]> {
-    match of {
-        Value::Array(list) => list.iter().find_map(|one| ends_of(one, name)),
-        Value::Object(map) => {
-            let ends = map.get(name)?.as_array()?;
-            Some([ends.first()?.as_f64()?, ends.get(1)?.as_f64()?])
-        }
-        _ => None,
-    }
 }
 
 /// The record with the answers taken off.
@@ -270,16 +241,23 @@ impl About<'_> {
         };
         let all = with_delay(candidates.clone());
         let request = Request { known: &known, level, candidates: &all, clock, filters: &filters };
-        let (counts, extras) = groups::foreign(triad, motions, rate_hz, self.temperature_c);
-        let screen = response::screen(&self.record(triad, &samples, sent, &left_out), &law, &request, extras, BLOCKS)?;
+        let mut counts = Vec::new();
+        let extras = Foreign::of(triad).into_iter().flat_map(|of| {
+            let columns = groups::foreign(of, triad, motions, rate_hz, self.temperature_c);
+            counts.push((of, columns.len()));
+            columns
+        });
+        let mut screen =
+            response::screen(&self.record(triad, &samples, sent, &left_out), &law, &request, extras, BLOCKS)?;
         let mean_freedom = noise::mean_freedom(self.told, triad, rate_hz, n);
         let mut groups = groups::groups(&candidates, screen.own, &counts, pricing(options, triads, mean_freedom));
         groups.iter_mut().for_each(|group| group.price *= lenient);
         let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
         let mut base: Vec<usize> = (inside..screen.own).collect();
+        let filtered = filters.iter().any(|of| !of.is_empty());
         // Of a filter that the noise shows the motion tells the corner better than the noise does: what its interval leaves open
         // is taken off first.
-        if filters.iter().any(|of| !of.is_empty()) {
+        if filtered {
             let (known, open) =
                 groups.into_iter().partition(|group| group.member != Member::Foreign(Foreign::Bandwidth));
             groups = known;
@@ -296,21 +274,32 @@ impl About<'_> {
         let columns = weighing.columns(&choice.groups);
         let (_, numbers) = screen.gain(&columns);
         let mut outside: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; n]);
-        let foreign: Vec<_> = columns.iter().zip(&numbers).filter(|(column, _)| **column >= screen.own).collect();
-        // Rarely one is chosen: all of them are made again sooner than kept.
-        let made = if foreign.is_empty() {
-            Vec::new()
-        } else {
-            groups::foreign(triad, motions, rate_hz, self.temperature_c).1
-        };
-        for (column, number) in foreign {
-            for (axis, sum) in outside.iter_mut().enumerate() {
-                // The screen had it behind the filters.
-                let Some(mut values) = made[column - screen.own].axes[axis].clone() else { continue };
-                response::filtered(&filters[axis], rate_hz, &mut values);
-                sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
+        let mut first = screen.own;
+        for (of, count) in counts {
+            let chosen: Vec<(usize, f64)> = columns.iter().copied().zip(numbers.iter().copied()).collect();
+            let chosen: Vec<_> =
+                chosen.into_iter().filter(|(column, _)| (first..first + count).contains(column)).collect();
+            // Rarely one is chosen: it is made again sooner than kept.
+            let made = match chosen.is_empty() {
+                true => Vec::new(),
+                false => groups::foreign(of, triad, motions, rate_hz, self.temperature_c),
+            };
+            for (column, number) in chosen {
+                for (axis, sum) in outside.iter_mut().enumerate() {
+                    // The screen had it behind the filters.
+                    let Some(mut values) = made[column - first][axis].clone() else { continue };
+                    response::filtered(&filters[axis], rate_hz, &mut values);
+                    sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
+                }
             }
+            first += count;
         }
+        // Beside a filter whose corner is open a delay is known as well as both together tell it.
+        let delay = match (filtered, base.first()) {
+            (true, Some(_)) => screen.error(&columns, 0).map(|error_s| Delay { triad, seconds: numbers[0], error_s }),
+            _ => None,
+        };
+        screen.keep(&columns);
         for (values, of) in samples.iter_mut().zip(&outside) {
             values.iter_mut().zip(of).for_each(|(value, of)| *value -= of);
         }
@@ -342,7 +331,8 @@ impl About<'_> {
             }
             rest
         });
-        Ok(Settled { triad, screen, groups, base, choice, fit, mean_freedom, known, rest })
+        let delay = delay.or_else(|| Delay::of(triad, &fit.estimates));
+        Ok(Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, rest })
     }
 
     /// The fit of everything with a delay, under the model's noise.

@@ -5,6 +5,7 @@
 //! [`super::quasi_static`]; what the noise says is found in the longest rest, as in any record at rest.
 
 use super::felt::felt;
+use super::noise::mean_freedom;
 use super::poses::{self, BELIEF, PARTS, POSES_MIN, Part, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
@@ -81,7 +82,8 @@ pub fn diagnose_tumble(
     for (channel, of) in &mut noise.channels {
         of.n = outcome.augmented.channels.get(channel).map_or(of.n, |found| found.n);
     }
-    let at_rest = tumble.then(|| poses::tumbled(&rests, real.rate_hz, &noise, options.level)).flatten();
+    let freedom = mean_freedom(&noise, Triad::Accel, real.rate_hz, real.len());
+    let at_rest = tumble.then(|| poses::tumbled(&rests, real.rate_hz, &noise, options.level, freedom)).flatten();
     let found = match at_rest {
         Some(of) => Some(Poses { of, stands: &rests, how: How::Rests }),
         None => {
@@ -415,7 +417,8 @@ mod tests {
         let truth = model(json!({"accel": {"effects": [
             {"effect": "bias", "x": 0.05, "y": -0.03, "z": 0.02},
             {"effect": "scale_factor", "x": 0.006, "y": -0.005, "z": 0.002}]}}));
-        let real = recorded(&truth, tumble(300), 3);
+        // Twice, so that each pose is foretold by another like it.
+        let real = recorded(&truth, [tumble(300), tumble(300)].concat(), 3);
         let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
         println!("{}", serde_json::to_string_pretty(&found.diagnosis).unwrap());
         let mut named: Vec<&str> = found.diagnosis.causes.iter().map(|cause| cause.effect).collect();

@@ -21,15 +21,8 @@ use std::ops::Range;
 /// Share of the largest eigenvalue, of columns of length 1, below which a direction is rounding.
 const OPEN: f64 = 1e-9;
 
-/// A column that is none of the library's effects.
-#[derive(Debug, Clone)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
-pub struct Extra {
-    /// Which group of columns it belongs to.
-    pub group: usize,
-    /// Its values per axis, as long as the record; `None` where it is 0 throughout.
-    pub axes: [Option<Vec<f64>>; 3],
-}
+/// A column that is none of the library's effects: its values per axis, as long as the record; `None` where it is 0 throughout.
+pub type Extra = [Option<Vec<f64>>; 3];
 
 /// Sums over the blocks of a record.
 #[derive(Debug, Clone)]
@@ -58,7 +51,7 @@ pub fn screen(
     record: &Record<'_>,
     law: &NoiseLaw,
     request: &Request<'_>,
-    extras: Vec<Extra>,
+    extras: impl IntoIterator<Item = Extra>,
     blocks: usize,
 ) -> Result<Screen, ResponseError> {
     solved(record, law, request, |known, search, solution, clipping| {
@@ -84,7 +77,7 @@ fn in_time(
     search: &mut Search<'_, '_>,
     solution: Solution,
     known: &State,
-    extras: Vec<Extra>,
+    extras: impl IntoIterator<Item = Extra>,
 ) -> (Columns, [Vec<f64>; 3]) {
     let Solution { state, residual: mut samples, mut columns, .. } = solution;
     for (slot, column) in search.design.slots.iter().zip(&columns) {
@@ -95,17 +88,16 @@ fn in_time(
             }
         }
     }
-    let mut more: Columns = Vec::with_capacity(extras.len());
+    // One after the other: all of them as they are made beside all of them whitened would be twice the memory.
     for extra in extras {
-        let mut column: Column = extra.axes;
+        let mut column: Column = extra;
         for (axis, values) in column.iter_mut().enumerate() {
             if let Some(values) = values {
                 search.design.pass(axis, values);
             }
         }
-        more.push(column);
+        columns.extend(search.whitening.columns(vec![column]));
     }
-    columns.extend(search.whitening.columns(more));
     for values in columns.iter_mut().flatten().flatten().chain(&mut samples) {
         search.whitening.in_time(values);
     }
@@ -157,6 +149,34 @@ impl Screen {
     #[must_use]
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
+    }
+
+    /// The standard error of the number of the column at a place among these, all others unknown; None where they leave it open.
+    #[must_use]
+    pub fn error(&self, columns: &[usize], place: usize) -> Option<f64> {
+        let matrix = &self.total.0;
+        let lengths: Vec<f64> = columns.iter().map(|of| matrix[(*of, *of)].max(0.0).sqrt()).collect();
+        lengths.get(place).filter(|length| **length > 0.0)?;
+        let others: Vec<usize> = (0..columns.len()).filter(|other| *other != place && lengths[*other] > 0.0).collect();
+        let scaled =
+            |one: usize, other: usize| matrix[(columns[one], columns[other])] / (lengths[one] * lengths[other]);
+        let among = DMatrix::from_fn(others.len(), others.len(), |row, column| scaled(others[row], others[column]));
+        let own = DVector::from_fn(others.len(), |row, _| scaled(others[row], place));
+        let explained = match among.pseudo_inverse(OPEN) {
+            Ok(inverse) => (own.transpose() * inverse * &own)[(0, 0)],
+            Err(_) => return None,
+        };
+        // What is left of a column of length 1.
+        (1.0 - explained > OPEN).then(|| (1.0 - explained).sqrt().recip() / lengths[place])
+    }
+
+    /// Forgets the values of columns that are not among these: their sums stay.
+    pub fn keep(&mut self, columns: &[usize]) {
+        for (place, column) in self.columns.iter_mut().enumerate() {
+            if !columns.contains(&place) {
+                *column = [None, None, None];
+            }
+        }
     }
 
     /// What the columns' numbers from all other folds explain in each block: held out, nats per block. Every `folds`th block
@@ -280,7 +300,7 @@ mod tests {
         };
         let all = [Candidate::ScaleFactor, Candidate::Misalignment, Candidate::Bias];
         let squares: Vec<f64> = case.reference.iter().map(|motion| motion.gyro_rad_s[0].powi(3)).collect();
-        let extra = Extra { group: 0, axes: [Some(squares), None, None] };
+        let extra: Extra = [Some(squares), None, None];
         let found = screen(&record, &case.law, &request(&all), vec![extra], 16).unwrap();
         assert_eq!((found.own, found.total.1.len()), (9, 10));
         let columns: Vec<usize> = (0..6).collect();

@@ -20,6 +20,8 @@ const TRIADS: [Triad; 2] = [Triad::Gyro, Triad::Accel];
 const VN_100: [f64; 2] = [6.1e-5, 1.37e-3];
 /// Samples of a case, at least.
 pub const SAMPLES_MIN: usize = 6000;
+/// Part of the cases whose reference has a clock of its own.
+const OWN_CLOCK: f64 = 0.3;
 /// Part of the samples beyond a limit at 1 of its size, and a cutoff there in parts of the rate.
 const CUT_OFF: f64 = 1e-3;
 const CORNER: f64 = 0.4;
@@ -53,6 +55,8 @@ pub struct Key {
     pub rate_hz: f64,
     /// Samples per channel.
     pub samples: usize,
+    /// Whether its reference is on a clock of its own, at twice the rate, and begins and ends within the record.
+    pub own_clock: bool,
     /// Its effects.
     pub effects: Vec<TrueEffect>,
     /// 16 random bytes.
@@ -94,7 +98,19 @@ pub struct Case {
     /// True N, B, K, and the model's, by triad and axis.
     nbk: [[[[f64; 3]; 2]; 3]; 2],
     warms: TemperatureCourse,
+    clock: Option<OwnClock>,
     wishes: Vec<Wish>,
+}
+
+/// A reference's clock that is not the record's.
+#[derive(Debug, Clone, Copy)]
+struct OwnClock {
+    /// By how much of the record it begins late and ends early, s.
+    within_s: [f64; 2],
+    /// What it shows at its first row, s.
+    begins_s: f64,
+    /// By how much it gains, s/s.
+    gains: f64,
 }
 
 impl Case {
@@ -116,6 +132,12 @@ impl Case {
             })
         });
         let warms = TemperatureCourse::draw(&mut draw);
+        let own = OwnClock {
+            within_s: [draw.uniform(1.0, 15.0), draw.uniform(1.0, 15.0)],
+            begins_s: draw.uniform(0.0, 1e5),
+            gains: draw.sign() * draw.log_uniform(1e-7, 1e-4),
+        };
+        let clock = draw.chance(OWN_CLOCK).then_some(own);
         Self {
             seed,
             number,
@@ -124,6 +146,7 @@ impl Case {
             shape,
             nbk,
             warms,
+            clock,
             wishes: wishes.to_vec(),
         }
     }
@@ -195,6 +218,7 @@ impl Case {
             case: self.number,
             rate_hz: self.rate_hz,
             samples: self.samples,
+            own_clock: self.clock.is_some(),
             effects: self.effects(&course, &warmth_c).into_iter().map(|(told, _)| told).collect(),
             salt: self.stream("salt").salt(),
         }
@@ -231,8 +255,18 @@ impl Case {
             time_s: (0..self.samples).map(time_s).collect(),
             ..Recording::default()
         };
-        let rows = course.into_iter().step_by(FINE).enumerate().map(|(index, motion)| (time_s(index), motion));
-        (recording, rows.collect())
+        let rows: Vec<(f64, Motion)> = match self.clock {
+            None => course.into_iter().step_by(FINE).enumerate().map(|(index, of)| (time_s(index), of)).collect(),
+            Some(clock) => {
+                let every = FINE / 2;
+                let place = |at_s: f64| ((at_s * self.rate_hz * 2.0) as usize).min(course.len() / every);
+                let (from, to) = (place(clock.within_s[0]), course.len() / every - place(clock.within_s[1]));
+                let stamp = |row: usize| clock.begins_s + 0.5 * time_s(row) * (1.0 + clock.gains);
+                let rows = course.iter().step_by(every).enumerate().skip(from).take(to.saturating_sub(from));
+                rows.map(|(row, of)| (stamp(row), *of)).collect()
+            }
+        };
+        (recording, rows)
     }
 
     /// The model that the diagnosis is told, with the effects where it is the truth's.

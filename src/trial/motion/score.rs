@@ -312,7 +312,7 @@ mod tests {
 
     fn key(kind: Kind, numbers: &[f64]) -> Key {
         let effect = TrueEffect { kind, triad: "gyro".into(), over_limit: 4.0, numbers: numbers.to_vec(), limit: 1e-4 };
-        Key { case: 0, rate_hz: 40.0, samples: 6000, effects: vec![effect], salt: String::new() }
+        Key { case: 0, rate_hz: 40.0, samples: 6000, own_clock: false, effects: vec![effect], salt: String::new() }
     }
 
     #[test]
