@@ -202,14 +202,27 @@ pub fn foreign(
                 }
             }
             Foreign::Bandwidth => {
-                FOLLOWS.iter().for_each(|samples| own(axis, creep(values, *samples)));
+                // Without the delay that each is to first order: that is the delay's own column.
+                FOLLOWS.iter().for_each(|samples| {
+                    let late = (samples.recip().exp() - 1.0).recip();
+                    let slopes = derivative(values, 1).into_iter().map(|slope| late * slope);
+                    own(axis, creep(values, *samples).into_iter().zip(slopes).map(|(of, slope)| of - slope).collect());
+                });
                 (2..4).for_each(|order| own(axis, derivative(values, order)));
             }
             Foreign::LeverArm => {}
         }
     }
-    if of == Foreign::LeverArm {
-        columns.extend(lever(motions, rate_hz));
+    match of {
+        Foreign::LeverArm => columns.extend(lever(motions, rate_hz)),
+        // One axis later than another; the mean of the three is the delay's.
+        Foreign::Bandwidth => columns.extend([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]].map(|signs| {
+            std::array::from_fn(|axis| {
+                let scaled = |value: f64| signs[axis] * value;
+                (signs[axis] != 0.0).then(|| derivative(&inputs[axis], 1).into_iter().map(scaled).collect())
+            })
+        })),
+        _ => {}
     }
     columns.iter_mut().for_each(centre);
     columns.retain(|column| column.iter().flatten().flatten().any(|value| *value != 0.0));
@@ -257,13 +270,14 @@ fn play(values: &[f64], half: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The second or third difference about each value, per sample: what a delay is beyond its first order. The ends stay.
+/// The first, second or third difference about each value, per sample; the ends stay.
 fn derivative(values: &[f64], order: usize) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     (0..values.len())
         .map(|t| {
             let at = |back: usize, on: usize| values[(t + on).saturating_sub(back).min(last)];
             match order {
+                1 => 0.5 * (at(0, 1) - at(1, 0)),
                 2 => at(0, 1) - 2.0 * at(0, 0) + at(1, 0),
                 _ => 0.5 * (at(0, 2) - 2.0 * at(0, 1) + 2.0 * at(1, 0) - at(2, 0)),
             }
