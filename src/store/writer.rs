@@ -42,7 +42,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
 /// The longest a record waits for its commit to begin, in real time: with the commit itself it stays under a second.
-pub const COMMIT_AFTER: Duration = Duration::from_millis(900);
+pub const COMMIT_AFTER: Duration = Duration::from_millis(750);
 /// So many records are committed without waiting.
 pub const COMMIT_RECORDS: usize = 8192;
 /// How long the check after an I/O error may take: a large database is then taken as it is.

@@ -45,7 +45,7 @@ fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let mut daemon = world.daemon(FAST, &["--capture", "5h"]);
     world.until("samples are safe", START, || (world.committed() > 0).then_some(()), &daemon);
-    let (mut worst_lost_s, mut worst_restart_s, mut late) = (0.0_f64, 0.0_f64, 0);
+    let (mut worst_lost_s, mut worst_restart_s) = (0.0_f64, 0.0_f64);
     let mut rows_before = 0;
     for kill in 0..kills {
         // Every other one right after the start, before anything is committed; the others with something to lose.
@@ -62,9 +62,7 @@ fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes
         let (rows, last_ns) = (integer(&row[0]) as u64, integer(&row[1]) as u64);
         assert!(rows >= acked, "after kill {kill}: {acked} were safe, {rows} are there");
         if rows > rows_before {
-            let lost_s = killed_ns.saturating_sub(last_ns) as f64 / 1e9;
-            worst_lost_s = worst_lost_s.max(lost_s);
-            late += usize::from(lost_s > 1.0);
+            worst_lost_s = worst_lost_s.max(killed_ns.saturating_sub(last_ns) as f64 / 1e9);
         }
         rows_before = rows;
         let begun = Instant::now();
@@ -83,11 +81,7 @@ fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes
     assert!((kills / 2..=kills).contains(&found.gaps.len()), "{} gaps", found.gaps.len());
     assert!(found.gaps.iter().all(|gap| gap.exact));
     assert!(worst_restart_s <= 5.0, "{worst_restart_s} s");
-    // Other tests have the processor too: once in twenty kills the writer may have waited for it.
-    assert!(
-        late <= kills / 20 && worst_lost_s <= 2.0,
-        "{worst_lost_s} s of data were not committed, over 1 s {late} times"
-    );
+    assert!(worst_lost_s <= 1.0, "{worst_lost_s} s of data were not committed");
 }
 
 /// A3, while streaming.
