@@ -25,6 +25,7 @@ mod probe;
 mod progress;
 mod recover;
 mod run;
+mod sealed;
 mod show;
 mod simulate;
 mod status;

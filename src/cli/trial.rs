@@ -5,37 +5,20 @@
 //! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
-use super::progress::bar;
+use super::sealed::{Sealed, Threshold, discrepancy, read, usage, words, write};
 use super::trial_on::Ground;
-use super::{CliError, Context, Failure, Outcome, print_json, table, trial_on};
-use crate::clock::{Clock as _, SystemClock};
+use super::{Context, Outcome, print_json, table, trial_on};
 use crate::diagnosis::{self, Options};
 use crate::store::SOFTWARE;
 use crate::trial::impose::SAMPLES_MIN;
 use crate::trial::page::{limit, page, percent, size};
 use crate::trial::{Answer, Case, Class, Key, Kind, Manifest, Report, Score, Wanted, case, judge, parcel, plan};
 use anyhow::Context as _;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
-use sha2::{Digest as _, Sha256};
 use std::io::{Read as _, Write as _};
-use std::path::Path;
-use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 /// Misses that are listed on a terminal; JSON and page have all.
 const MISSES_SHOWN: usize = 12;
-
-/// A trial that another process makes.
-struct Sealed {
-    seed: u64,
-    cases: usize,
-    kinds: String,
-    samples: Option<usize>,
-    /// The recording that effects are imposed on.
-    ground: Option<Ground>,
-}
 
 /// Runs a trial and says what it came to.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
@@ -43,67 +26,45 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         return super::trial_motion::run(context, args);
     }
     Wanted::from_words(words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
-    let thresholds = thresholds(args)?;
+    let thresholds = Threshold::of(args, &Score::of("", 0, "", &[]).named_rates().map(|(name, ..)| name))?;
     if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
         return Err(usage(format!("--samples: a case takes {SAMPLES_MIN} or more")));
     }
-    let seed = args.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
     let ground = args.on.as_ref().map(|named| Ground::of(context, args, named)).transpose()?;
-    let sealed = Sealed { seed, cases: args.cases, kinds: args.kinds.clone(), samples: args.samples, ground };
-    if let Some(folder) = &args.out {
-        let reports = folder.join("reports");
-        std::fs::create_dir_all(&reports).with_context(|| format!("{} cannot be made", reports.display()))?;
-    }
-
-    let manifest_text = sealed.ask(TrialPart::Manifest, None)?;
-    let manifest: Manifest = read(&manifest_text, "manifest")?;
-    let manifest_sha256: String = Sha256::digest(&manifest_text).iter().map(|byte| format!("{byte:02x}")).collect();
-    keep(args, "manifest.json", &manifest_text)?;
-    let cases = manifest.digests.len();
-    if cases == 0 {
-        let possible = sealed.ground.as_ref().map_or_else(String::new, |ground| {
+    let sealed = Sealed::new(args, ground.as_ref().map(Ground::folder))?;
+    let (manifest, manifest_sha256) = sealed.manifest(|| {
+        let possible = ground.as_ref().map_or_else(String::new, |ground| {
             let kinds: Vec<&str> = ground.survey.kinds.iter().map(|kind| kind.name()).collect();
             format!("; what can be imposed on every stretch of {} is {}", ground.name, kinds.join(", "))
         });
-        return Err(usage(format!("--kinds and --cases: there is no such case{possible}")));
-    }
-    eprintln!("{cases} cases of seed {seed}; their keys are sealed: the manifest's SHA-256 is {manifest_sha256}");
-
-    let reports = each(cases, args.threads, "cases diagnosed", |index| {
-        let text = sealed.diagnosed(TrialPart::Case, index)?;
-        if let Ok(text) = &text {
-            keep(args, &format!("reports/{index:05}.json"), text)?;
-        }
-        Ok(text.and_then(|text| serde_json::from_slice::<Value>(&text).map_err(|error| error.to_string())))
+        format!("--kinds and --cases: there is no such case{possible}")
     })?;
-    let owns = match &sealed.ground {
+    let cases = manifest.digests.len();
+    let reports = sealed.reports(cases)?;
+    let owns = match &ground {
         None => vec![None; cases],
-        Some(_) => each(cases, args.threads, "cases diagnosed as they are", |index| {
+        Some(_) => sealed.each(cases, "cases diagnosed as they are", |index| {
             let Ok(text) = sealed.diagnosed(TrialPart::Own, index)? else { return Ok(None) };
-            keep(args, &format!("reports/{index:05}-own.json"), &text)?;
+            sealed.keep(&format!("reports/{index:05}-own.json"), &text)?;
             Ok(Some(Report::of(&read(&text, "diagnosis")?)?))
         })?,
     };
-
-    let keys_text = sealed.ask(TrialPart::Key, None)?;
-    let keys: Vec<Key> = read(&keys_text, "keys")?;
-    manifest.verify(&keys)?;
-    keep(args, "key.json", &keys_text)?;
-
-    let truths = if args.truth { sealed.truths(&keys, &reports, args.threads)? } else { vec![None; cases] };
+    let keys: Vec<Key> = sealed.keys(|keys| Ok(manifest.verify(keys)?))?;
+    let of_library = |index: usize| matches!(keys[index].class, Class::Single | Class::Pair);
+    let truths = sealed.truths(&reports, of_library, closed_by_truth)?;
     let mut answers = Vec::with_capacity(cases);
     for ((report, own), closed_by_truth) in reports.into_iter().zip(owns).zip(truths) {
         let report = report.and_then(|value| Report::of(&value).map_err(|error| error.to_string()));
         answers.push(Answer { report, own, closed_by_truth });
     }
     let judgements: Vec<_> = keys.iter().zip(&answers).map(|(key, answer)| judge(key, answer)).collect();
-    let score = Score::of(SOFTWARE, seed, &manifest_sha256, &judgements);
-    let score = match &sealed.ground {
+    let score = Score::of(SOFTWARE, sealed.seed, &manifest_sha256, &judgements);
+    let score = match &ground {
         Some(ground) => score.on(&ground.name, ground.survey.stretches, &judgements),
         None => score,
     };
-    keep(args, "judgements.json", &serde_json::to_vec_pretty(&judgements)?)?;
-    keep(args, "score.json", &serde_json::to_vec_pretty(&score)?)?;
+    sealed.keep("judgements.json", &serde_json::to_vec_pretty(&judgements)?)?;
+    sealed.keep("score.json", &serde_json::to_vec_pretty(&score)?)?;
     if let Some(path) = &args.html {
         write(path, page(&score).as_bytes())?;
     }
@@ -112,14 +73,16 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     } else {
         show(&score)?
     }
-    let mut outcome = Outcome::Done;
-    for threshold in thresholds {
-        if let Some(found) = threshold.missed_by(&score) {
-            eprintln!("{found}");
-            outcome = Outcome::WithLoss;
-        }
-    }
-    Ok(outcome)
+    Ok(Threshold::outcome(&thresholds, |name| score.rate(name).and_then(|rate| rate.share)))
+}
+
+/// What the true effects close: the same discrepancy under the model that has them.
+fn closed_by_truth(report: &Value, truth: &Value) -> Option<f64> {
+    let (before, floor) = (discrepancy(report, "after_parameters")?, discrepancy(report, "floor")?);
+    // The true model's parameters are true: refitting them cannot do better but by chance, and may do worse.
+    let after = discrepancy(truth, "after_parameters")?.min(discrepancy(truth, "before")?);
+    // Where nothing was there to close, no part of it is.
+    discrepancy(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
 }
 
 /// Runs one part of a trial, for the process that asked.
@@ -175,160 +138,6 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         TrialPart::Diagnose => {}
     }
     Ok(Outcome::Done)
-}
-
-impl Sealed {
-    fn command(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Command> {
-        let program = std::env::current_exe().context("the program does not find itself")?;
-        let mut command = Command::new(program);
-        command.args(["trial-part", part.name()]);
-        if part != TrialPart::Diagnose {
-            command.args(["--seed", &self.seed.to_string(), "--cases", &self.cases.to_string()]);
-            command.args(["--kinds", &self.kinds]);
-            if let Some(samples) = self.samples {
-                command.args(["--samples", &samples.to_string()]);
-            }
-            if let Some(ground) = &self.ground {
-                command.arg("--ground").arg(ground.folder());
-            }
-        }
-        if let Some(case) = case {
-            command.args(["--case", &case.to_string()]);
-        }
-        Ok(command)
-    }
-
-    /// What a part writes.
-    fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
-        let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
-        let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        anyhow::ensure!(output.status.success(), "the trial's {} failed: {}", part.name(), said());
-        Ok(output.stdout)
-    }
-
-    /// The diagnosis of a case, or why there is none: a program that dies on one case has failed that one.
-    fn diagnosed(&self, part: TrialPart, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
-        let mut maker = self.command(part, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
-        let parcel = maker.stdout.take().context("the maker has no output")?;
-        let output = self.command(TrialPart::Diagnose, None)?.stdin(parcel).output()?;
-        let made = maker.wait()?;
-        anyhow::ensure!(made.success(), "case {case} could not be made");
-        if output.status.success() {
-            return Ok(Ok(output.stdout));
-        }
-        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
-    }
-
-    /// What the true effects close of each case's gap: the same discrepancy under the model that has them.
-    fn truths(
-        &self,
-        keys: &[Key],
-        reports: &[Result<Value, String>],
-        threads: usize,
-    ) -> anyhow::Result<Vec<Option<f64>>> {
-        each(keys.len(), threads, "cases scored with the truth", |index| {
-            let of_library = matches!(keys[index].class, Class::Single | Class::Pair);
-            let Some(report) = reports[index].as_ref().ok().filter(|_| of_library) else { return Ok(None) };
-            let Ok(truth) = self.ask(TrialPart::Truth, Some(index)) else { return Ok(None) };
-            let truth: Value = read(&truth, "diagnosis")?;
-            let number = |value: &Value, name: &str| value["discrepancy"][name].as_f64();
-            let closed = || {
-                let (before, floor) = (number(report, "after_parameters")?, number(report, "floor")?);
-                // The true model's parameters are true: refitting them cannot do better but by chance, and may do worse.
-                let after = number(&truth, "after_parameters")?.min(number(&truth, "before")?);
-                // Where nothing was there to close, no part of it is.
-                number(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
-            };
-            Ok(closed())
-        })
-    }
-}
-
-/// Does something with every case on several threads, in any order.
-pub(super) fn each<T: Send>(
-    cases: usize,
-    threads: usize,
-    what: &'static str,
-    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
-) -> anyhow::Result<Vec<T>> {
-    let bar = bar("{bar:30} {pos} of {len} {msg} · {eta} left", cases as u64).with_message(what);
-    let next = AtomicUsize::new(0);
-    let done: Vec<Mutex<Option<anyhow::Result<T>>>> = (0..cases).map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..threads.clamp(1, cases.max(1)) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(place) = done.get(index) else { break };
-                    let result = work(index);
-                    if result.is_err() {
-                        // What one case cannot have, such as a process, the next ones cannot either.
-                        next.store(cases, Ordering::Relaxed);
-                    }
-                    *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
-                    bar.inc(1);
-                }
-            });
-        }
-    });
-    bar.finish_and_clear();
-    let results: Vec<_> =
-        done.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
-    results.into_iter().collect()
-}
-
-pub(super) fn words(kinds: &str) -> impl Iterator<Item = &str> {
-    kinds.split(',').map(str::trim).filter(|word| !word.is_empty())
-}
-
-pub(super) fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Result<T> {
-    serde_json::from_slice(text).with_context(|| format!("the trial's {what} cannot be read"))
-}
-
-/// Writes a file of the trial's folder, if it has one.
-pub(super) fn keep(args: &TrialArgs, name: &str, text: &[u8]) -> anyhow::Result<()> {
-    args.out.as_ref().map_or(Ok(()), |folder| write(&folder.join(name), text))
-}
-
-fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
-}
-
-pub(super) fn usage(message: String) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message }.into()
-}
-
-/// A rate that is asked for.
-struct Threshold {
-    name: String,
-    share: f64,
-    at_least: bool,
-}
-
-impl Threshold {
-    /// What to say where the score does not reach it. A rate of no case reaches nothing.
-    fn missed_by(&self, score: &Score) -> Option<String> {
-        let share = score.rate(&self.name).and_then(|rate| rate.share);
-        let word = if self.at_least { "at least" } else { "at most" };
-        let reached = share.is_some_and(|share| if self.at_least { share >= self.share } else { share <= self.share });
-        let found = share.map_or_else(|| "of no case".to_owned(), |share| share.to_string());
-        (!reached).then(|| format!("{} is {found}; {word} {} was asked for", self.name, self.share))
-    }
-}
-
-fn thresholds(args: &TrialArgs) -> anyhow::Result<Vec<Threshold>> {
-    let names = Score::of("", 0, "", &[]).named_rates().map(|(name, ..)| name);
-    let of = |(text, at_least): (&String, bool)| {
-        let (name, share) = text.split_once('=').unwrap_or((text, ""));
-        let share = share.parse().ok().filter(|share| (0.0..=1.0).contains(share));
-        match share.filter(|_| names.contains(&name)) {
-            Some(share) => Ok(Threshold { name: name.to_owned(), share, at_least }),
-            None => Err(usage(format!("`{text}`: expected NAME=SHARE, NAME one of {}", names.join(", ")))),
-        }
-    };
-    let least = args.at_least.iter().map(|text| (text, true));
-    least.chain(args.at_most.iter().map(|text| (text, false))).map(of).collect()
 }
 
 fn show(score: &Score) -> std::io::Result<()> {

@@ -2,7 +2,7 @@
 //! processes that make cases.
 
 use super::args::TrialArgs;
-use super::trial::each;
+use super::sealed::each;
 use super::{CliError, Context, Failure, analysis};
 use crate::diagnosis::{self, Options, Recording};
 use crate::jobs::gridded;

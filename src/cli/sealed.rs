@@ -1,0 +1,244 @@
+//! A sealed trial: the processes that make cases and diagnose them, the folder that keeps what they write, and the rates that
+//! are asked for. Stationary trials and those with a motion are both made here.
+
+use super::args::{TrialArgs, TrialPart};
+use super::progress::bar;
+use super::{CliError, Failure, Outcome};
+use crate::clock::{Clock as _, SystemClock};
+use crate::trial::Manifest;
+use anyhow::Context as _;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// A trial that other processes make and diagnose.
+pub(super) struct Sealed<'a> {
+    pub(super) seed: u64,
+    args: &'a TrialArgs,
+    /// The folder of the recording that effects are imposed on.
+    ground: Option<&'a Path>,
+}
+
+impl<'a> Sealed<'a> {
+    /// With the seed that is asked for, or the time; its folder is made.
+    pub(super) fn new(args: &'a TrialArgs, ground: Option<&'a Path>) -> anyhow::Result<Self> {
+        if let Some(folder) = &args.out {
+            let reports = folder.join("reports");
+            std::fs::create_dir_all(&reports).with_context(|| format!("{} cannot be made", reports.display()))?;
+        }
+        let seed = args.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
+        Ok(Self { seed, args, ground })
+    }
+
+    /// The manifest and its SHA-256, which are told and kept; of no case it is `empty`.
+    pub(super) fn manifest(&self, empty: impl FnOnce() -> String) -> anyhow::Result<(Manifest, String)> {
+        let text = self.ask(TrialPart::Manifest, None)?;
+        let manifest: Manifest = read(&text, "manifest")?;
+        let sha256: String = Sha256::digest(&text).iter().map(|byte| format!("{byte:02x}")).collect();
+        self.keep("manifest.json", &text)?;
+        let cases = manifest.digests.len();
+        if cases == 0 {
+            return Err(usage(empty()));
+        }
+        eprintln!("{cases} cases of seed {}; their keys are sealed: the manifest's SHA-256 is {sha256}", self.seed);
+        Ok((manifest, sha256))
+    }
+
+    /// Every case's diagnosis, or why there is none.
+    pub(super) fn reports(&self, cases: usize) -> anyhow::Result<Vec<Result<Value, String>>> {
+        self.each(cases, "cases diagnosed", |index| {
+            let text = self.diagnosed(TrialPart::Case, index)?;
+            if let Ok(text) = &text {
+                self.keep(&format!("reports/{index:05}.json"), text)?;
+            }
+            Ok(text.and_then(|text| serde_json::from_slice::<Value>(&text).map_err(|error| error.to_string())))
+        })
+    }
+
+    /// The keys, kept once they are what the manifest promised.
+    pub(super) fn keys<Key: DeserializeOwned>(
+        &self,
+        verify: impl FnOnce(&[Key]) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Vec<Key>> {
+        let text = self.ask(TrialPart::Key, None)?;
+        let keys: Vec<Key> = read(&text, "keys")?;
+        verify(&keys)?;
+        self.keep("key.json", &text)?;
+        Ok(keys)
+    }
+
+    /// What the true effects close of each case's gap, where that is asked for and `of_library` says that a model can have them:
+    /// `closed` of the case's diagnosis and of that under the model that has them.
+    pub(super) fn truths(
+        &self,
+        reports: &[Result<Value, String>],
+        of_library: impl Fn(usize) -> bool + Sync,
+        closed: impl Fn(&Value, &Value) -> Option<f64> + Sync,
+    ) -> anyhow::Result<Vec<Option<f64>>> {
+        if !self.args.truth {
+            return Ok(vec![None; reports.len()]);
+        }
+        self.each(reports.len(), "cases scored with the truth", |index| {
+            let Some(report) = reports[index].as_ref().ok().filter(|_| of_library(index)) else { return Ok(None) };
+            let Ok(truth) = self.ask(TrialPart::Truth, Some(index)) else { return Ok(None) };
+            Ok(closed(report, &read(&truth, "diagnosis")?))
+        })
+    }
+
+    /// Does something with every case on as many threads as are asked for.
+    pub(super) fn each<T: Send>(
+        &self,
+        cases: usize,
+        what: &'static str,
+        work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+    ) -> anyhow::Result<Vec<T>> {
+        each(cases, self.args.threads, what, work)
+    }
+
+    /// The diagnosis of a case, or why there is none: a program that dies on one case has failed that one.
+    pub(super) fn diagnosed(&self, part: TrialPart, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
+        let mut maker = self.command(part, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
+        let parcel = maker.stdout.take().context("the maker has no output")?;
+        let output = self.command(TrialPart::Diagnose, None)?.stdin(parcel).output()?;
+        let made = maker.wait()?;
+        anyhow::ensure!(made.success(), "case {case} could not be made");
+        if output.status.success() {
+            return Ok(Ok(output.stdout));
+        }
+        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
+    }
+
+    /// Writes a file of the trial's folder, if it has one.
+    pub(super) fn keep(&self, name: &str, text: &[u8]) -> anyhow::Result<()> {
+        self.args.out.as_ref().map_or(Ok(()), |folder| write(&folder.join(name), text))
+    }
+
+    fn command(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Command> {
+        let program = std::env::current_exe().context("the program does not find itself")?;
+        let mut command = Command::new(program);
+        command.args(["trial-part", part.name()]);
+        if self.args.motion {
+            command.arg("--motion");
+        }
+        if part != TrialPart::Diagnose {
+            command.args(["--seed", &self.seed.to_string(), "--cases", &self.args.cases.to_string()]);
+            command.args(["--kinds", &self.args.kinds]);
+            if let Some(samples) = self.args.samples {
+                command.args(["--samples", &samples.to_string()]);
+            }
+            if let Some(ground) = self.ground {
+                command.arg("--ground").arg(ground);
+            }
+        }
+        if let Some(case) = case {
+            command.args(["--case", &case.to_string()]);
+        }
+        Ok(command)
+    }
+
+    /// What a part writes.
+    fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
+        let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
+        let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        anyhow::ensure!(output.status.success(), "the trial's {} failed: {}", part.name(), said());
+        Ok(output.stdout)
+    }
+}
+
+/// A discrepancy of a diagnosis, nats per sample.
+pub(super) fn discrepancy(diagnosis: &Value, name: &str) -> Option<f64> {
+    diagnosis["discrepancy"][name].as_f64()
+}
+
+/// A rate that is asked for.
+pub(super) struct Threshold {
+    name: String,
+    share: f64,
+    at_least: bool,
+}
+
+impl Threshold {
+    /// Those of the arguments; each has to be one of these names.
+    pub(super) fn of(args: &TrialArgs, names: &[&str]) -> anyhow::Result<Vec<Self>> {
+        let of = |(text, at_least): (&String, bool)| {
+            let (name, share) = text.split_once('=').unwrap_or((text, ""));
+            let share = share.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+            match share.filter(|_| names.contains(&name)) {
+                Some(share) => Ok(Self { name: name.to_owned(), share, at_least }),
+                None => Err(usage(format!("`{text}`: expected NAME=SHARE, NAME one of {}", names.join(", ")))),
+            }
+        };
+        let least = args.at_least.iter().map(|text| (text, true));
+        least.chain(args.at_most.iter().map(|text| (text, false))).map(of).collect()
+    }
+
+    /// Says which of them the rates do not reach. A rate of no case reaches nothing.
+    pub(super) fn outcome(all: &[Self], rate: impl Fn(&str) -> Option<f64>) -> Outcome {
+        let mut outcome = Outcome::Done;
+        for one in all {
+            let share = rate(&one.name);
+            let word = if one.at_least { "at least" } else { "at most" };
+            let reached = |share: f64| if one.at_least { share >= one.share } else { share <= one.share };
+            if !share.is_some_and(reached) {
+                let found = share.map_or_else(|| "of no case".to_owned(), |share| share.to_string());
+                eprintln!("{} is {found}; {word} {} was asked for", one.name, one.share);
+                outcome = Outcome::WithLoss;
+            }
+        }
+        outcome
+    }
+}
+
+/// Does something with every case on several threads, in any order.
+pub(super) fn each<T: Send>(
+    cases: usize,
+    threads: usize,
+    what: &'static str,
+    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    let bar = bar("{bar:30} {pos} of {len} {msg} · {eta} left", cases as u64).with_message(what);
+    let next = AtomicUsize::new(0);
+    let done: Vec<Mutex<Option<anyhow::Result<T>>>> = (0..cases).map(|_| Mutex::new(None)).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, cases.max(1)) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(place) = done.get(index) else { break };
+                    let result = work(index);
+                    if result.is_err() {
+                        // What one case cannot have, such as a process, the next ones cannot either.
+                        next.store(cases, Ordering::Relaxed);
+                    }
+                    *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+                    bar.inc(1);
+                }
+            });
+        }
+    });
+    bar.finish_and_clear();
+    let results: Vec<_> =
+        done.into_iter().filter_map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
+    results.into_iter().collect()
+}
+
+pub(super) fn words(kinds: &str) -> impl Iterator<Item = &str> {
+    kinds.split(',').map(str::trim).filter(|word| !word.is_empty())
+}
+
+pub(super) fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Result<T> {
+    serde_json::from_slice(text).with_context(|| format!("the trial's {what} cannot be read"))
+}
+
+pub(super) fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+pub(super) fn usage(message: String) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message }.into()
+}
