@@ -1,9 +1,11 @@
 //! Noise: the law that a triad's answer is weighed by, of a model as far as it is known.
 
-use crate::diagnosis::response::{NoiseLaw, ResponseError};
+use crate::diagnosis::report::Diagnosis;
+use crate::diagnosis::response::{Filters, NORMAL_95, NoiseLaw, ResponseError};
 use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
+use serde_json::Value;
 use std::sync::Arc;
 
 /// Effects that have a density throughout a record; drifts are taken off before.
@@ -47,15 +49,33 @@ pub(super) fn law(
     NoiseLaw::of_model(&plain, triad, rate_hz, samples)
 }
 
-/// The filters of each axis that a motion passes.
-pub(super) fn filters(model: &SensorModel, triad: Triad) -> [Vec<Arc<dyn Effect>>; 3] {
+/// The filters of each axis that a motion passes, with the cutoffs that were found in a noise open as far as it left them.
+pub(super) fn filters(model: &SensorModel, found: Option<&Diagnosis>, triad: Triad) -> Filters {
     // Before samples are decimated filters act at another rate: a cutoff in Hz is the same at this one, a window is not.
     let decimated = model.sampling.is_some();
-    triad.channels().map(|channel| {
+    let of = triad.channels().map(|channel| {
         let effects = model.channels.get(&channel).map(|of| of.effects.as_slice()).unwrap_or_default();
         let filters = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
         filters.filter(|effect| !decimated || effect.name() == "low_pass").cloned().collect()
-    })
+    });
+    let open = triad.channels().map(|channel| {
+        let causes = found.into_iter().flat_map(|found| &found.causes).filter(|cause| cause.effect == "low_pass");
+        let told = causes.filter_map(|cause| ends_of(cause.uncertainty.get(channel.name())?, "cutoff_hz")).next();
+        told.map(|[low, high]| (high / low).ln() / (2.0 * NORMAL_95)).filter(|error| error.is_finite() && *error > 0.0)
+    });
+    Filters { of, open }
+}
+
+/// The first interval of that name among the intervals of one or several effects.
+fn ends_of(of: &Value, name: &str) -> Option<[f64; 2]> {
+    match of {
+        Value::Array(list) => list.iter().find_map(|one| ends_of(one, name)),
+        Value::Object(map) => {
+            let ends = map.get(name)?.as_array()?;
+            Some([ends.first()?.as_f64()?, ends.get(1)?.as_f64()?])
+        }
+        _ => None,
+    }
 }
 
 /// What a model says of the level's course on each axis beside its motion, U.

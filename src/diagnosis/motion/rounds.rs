@@ -8,6 +8,7 @@ use super::{BLOCKS, noise};
 use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::recording::Recording;
+use crate::diagnosis::report::Diagnosis;
 use crate::diagnosis::response::{self, Candidate, Clock, Fit, Record, Request, Screen};
 use crate::diagnosis::{facts, prepare};
 use crate::effects::TriadEffect;
@@ -33,7 +34,7 @@ pub(super) struct Settled {
     pub(super) triad: Triad,
     pub(super) screen: Screen,
     pub(super) groups: Vec<Group>,
-    /// Columns that are always there: delay, clock, temperature.
+    /// Columns that are always there: delay, clock, temperature, open cutoffs.
     pub(super) base: Vec<usize>,
     pub(super) choice: Choice,
     /// The fit of what was chosen.
@@ -94,6 +95,7 @@ pub(super) fn run(
     let mut still = sim.clone();
     still.triads.clear();
     let mut told = still.clone();
+    let mut noise_told = None;
     let mut before = None;
     let mut round = 0;
     loop {
@@ -101,7 +103,8 @@ pub(super) fn run(
         let places: Vec<Mutex<Option<Result<Settled, DiagnosisError>>>> =
             triads.iter().map(|_| Mutex::new(None)).collect();
         options.workers.each(triads.len(), &|index| {
-            let about = About { part, aligned, sim, told: &told, temperature_c: temperature_c.as_deref() };
+            let (told, found, temperature_c) = (&told, noise_told.as_ref(), temperature_c.as_deref());
+            let about = About { part, aligned, sim, told, found, temperature_c };
             let settled = about.settle(triads[index], triads.len(), options, lenient);
             *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(settled);
         });
@@ -118,6 +121,7 @@ pub(super) fn run(
         }
         before = Some(now);
         told = rest.augmented;
+        noise_told = Some(rest.diagnosis);
     }
 }
 
@@ -130,7 +134,7 @@ pub(super) fn refined(
     triads: &[Triad],
 ) -> Result<Option<Lie>, DiagnosisError> {
     let mut best: Option<(f64, Lie)> = None;
-    let about = About { part, aligned, sim, told: sim, temperature_c: None };
+    let about = About { part, aligned, sim, told: sim, found: None, temperature_c: None };
     let middle_s = 0.5 * part.len().saturating_sub(1) as f64 / part.rate_hz;
     for triad in triads {
         let fit = about.delayed(*triad)?;
@@ -194,7 +198,9 @@ struct About<'a> {
     part: &'a Recording,
     aligned: &'a Aligned,
     sim: &'a SensorModel,
+    /// The noise as far as it is known, and how it was found.
     told: &'a SensorModel,
+    found: Option<&'a Diagnosis>,
     temperature_c: Option<&'a [f64]>,
 }
 
@@ -228,7 +234,7 @@ impl About<'_> {
             prepare::scale_of(&there.collect::<Vec<f64>>())
         });
         let law = noise::law(self.told, triad, rate_hz, n, scale)?;
-        let filters = noise::filters(self.told, triad);
+        let filters = noise::filters(self.told, self.found, triad);
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level =
@@ -255,16 +261,7 @@ impl About<'_> {
         let inside_library = groups.iter_mut().filter(|group| matches!(group.member, Member::Library(_)));
         inside_library.for_each(|group| group.price *= lenient);
         let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
-        let mut base: Vec<usize> = (inside..screen.own).collect();
-        let filtered = filters.iter().any(|of| !of.is_empty());
-        // Of a filter that the noise shows the motion tells the corner better than the noise does: what its interval leaves open
-        // is taken off first.
-        if filtered {
-            let (known, open) =
-                groups.into_iter().partition(|group| group.member != Member::Foreign(Foreign::Bandwidth));
-            groups = known;
-            base.extend(open.into_iter().flat_map(|group: Group| group.columns));
-        }
+        let base: Vec<usize> = (inside..screen.own).collect();
         let wanted = |group: &Group| match group.member {
             Member::Library(candidate) => options.wants(candidate.name()),
             Member::Foreign(_) => true,
@@ -290,17 +287,12 @@ impl About<'_> {
                 for (axis, sum) in outside.iter_mut().enumerate() {
                     // The screen had it behind the filters.
                     let Some(mut values) = made[column - first][axis].clone() else { continue };
-                    response::filtered(&filters[axis], rate_hz, &mut values);
+                    filters.pass(axis, 0.0, rate_hz, &mut values);
                     sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
                 }
             }
             first += count;
         }
-        // Beside a filter whose corner is open a delay is known as well as both together tell it.
-        let delay = match (filtered, base.first()) {
-            (true, Some(_)) => screen.error(&columns, 0).map(|error_s| Delay { triad, seconds: numbers[0], error_s }),
-            _ => None,
-        };
         screen.keep(&columns);
         for (values, of) in samples.iter_mut().zip(&outside) {
             values.iter_mut().zip(of).for_each(|(value, of)| *value -= of);
@@ -333,7 +325,7 @@ impl About<'_> {
             }
             rest
         });
-        let delay = delay.or_else(|| Delay::of(triad, &fit.estimates));
+        let delay = Delay::of(triad, &fit.estimates);
         Ok(Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, rest })
     }
 
@@ -350,7 +342,7 @@ impl About<'_> {
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level =
             triad.channels().map(|channel| self.sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
-        let filters = noise::filters(self.told, triad);
+        let filters = noise::filters(self.told, self.found, triad);
         let request =
             Request { known: &known, level, candidates: &candidates, clock: Clock::SEPARATE, filters: &filters };
         Ok(response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?)

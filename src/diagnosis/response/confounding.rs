@@ -108,7 +108,7 @@ impl Motions {
                         constant[axis] |= felt && !self.force_changes[axis];
                     }
                 }
-                Slot::Delay | Slot::RateError => {
+                Slot::Delay | Slot::RateError | Slot::Cutoff(_) => {
                     let moves = if self.triad == Triad::Gyro { self.turns } else { self.force_changes };
                     if moves == [false; 3] && !lacks.iter().any(|one: &String| one.starts_with("nothing")) {
                         lacks.push("nothing changes by which a delay would show".to_owned());

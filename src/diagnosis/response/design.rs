@@ -4,9 +4,9 @@
 
 use super::candidate::Candidate;
 use super::clock::{Clock, delayed};
-use super::{Record, Request};
+use super::{Filters, Record, Request};
 use crate::effects::triad::{Axes, Drive};
-use crate::effects::{At, Effect, Stage, Stream, StreamId, TemperatureBias, TriadEffect};
+use crate::effects::{At, Effect as _, Stage, TemperatureBias, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::Motion;
 use crate::simulator::response::{STAGES, stage};
@@ -33,6 +33,8 @@ pub(super) enum Slot {
     RateError,
     /// Bias per kelvin of an axis.
     Temperature(usize),
+    /// What is added to the logarithm of an axis's open cutoff.
+    Cutoff(usize),
 }
 
 /// Values of all that is fitted.
@@ -44,6 +46,7 @@ pub(super) struct State {
     pub(super) delay_s: f64,
     pub(super) rate_error: f64,
     pub(super) per_c: Axes,
+    pub(super) ln_cutoff: Axes,
 }
 
 impl State {
@@ -53,6 +56,7 @@ impl State {
             Slot::Delay => self.delay_s,
             Slot::RateError => self.rate_error,
             Slot::Temperature(axis) => self.per_c[axis],
+            Slot::Cutoff(axis) => self.ln_cutoff[axis],
         }
     }
 
@@ -65,20 +69,11 @@ impl State {
                 Slot::Delay => &mut to.delay_s,
                 Slot::RateError => &mut to.rate_error,
                 Slot::Temperature(axis) => &mut to.per_c[axis],
+                Slot::Cutoff(axis) => &mut to.ln_cutoff[axis],
             };
             *value += share * step;
         }
         to
-    }
-}
-
-/// Passes values through filters.
-pub(crate) fn filtered(filters: &[Arc<dyn Effect>], rate_hz: f64, values: &mut [f64]) {
-    let length_s = values.len() as f64 / rate_hz;
-    for filter in filters {
-        // A filter draws nothing.
-        let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
-        filter.sampler(rate_hz, length_s, stream).apply(values);
     }
 }
 
@@ -110,7 +105,7 @@ pub(super) type Column = [Option<Vec<f64>>; 3];
 #[derive(Debug)]
 pub(super) struct Design<'a> {
     record: &'a Record<'a>,
-    filters: &'a [Vec<Arc<dyn Effect>>; 3],
+    pub(super) filters: &'a Filters,
     /// Effects that stay as they are.
     kept: Vec<Arc<dyn TriadEffect>>,
     level: Axes,
@@ -156,8 +151,9 @@ impl<'a> Design<'a> {
             // About the mean, so that the bias is that of the record's own temperature.
             reference_c = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
         }
+        slots.extend((0..3).filter(|axis| request.filters.open[*axis].is_some()).map(Slot::Cutoff));
         let delay_s = request.known.iter().map(|effect| effect.delay_s()).sum();
-        let state = State { coefficients, delay_s, rate_error: 0.0, per_c: [0.0; 3] };
+        let state = State { coefficients, delay_s, rate_error: 0.0, per_c: [0.0; 3], ln_cutoff: [0.0; 3] };
         (Self { record, filters: request.filters, kept, level: request.level, candidates, slots, reference_c }, state)
     }
 
@@ -206,20 +202,26 @@ impl<'a> Design<'a> {
 
     /// What the triad shows on average.
     pub(super) fn response(&self, state: &State) -> [Vec<f64>; 3] {
+        let mut axes = self.unfiltered(state);
+        axes.iter_mut().enumerate().for_each(|(axis, values)| self.pass(state, axis, values));
+        axes
+    }
+
+    /// What goes into the filters.
+    fn unfiltered(&self, state: &State) -> [Vec<f64>; 3] {
         let mut axes = self.answer(&self.stages(state), &self.moved(state, 0.0));
         for (axis, values) in axes.iter_mut().enumerate() {
             let bias = self.temperature_bias(axis, state);
             for (index, value) in values.iter_mut().enumerate() {
                 *value = bias.mean_response(*value + self.level[axis], self.at(index));
             }
-            self.pass(axis, values);
         }
         axes
     }
 
-    /// Lets values of an axis pass its filters, in place; linear, and from what they begin with.
-    pub(super) fn pass(&self, axis: usize, values: &mut [f64]) {
-        filtered(&self.filters[axis], self.record.rate_hz, values);
+    /// Lets values of an axis pass its filters, in place.
+    pub(super) fn pass(&self, state: &State, axis: usize, values: &mut [f64]) {
+        self.filters.pass(axis, state.ln_cutoff[axis], self.record.rate_hz, values);
     }
 
     fn at(&self, index: usize) -> At {
@@ -289,7 +291,17 @@ impl<'a> Design<'a> {
         for column in &mut columns {
             for (axis, values) in column.iter_mut().enumerate() {
                 if let Some(values) = values {
-                    self.pass(axis, values);
+                    self.pass(state, axis, values);
+                }
+            }
+        }
+        if self.slots.iter().any(|slot| matches!(slot, Slot::Cutoff(_))) {
+            let mut shown = self.unfiltered(state);
+            for (slot, column) in self.slots.iter().zip(&mut columns) {
+                if let Slot::Cutoff(axis) = *slot {
+                    let mut values = std::mem::take(&mut shown[axis]);
+                    self.filters.slope(axis, state.ln_cutoff[axis], self.record.rate_hz, &mut values);
+                    column[axis] = Some(values);
                 }
             }
         }

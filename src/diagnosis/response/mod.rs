@@ -30,6 +30,7 @@ pub mod clock;
 pub mod confounding;
 mod design;
 mod error;
+pub mod filters;
 pub mod noise_law;
 mod normal;
 mod report;
@@ -43,13 +44,13 @@ pub use candidate::Candidate;
 pub use clipping::Clipping;
 pub use clock::{Clock, Lateness};
 pub use confounding::{Confounding, Openness};
-pub(crate) use design::filtered;
 pub use error::ResponseError;
+pub use filters::{Filters, NO_FILTERS};
 pub use noise_law::NoiseLaw;
 pub use screen::{Extra, Screen, screen};
 
 use crate::effects::triad::Axes;
-use crate::effects::{Effect, TriadEffect};
+use crate::effects::TriadEffect;
 use crate::sample::Triad;
 use crate::simulator::Motion;
 use design::{Design, State};
@@ -88,9 +89,6 @@ pub struct Record<'a> {
     pub sent: Option<[&'a [f64]; 3]>,
 }
 
-/// Filters of no axis.
-pub static NO_FILTERS: [Vec<Arc<dyn Effect>>; 3] = [Vec::new(), Vec::new(), Vec::new()];
-
 /// What is known and what to find.
 #[derive(Debug, Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
@@ -103,17 +101,19 @@ pub struct Request<'a> {
     pub candidates: &'a [Candidate],
     /// The reference's clock.
     pub clock: Clock,
-    /// The sensor's bandwidth: what each axis shows of a motion passes these, at the record's rate. A delay is beside theirs.
-    pub filters: &'a [Vec<Arc<dyn Effect>>; 3],
+    /// The sensor's bandwidth: what each axis shows of a motion passes these. A delay is beside theirs.
+    pub filters: &'a Filters,
 }
 
 /// A fitted parameter.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {
-    /// The effect's name; `clock` for the reference's, `temperature_bias` for what goes with the temperature.
+    /// The effect's name; `clock` for the reference's, `temperature_bias` for what goes with the temperature, `low_pass` for a
+    /// cutoff.
     pub effect: &'static str,
-    /// `x`, `xy`, `m[0][2]`, `seconds`; `offset_s`, `rate_error`; `x per_c`.
+    /// `x`, `xy`, `m[0][2]`, `seconds`; `offset_s`, `rate_error`; `x per_c`; `x ln_cutoff`, what is added to
+    /// the logarithm of a cutoff.
     pub parameter: String,
     /// In the parameter's unit.
     pub value: f64,

@@ -22,7 +22,8 @@ pub(super) fn report(
     let covariance = if left_out == [0; 3] {
         inverse
     } else {
-        &inverse * search.whitening.gradient_covariance(&solution.columns) * &inverse
+        let gradient = search.whitening.gradient_covariance(&solution.columns) + search.known();
+        &inverse * gradient * &inverse
     };
     let open: Vec<usize> =
         solution.normal.unseen().into_iter().chain(solution.normal.open_groups().into_iter().flatten()).collect();
@@ -91,6 +92,7 @@ fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (&'static st
         Slot::Delay => (Candidate::Latency.name(), "seconds".to_owned()),
         Slot::RateError => ("clock", "rate_error".to_owned()),
         Slot::Temperature(axis) => ("temperature_bias", format!("{} per_c", ["x", "y", "z"][axis])),
+        Slot::Cutoff(axis) => ("low_pass", format!("{} ln_cutoff", ["x", "y", "z"][axis])),
     }
 }
 

@@ -68,6 +68,9 @@ pub fn screen(
             total.0 += matrix;
             total.1 += gradient;
         }
+        // What was known of a cutoff is one observation more, of no time.
+        let mut corner = total.0.view_mut((0, 0), (own, own));
+        corner += search.known();
         Screen { fit, own, known: known_values, blocks: sums, total, columns, samples }
     })
 }
@@ -93,7 +96,7 @@ fn in_time(
         let mut column: Column = extra;
         for (axis, values) in column.iter_mut().enumerate() {
             if let Some(values) = values {
-                search.design.pass(axis, values);
+                search.design.pass(&state, axis, values);
             }
         }
         columns.extend(search.whitening.columns(vec![column]));
@@ -149,25 +152,6 @@ impl Screen {
     #[must_use]
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
-    }
-
-    /// The standard error of the number of the column at a place among these, all others unknown; None where they leave it open.
-    #[must_use]
-    pub fn error(&self, columns: &[usize], place: usize) -> Option<f64> {
-        let matrix = &self.total.0;
-        let lengths: Vec<f64> = columns.iter().map(|of| matrix[(*of, *of)].max(0.0).sqrt()).collect();
-        lengths.get(place).filter(|length| **length > 0.0)?;
-        let others: Vec<usize> = (0..columns.len()).filter(|other| *other != place && lengths[*other] > 0.0).collect();
-        let scaled =
-            |one: usize, other: usize| matrix[(columns[one], columns[other])] / (lengths[one] * lengths[other]);
-        let among = DMatrix::from_fn(others.len(), others.len(), |row, column| scaled(others[row], others[column]));
-        let own = DVector::from_fn(others.len(), |row, _| scaled(others[row], place));
-        let explained = match among.pseudo_inverse(OPEN) {
-            Ok(inverse) => (own.transpose() * inverse * &own)[(0, 0)],
-            Err(_) => return None,
-        };
-        // What is left of a column of length 1.
-        (1.0 - explained > OPEN).then(|| (1.0 - explained).sqrt().recip() / lengths[place])
     }
 
     /// Forgets the values of columns that are not among these: their sums stay.

@@ -8,7 +8,7 @@ use super::normal::Normal;
 use super::whitening::{Columns, Whitening};
 use super::{Record, ResponseError, SAMPLES_MIN};
 use crate::effects::triad::{Axes, Latency};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 /// Steps after which the search is given up.
 const STEPS_MAX: usize = 30;
@@ -96,18 +96,19 @@ impl Search<'_, '_> {
 
     fn linearised(&mut self, state: &State) -> (Columns, Normal) {
         let columns = self.whitening.columns(self.design.columns(state));
-        let matrix = Whitening::matrix(&columns);
+        let matrix = Whitening::matrix(&columns) + self.known();
         let unseen = |slot: &Slot| match slot {
             Slot::Coefficient(candidate, _) => self.design.candidates[*candidate].unseen(),
             Slot::Delay => Candidate::Latency.unseen(),
             Slot::RateError => UNSEEN_RATE,
-            Slot::Temperature(_) => f64::INFINITY,
+            Slot::Temperature(_) | Slot::Cutoff(_) => f64::INFINITY,
         };
         let effect = |slot: &Slot| match slot {
             Slot::Coefficient(candidate, _) => *candidate,
             Slot::Delay => usize::MAX,
             Slot::RateError => usize::MAX - 1,
             Slot::Temperature(_) => usize::MAX - 2,
+            Slot::Cutoff(_) => usize::MAX - 3,
         };
         let slots = &self.design.slots;
         let normal = Normal::new(
@@ -116,6 +117,13 @@ impl Search<'_, '_> {
             &slots.iter().map(effect).collect::<Vec<_>>(),
         );
         (columns, normal)
+    }
+
+    /// What was known beforehand, as a part of XᵀX: of open cutoffs alone, about 0.
+    pub(super) fn known(&self) -> DMatrix<f64> {
+        let weight = |slot: &Slot| if let Slot::Cutoff(axis) = *slot { self.design.filters.weight(axis) } else { 0.0 };
+        let slots = &self.design.slots;
+        DMatrix::from_diagonal(&DVector::from_iterator(slots.len(), slots.iter().map(weight)))
     }
 
     /// The known state, or where a delay is fitted, one that is right to a sample: a delay that is long against the motion's
@@ -170,6 +178,11 @@ impl Search<'_, '_> {
     /// Steps from `start` on.
     pub(super) fn run(&mut self, start: State) -> Solution {
         let slots = self.design.slots.clone();
+        let known = self.known();
+        let beside = |state: &State| {
+            let values = DVector::from_iterator(slots.len(), slots.iter().map(|slot| state.value(*slot)));
+            (values.transpose() * &known * values)[(0, 0)]
+        };
         let mut state = start;
         let (mut response, mut residual) = self.residual(&state);
         let (mut columns, mut normal) = self.linearised(&state);
@@ -177,7 +190,8 @@ impl Search<'_, '_> {
         let mut last = f64::INFINITY;
         let (mut steps, mut converged) = (0, false);
         while steps < STEPS_MAX {
-            let mut gradient = Whitening::gradient(&columns, &residual);
+            let pulled = &known * DVector::from_iterator(slots.len(), slots.iter().map(|slot| state.value(*slot)));
+            let mut gradient = Whitening::gradient(&columns, &residual) - &pulled;
             let mut step: DVector<f64> = normal.inverse() * &gradient;
             let slow = gradient.dot(&step) > (STALE * last).max(DONE);
             if slow || (state.delay_s - linear_at_s).abs() * self.record.rate_hz > STALE_DELAY {
@@ -185,17 +199,18 @@ impl Search<'_, '_> {
                 columns.clear();
                 (columns, normal) = self.linearised(&state);
                 linear_at_s = state.delay_s;
-                gradient = Whitening::gradient(&columns, &residual);
+                gradient = Whitening::gradient(&columns, &residual) - &pulled;
                 step = normal.inverse() * &gradient;
             }
             let length = gradient.dot(&step);
             last = length;
             steps += 1;
-            let before = squares(&residual);
+            let before = squares(&residual) + beside(&state);
             let accepted = (0..HALVINGS).find_map(|halvings| {
                 let to = state.stepped(&slots, step.as_slice(), 0.5_f64.powi(halvings as i32));
                 let (response, residual) = self.residual(&to);
-                (length < TRUSTED || squares(&residual) <= before).then_some((to, response, residual))
+                let better = length < TRUSTED || squares(&residual) + beside(&to) <= before;
+                better.then_some((to, response, residual))
             });
             let Some((to, after, rest)) = accepted else { break };
             (state, response, residual) = (to, after, rest);

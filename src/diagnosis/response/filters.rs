@@ -1,0 +1,149 @@
+//! Filters: the sensor's bandwidth, which a motion passes as the noise does.
+//!
+//! Noise tells a low pass's cutoff to some part and without its phase; a motion shows it mostly as a delay. A latency beside a
+//! filter is known as well as both together tell it: the cutoff's logarithm is fitted, with what the noise said of it as one
+//! observation more.
+
+use crate::effects::{Effect, LowPass, Stream, StreamId};
+use std::sync::Arc;
+
+/// What each axis's motion passes, at the record's rate.
+#[derive(Debug, Clone, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
+pub struct Filters {
+    /// x, y and z, each in their order.
+    pub of: [Vec<Arc<dyn Effect>>; 3],
+    /// Standard error of the logarithm of the cutoff of each axis's first low pass, where it is to be fitted.
+    pub open: [Option<f64>; 3],
+}
+
+/// Filters of no axis.
+pub static NO_FILTERS: Filters = Filters { of: [Vec::new(), Vec::new(), Vec::new()], open: [None; 3] };
+/// Half the step of the derivative by the logarithm.
+pub(super) const STEP: f64 = 1e-3;
+/// What a cutoff stays below, in parts of the rate.
+const HIGHEST: f64 = 0.49;
+
+impl Filters {
+    /// Lets values of an axis pass, in place; linear, and from what they begin with. `moved`: what is added to the logarithm of
+    /// the open cutoff.
+    pub(crate) fn pass(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
+        let length_s = values.len() as f64 / rate_hz;
+        let mut first = self.open[axis].is_some() && moved != 0.0;
+        for filter in &self.of[axis] {
+            // A filter draws nothing.
+            let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
+            let other = low_pass(filter.as_ref()).filter(|_| first).map(|own| {
+                first = false;
+                let cutoff_hz = (own.cutoff_hz * moved.exp()).min(own.cutoff_hz.max(HIGHEST * rate_hz));
+                LowPass { cutoff_hz, ..own }
+            });
+            let filter = other.as_ref().map_or(filter.as_ref(), |other| other as &dyn Effect);
+            filter.sampler(rate_hz, length_s, stream).apply(values);
+        }
+    }
+
+    /// The derivative of what comes through by the logarithm of the open cutoff, in the place of what goes in.
+    pub(super) fn slope(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut Vec<f64>) {
+        let mut above = values.clone();
+        self.pass(axis, moved + STEP, rate_hz, &mut above);
+        self.pass(axis, moved - STEP, rate_hz, values);
+        values.iter_mut().zip(above).for_each(|(value, above)| *value = (above - *value) / (2.0 * STEP));
+    }
+
+    /// What was known of an axis's cutoff beforehand: the inverse variance of its logarithm.
+    pub(super) fn weight(&self, axis: usize) -> f64 {
+        self.open[axis].map_or(0.0, |error| error.powi(-2))
+    }
+}
+
+fn low_pass(effect: &dyn Effect) -> Option<LowPass> {
+    let of = |wanted: &str| effect.parameters().into_iter().find(|(name, _)| *name == wanted).map(|(_, value)| value);
+    (effect.name() == "low_pass").then_some(())?;
+    Some(LowPass { cutoff_hz: of("cutoff_hz")?.as_f64()?, order: of("order")?.as_u64()? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::round_trip::{Case, RATE_HZ, rate_table};
+    use super::super::{Candidate, Clock, Fit, Record, Request, fit};
+    use super::*;
+    use crate::effects::MovingAverage;
+    use crate::sample::Triad;
+
+    /// A triad behind a low pass of `sent_hz`, fitted with one of `told_hz` whose logarithm is known to `error`.
+    fn fitted(seed: u64, sent_hz: f64, told_hz: f64, error: f64) -> Fit {
+        let case = Case::new(Triad::Gyro, rate_table(), &[]);
+        let filters = |cutoff_hz| Filters {
+            of: std::array::from_fn(|_| vec![Arc::new(LowPass { cutoff_hz, order: 2 }) as Arc<dyn Effect>]),
+            open: [Some(error); 3],
+        };
+        let mut samples = case.samples(seed);
+        for (axis, values) in samples.iter_mut().enumerate() {
+            let mut motion: Vec<f64> = case.reference.iter().map(|motion| motion.gyro_rad_s[axis]).collect();
+            values.iter_mut().zip(&motion).for_each(|(value, of)| *value -= of);
+            filters(sent_hz).pass(axis, 0.0, RATE_HZ, &mut motion);
+            values.iter_mut().zip(&motion).for_each(|(value, of)| *value += of);
+        }
+        let record = Record {
+            rate_hz: RATE_HZ,
+            triad: Triad::Gyro,
+            samples: samples.each_ref().map(Vec::as_slice),
+            reference: &case.reference,
+            temperature_c: None,
+            left_out: &[],
+            sent: None,
+        };
+        let request = Request {
+            known: &[],
+            level: [0.0; 3],
+            candidates: &[Candidate::Latency],
+            clock: Clock::SHARED,
+            filters: &filters(told_hz),
+        };
+        fit(&record, &case.law, &request).unwrap()
+    }
+
+    #[test]
+    fn a_cutoff_that_the_noise_told_badly_is_found_and_is_no_latency() {
+        let mut inside = 0;
+        for seed in 0..20 {
+            let found = fitted(seed, 4.0, 4.0 * 0.06_f64.exp(), 0.05);
+            let of = |name: &str| found.estimates.iter().find(|one| one.parameter == name).unwrap();
+            let (latency, corner) = (of("seconds"), of("x ln_cutoff"));
+            assert!(latency.value.abs() < 4.0 * latency.standard_error.unwrap(), "{latency:?}");
+            assert!(corner.standard_error.unwrap() < 0.05, "{corner:?}");
+            let [low, high] = latency.ci95.unwrap();
+            inside += usize::from((low..high).contains(&0.0));
+        }
+        assert!(inside >= 17, "{inside} of 20");
+    }
+
+    #[test]
+    fn a_motion_that_says_little_leaves_the_cutoff_as_the_noise_told_it() {
+        let found = fitted(3, 4.0, 4.0, 1e-6);
+        let corner = found.estimates.iter().find(|one| one.parameter == "y ln_cutoff").unwrap();
+        assert!(corner.value.abs() < 5e-6 && (corner.standard_error.unwrap() / 1e-6 - 1.0).abs() < 1e-3, "{corner:?}");
+    }
+
+    #[test]
+    fn only_an_open_low_pass_is_moved() {
+        let filters = |cutoff_hz, open: Option<f64>| {
+            let low_pass: Arc<dyn Effect> = Arc::new(LowPass { cutoff_hz, order: 3 });
+            let mean: Arc<dyn Effect> = Arc::new(MovingAverage { window: 4 });
+            Filters { of: [vec![mean, low_pass], Vec::new(), Vec::new()], open: [open, Some(0.1), None] }
+        };
+        let passed = |filters: Filters, axis, moved| {
+            let mut values: Vec<f64> = (0..50).map(|index| f64::from(index % 7)).collect();
+            filters.pass(axis, moved, 100.0, &mut values);
+            values
+        };
+        let (plain, other) = (passed(filters(10.0, None), 0, 0.0), passed(filters(10.0 * 0.1_f64.exp(), None), 0, 0.0));
+        assert_eq!(passed(filters(10.0, None), 0, 0.1), plain);
+        assert_eq!(passed(filters(10.0, Some(0.1)), 0, 0.1), other);
+        assert!(plain != other);
+        // Up to what the rate carries, and nothing where there is no filter.
+        assert_eq!(passed(filters(10.0, Some(0.1)), 0, 9.0), passed(filters(49.0, None), 0, 0.0));
+        assert_eq!(passed(filters(10.0, None), 1, 0.1), passed(filters(10.0, None), 2, 0.0));
+    }
+}
