@@ -49,8 +49,8 @@ pub use filters::{Filters, NO_FILTERS};
 pub use noise_law::NoiseLaw;
 pub use screen::{Extra, Screen, screen};
 
-use crate::effects::triad::Axes;
 use crate::effects::TriadEffect;
+use crate::effects::triad::Axes;
 use crate::sample::Triad;
 use crate::simulator::Motion;
 use design::{Design, State};

@@ -10,9 +10,9 @@
 //! time are then parts of the likelihood, and what a subset's numbers from some blocks explain in others is
 //! gᵀβ − ½·βᵀ·A·β with g and A of those others: a prediction of data that chose nothing.
 
+use super::clipping::Bridges;
 use super::design::{Column, State};
 use super::solution::{Search, Solution};
-use super::whitening::Columns;
 use super::{Estimate, Fit, NoiseLaw, Record, Request, ResponseError, report, solved};
 use crate::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -23,6 +23,10 @@ const OPEN: f64 = 1e-9;
 
 /// A column that is none of the library's effects: its values per axis, as long as the record; `None` where it is 0 throughout.
 pub type Extra = [Option<Vec<f64>>; 3];
+
+/// A whitened column in time, per axis; `None` where it is 0 throughout. There are many, and what rounding to 24 bits makes of
+/// the sums of their products is far below [`OPEN`].
+type Held = [Option<Vec<f32>>; 3];
 
 /// Sums over the blocks of a record.
 #[derive(Debug, Clone)]
@@ -38,7 +42,7 @@ pub struct Screen {
     /// Their sums.
     pub total: (DMatrix<f64>, DVector<f64>),
     /// Whitened columns in time, per axis.
-    columns: Columns,
+    columns: Vec<Held>,
     /// Whitened samples less the known response, in time.
     samples: [Vec<f64>; 3],
 }
@@ -81,8 +85,8 @@ fn in_time(
     solution: Solution,
     known: &State,
     extras: impl IntoIterator<Item = Extra>,
-) -> (Columns, [Vec<f64>; 3]) {
-    let Solution { state, residual: mut samples, mut columns, .. } = solution;
+) -> (Vec<Held>, [Vec<f64>; 3]) {
+    let Solution { state, residual: mut samples, columns, .. } = solution;
     for (slot, column) in search.design.slots.iter().zip(&columns) {
         let moved = state.value(*slot) - known.value(*slot);
         for (values, column) in samples.iter_mut().zip(column) {
@@ -91,47 +95,59 @@ fn in_time(
             }
         }
     }
-    // One after the other: all of them as they are made beside all of them whitened would be twice the memory.
-    for extra in extras {
-        let mut column: Column = extra;
-        for (axis, values) in column.iter_mut().enumerate() {
-            if let Some(values) = values {
-                search.design.pass(&state, axis, values);
-            }
-        }
-        columns.extend(search.whitening.columns(vec![column]));
-    }
-    for values in columns.iter_mut().flatten().flatten().chain(&mut samples) {
-        search.whitening.in_time(values);
-    }
     // A bridge carries the noise of the few samples at its ends over many: in time, where values are uncorrelated, what is left
     // out counts for nothing instead.
-    for axis in 0..3 {
-        let stretches = search.whitening.bridges[axis].stretches();
-        let of_axis = columns.iter_mut().filter_map(|column| column[axis].as_mut());
-        for values in of_axis.chain(std::iter::once(&mut samples[axis])) {
-            stretches.iter().for_each(|stretch| values[stretch.clone()].fill(0.0));
-        }
+    let stretches = search.whitening.bridges.each_ref().map(Bridges::stretches);
+    let back = |search: &mut Search<'_, '_>, axis: usize, values: &mut Vec<f64>| {
+        search.whitening.in_time(values);
+        stretches[axis].iter().for_each(|stretch| values[stretch.clone()].fill(0.0));
+    };
+    // One after the other: all of them as they are made beside all of them whitened would be twice the memory.
+    let mut all: Vec<Held> = Vec::new();
+    for column in columns {
+        all.push(held(column, |axis, values| back(search, axis, values)));
     }
-    (columns, samples)
+    for extra in extras {
+        all.push(held(extra, |axis, values| {
+            search.design.pass(&state, axis, values);
+            search.whitening.whiten(axis, values);
+            back(search, axis, values);
+        }));
+    }
+    samples.iter_mut().enumerate().for_each(|(axis, values)| back(search, axis, values));
+    (all, samples)
 }
 
-fn dot(one: &[f64], other: &[f64]) -> f64 {
-    one.iter().zip(other).map(|(one, other)| one * other).sum()
+/// A column after something was done to each axis of it.
+fn held(column: Column, mut done: impl FnMut(usize, &mut Vec<f64>)) -> Held {
+    let mut axis = 0;
+    column.map(|values| {
+        let values = values.map(|mut values| {
+            done(axis, &mut values);
+            values.into_iter().map(|value| value as f32).collect()
+        });
+        axis += 1;
+        values
+    })
 }
 
 /// XᵀX and Xᵀy over a stretch of time.
-fn sums(columns: &Columns, samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMatrix<f64>, DVector<f64>) {
+fn sums(columns: &[Held], samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMatrix<f64>, DVector<f64>) {
     let mut matrix = DMatrix::zeros(columns.len(), columns.len());
     let mut gradient = DVector::zeros(columns.len());
+    let dot = |one: &[f32], other: &[f32]| {
+        one.iter().zip(other).map(|(one, other)| f64::from(*one) * f64::from(*other)).sum::<f64>()
+    };
+    let with =
+        |one: &[f32], other: &[f64]| one.iter().zip(other).map(|(one, other)| f64::from(*one) * other).sum::<f64>();
     for axis in 0..3 {
-        let there: Vec<(usize, &[f64])> = columns
+        let there: Vec<(usize, &[f32])> = columns
             .iter()
             .enumerate()
             .filter_map(|(place, column)| Some((place, column[axis].as_deref()?.get(within.clone())?)))
             .collect();
         for (place, (row, one)) in there.iter().enumerate() {
-            gradient[*row] += dot(one, &samples[axis][within.clone()]);
+            gradient[*row] += with(one, &samples[axis][within.clone()]);
             for (column, other) in &there[..=place] {
                 matrix[(*row, *column)] += dot(one, other);
             }
@@ -196,7 +212,7 @@ impl Screen {
             let mut sum = vec![0.0; self.samples[axis].len()];
             for (place, number) in columns.iter().zip(numbers) {
                 for (value, of) in sum.iter_mut().zip(self.columns[*place][axis].as_deref().unwrap_or_default()) {
-                    *value += number * of;
+                    *value += number * f64::from(*of);
                 }
             }
             sum.into_iter().map(|value| 0.5 * value * value).collect()

@@ -55,7 +55,7 @@ impl<'a> Whitening<'a> {
         self.law.axes.each_ref().map(AxisLaw::sample_deviation)
     }
 
-    fn whiten(&mut self, axis: usize, values: &mut [f64]) {
+    pub(super) fn whiten(&mut self, axis: usize, values: &mut [f64]) {
         self.bridges[axis].fill(values);
         self.cosines.forward(values);
         self.law.axes[axis].whiten(values);
