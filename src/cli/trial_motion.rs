@@ -7,12 +7,13 @@ use super::args::{TrialArgs, TrialPart, TrialPartArgs};
 use super::sealed::{Sealed, Threshold, discrepancy, usage, words};
 use super::{Context, Outcome, print_json, table};
 use crate::diagnosis::{self, Options};
+use crate::sample::Triad;
 use crate::store::SOFTWARE;
 use crate::trial::Manifest;
 use crate::trial::motion::case::{SAMPLES_MIN, pack, unpack};
 use crate::trial::motion::score::RATES;
 use crate::trial::motion::{Case, Key, Score, judge, plan};
-use crate::trial::page::percent;
+use crate::trial::page::{self, percent};
 use anyhow::Context as _;
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
@@ -129,6 +130,15 @@ fn show(score: &Score) -> std::io::Result<()> {
             of.closed.map_or_else(|| "–".to_owned(), |closed| format!("{closed:.3}")),
             of.size_90.map_or_else(|| "–".to_owned(), |limit| format!("{:.2}", limit.size)),
         ]);
+    }
+    writeln!(stdout, "{rows}")?;
+    let mut rows = table(&["bound, median of the cases", "gyro", "accel"]);
+    for of in &score.kinds {
+        let bound = |triad: Triad| {
+            let size = of.bounds.get(triad.name()).map(|size| format!("{} {}", page::size(*size), of.kind.unit(triad)));
+            size.map_or_else(|| "–".to_owned(), |text| text.trim().to_owned())
+        };
+        rows.add_row([of.kind.name().to_owned(), bound(Triad::Gyro), bound(Triad::Accel)]);
     }
     writeln!(stdout, "{rows}")?;
     for miss in score.misses.iter().take(MISSES_SHOWN) {

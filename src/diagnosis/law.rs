@@ -126,7 +126,7 @@ impl Term {
 }
 
 /// Samples that what comes to a filter lasts behind it.
-pub(super) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
+pub(in crate::diagnosis) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
     let parameters = filter.parameters();
     let number =
         |wanted: &str| parameters.iter().find(|(name, _)| *name == wanted).and_then(|(_, value)| value.as_f64());

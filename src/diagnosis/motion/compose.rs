@@ -7,7 +7,8 @@
 use super::align::Aligned;
 use super::groups::{Group, Member};
 use super::lateness::Delay;
-use super::rounds::{Found, Settled};
+use super::rounds::Found;
+use super::settle::Settled;
 use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnosis::diagnose::{Options, Outcome};
 use crate::diagnosis::recording::Recording;

@@ -31,6 +31,7 @@ pub mod rests;
 mod round_trip;
 mod rounds;
 pub mod select;
+mod settle;
 mod tumble;
 
 pub use reference::{Reference, ReferenceError};

@@ -1,6 +1,6 @@
 //! Places: at which rate, acceleration or pose a gap lies that a motion drives, and when.
 
-use super::rounds::Settled;
+use super::settle::Settled;
 use crate::diagnosis::report::{Driver, Place};
 use crate::diagnosis::response;
 use crate::effects::triad::Axes;

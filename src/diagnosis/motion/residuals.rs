@@ -1,6 +1,6 @@
 //! Residuals: what a record of a motion shows beyond the model, against time, rate and specific force, for pictures.
 
-use super::rounds::Settled;
+use super::settle::Settled;
 use crate::diagnosis::response;
 use crate::effects::triad::Axes;
 use crate::simulator::{Motion, SensorModel};
@@ -56,7 +56,7 @@ pub(super) fn residuals(
     let mut all = Vec::new();
     for (axis, channel) in of.triad.channels().into_iter().enumerate() {
         let before: Vec<f64> = sent[axis].iter().zip(&shown[axis]).map(|(sent, shown)| sent - shown).collect();
-        let after = of.rest(axis);
+        let after = &of.rest[axis];
         let of_means = |against, axis, at_unit, means: Means| Residuals {
             channel: channel.name(),
             unit: channel.unit(),

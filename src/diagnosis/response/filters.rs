@@ -5,6 +5,7 @@
 //! observation more.
 
 use crate::effects::{Effect, LowPass, Stream, StreamId};
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 /// What each axis's motion passes, at the record's rate.
@@ -23,6 +24,11 @@ pub static NO_FILTERS: Filters = Filters { of: [Vec::new(), Vec::new(), Vec::new
 pub(super) const STEP: f64 = 1e-3;
 /// What a cutoff stays below, in parts of the rate.
 const HIGHEST: f64 = 0.49;
+/// Where a supposed cutoff starts at least, and where nothing tells, in parts of the rate.
+const LOWEST: f64 = 0.005;
+const UNTOLD: f64 = 0.1;
+/// Standard error of the logarithm of a cutoff of which nothing is known.
+const WIDE_OPEN: f64 = 3.0;
 
 impl Filters {
     /// Lets values of an axis pass, in place; linear, and from what they begin with. `moved`: what is added to the logarithm of
@@ -49,6 +55,23 @@ impl Filters {
         self.pass(axis, moved + STEP, rate_hz, &mut above);
         self.pass(axis, moved - STEP, rate_hz, values);
         values.iter_mut().zip(above).for_each(|(value, above)| *value = (above - *value) / (2.0 * STEP));
+    }
+
+    /// The same with a low pass of this order on every axis that has none, so far open that the motion alone tells it. It starts
+    /// where others of the triad are, else where it would make this delay.
+    pub(crate) fn supposed(&self, order: u64, delay_s: Option<f64>, rate_hz: f64) -> Self {
+        let own = |axis: usize| self.of[axis].iter().find_map(|filter| low_pass(filter.as_ref()));
+        // Of a Butterworth filter of order n the delay is 1/(2πf·sin(π/2n)).
+        let lags = |seconds: f64| (TAU * seconds * (PI / (2 * order) as f64).sin()).recip();
+        let told_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(UNTOLD * rate_hz, lags);
+        let other = (0..3).find_map(own).unwrap_or(LowPass { cutoff_hz: told_hz, order });
+        let cutoff_hz = other.cutoff_hz.clamp(LOWEST * rate_hz, HIGHEST * rate_hz);
+        let mut all = self.clone();
+        for axis in (0..3).filter(|axis| own(*axis).is_none()) {
+            all.of[axis].push(Arc::new(LowPass { cutoff_hz, order: other.order }));
+            all.open[axis] = Some(WIDE_OPEN);
+        }
+        all
     }
 
     /// What was known of an axis's cutoff beforehand: the inverse variance of its logarithm.

@@ -116,6 +116,26 @@ impl Kind {
         matches!(self, Self::LowPass | Self::TemperatureBias)
     }
 
+    /// The unit of its numbers on a triad; of those outside the library, of what is drawn for them.
+    #[must_use]
+    pub fn unit(self, triad: Triad) -> &'static str {
+        let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
+        match self {
+            Self::Bias => of("rad/s", "m/s²"),
+            Self::TemperatureBias => of("rad/s/°C", "m/s²/°C"),
+            Self::Misalignment => "rad",
+            Self::GSensitivity => "rad/s per m/s²",
+            Self::Latency => "s",
+            Self::LowPass => "of the rate",
+            Self::Saturation => "of the samples",
+            Self::LeverArm => "m",
+            Self::WarmScale => "per °C",
+            Self::ScaleFactor | Self::CrossAxisSensitivity => "",
+            Self::UnsignedNonlinearity | Self::SignedNonlinearity => "at full scale",
+            Self::Hysteresis | Self::Creep | Self::DeadBand => "",
+        }
+    }
+
     /// How many numbers it has that a regression finds; None where its size is another.
     #[must_use]
     pub fn numbers(self) -> Option<usize> {

@@ -39,6 +39,8 @@ pub struct Judgement {
     pub triads: Vec<String>,
     /// Sizes over the limit.
     pub over_limit: Vec<f64>,
+    /// The limits, in the units of the numbers.
+    pub limits: Vec<f64>,
     /// The verdict, or why there was none.
     pub verdict: String,
     /// The causes in their order.
@@ -76,6 +78,7 @@ pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f6
         kinds: key.effects.iter().map(|of| of.kind).collect(),
         triads: key.effects.iter().map(|of| of.triad.clone()).collect(),
         over_limit: key.effects.iter().map(|of| of.over_limit).collect(),
+        limits: key.effects.iter().map(|of| of.limit).collect(),
         verdict,
         causes: causes
             .iter()
@@ -188,6 +191,13 @@ pub struct OfKind {
     pub size_50: Option<Limit>,
     /// Nine of ten.
     pub size_90: Option<Limit>,
+    /// The bound's size by triad, a median over the cases.
+    pub bounds: BTreeMap<String, f64>,
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// What a trial came to.
@@ -274,8 +284,11 @@ impl Score {
             let good = |of: &Judgement| if kind.effect().is_some() { of.right_first } else { unknown(of) };
             let sizes: Vec<(f64, bool)> = own.iter().map(|of| (of.over_limit[0], good(of))).collect();
             let limits = detection::limits(&sizes);
-            let mut closed: Vec<f64> = own.iter().copied().filter(clear).filter_map(|of| of.closed).collect();
-            closed.sort_unstable_by(f64::total_cmp);
+            let closed = own.iter().copied().filter(clear).filter_map(|of| of.closed).collect();
+            let bound = |triad: &Triad| {
+                let on = own.iter().filter(|of| of.triads == [triad.name()]);
+                Some((triad.name().to_owned(), median(on.map(|of| of.limits[0]).collect())?))
+            };
             Some(OfKind {
                 kind,
                 right_first: Rate::of(own.iter().map(|of| good(of))),
@@ -283,7 +296,8 @@ impl Score {
                 unknown: Rate::of(own.iter().map(|of| unknown(of))),
                 spurious: Rate::of(own.iter().map(|of| spurious(of))),
                 held: Rate::of(own.iter().flat_map(|of| of.held.iter().copied())),
-                closed: closed.get(closed.len() / 2).copied(),
+                closed: median(closed),
+                bounds: kind.triads().iter().filter_map(bound).collect(),
                 size_50: limits.map(|[half, _]| half),
                 size_90: limits.map(|[_, most]| most),
             })
@@ -337,6 +351,7 @@ mod tests {
         assert_eq!((score.rates["right_first_clear"].count, score.rates["right_first_clear"].of), (1, 2));
         assert_eq!(score.rates["nearly_closed"].count, 1);
         assert_eq!(score.misses.len(), 1);
+        assert_eq!(score.kinds[0].bounds["gyro"], 1e-4);
         assert!(RATES.iter().all(|(name, _)| score.rates.contains_key(name)));
     }
 
@@ -380,6 +395,11 @@ mod tests {
         }
         assert_eq!(score.rates["turned_mixed"].count, 0);
         assert!(score.rates["spurious"].count * 5 <= cases.max(5), "{:?}", score.misses);
+        assert!(score.rates["none_blamed"].count * 20 <= score.rates["none_blamed"].of, "{:?}", score.misses);
+        for (name, least) in [("right_first_clear", 0.95), ("both_named", 0.9), ("unknown_found", 0.9), ("held", 0.8)] {
+            let Rate { count, of, .. } = score.rates[name];
+            assert!(count as f64 >= least * of as f64, "{name}: {count} of {of}, {:?}", score.misses);
+        }
     }
 
     #[test]
