@@ -9,17 +9,17 @@ use super::groups::{Group, Member};
 use super::lateness::Delay;
 use super::rounds::Found;
 use super::settle::Settled;
+use super::together::{self, Driven, Sums};
 use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnosis::diagnose::{Options, Outcome};
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::{Alternative, Cause, Diagnosis, Place, Verdict};
+use crate::diagnosis::report::{Alternative, Place, Verdict};
 use crate::diagnosis::response::{Candidate, Estimate, Fitted, Openness};
-use crate::effects::{Stream, StreamId, TriadEffect};
+use crate::effects::TriadEffect;
 use crate::sample::Triad;
-use crate::simulator::{SensorModel, TriadModel};
-use serde_json::{Map, Value, json};
+use crate::simulator::SensorModel;
+use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF as _, StudentsT};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The part of causes that are right where the choice is sure, and where something on the triad is outside the library.
@@ -32,26 +32,6 @@ const CONCERNED: f64 = 0.02;
 const NEARLY: f64 = 0.3;
 const ALTERNATIVES: usize = 6;
 const NORMAL_95: f64 = 1.959_963_984_540_054;
-
-/// A cause on a triad before it is told.
-struct Driven {
-    triad: Triad,
-    effect: Arc<dyn TriadEffect>,
-    /// Nats, all others fitted anew; None for what is read off exactly.
-    gain: Option<f64>,
-    rank: f64,
-    cause: Cause,
-}
-
-/// Sums over all triads, nats.
-#[derive(Default)]
-struct Sums {
-    /// In blocks of time.
-    whole: Vec<f64>,
-    closed: Vec<f64>,
-    /// Numbers that were fitted.
-    numbers: usize,
-}
 
 pub(super) fn outcome(
     found: &Found,
@@ -97,17 +77,9 @@ pub(super) fn outcome(
             driven[before..].iter_mut().for_each(|one| one.cause.confidence *= RIGHT[1] / RIGHT[0]);
         }
     }
-    let rest_nats = rest_nats(&diagnosis, samples * channels);
-    shrink(&mut diagnosis, &sums, samples * channels, &driven);
-    let motion_nats: f64 = sums.whole.iter().sum();
-    rank(&mut diagnosis, &mut driven, rest_nats, &sums);
-    let total = (motion_nats + rest_nats).max(f64::MIN_POSITIVE);
-    diagnosis.r#where.iter_mut().for_each(|place| place.share *= rest_nats / total);
-    diagnosis.r#where.extend(located.into_iter().map(|(nats, mut place)| {
-        place.share = (nats / total).min(1.0);
-        place
-    }));
-    diagnosis.r#where.sort_by(|one, other| other.share.total_cmp(&one.share));
+    let measured =
+        format!("held-out blocks: of what the motion drives each eighth of {BLOCKS} with the numbers of the others");
+    together::join(&mut diagnosis, &sums, &mut driven, located, samples * channels, &measured);
     diagnosis.alternatives = alternatives.into_iter().chain(diagnosis.alternatives).take(ALTERNATIVES).collect();
     diagnosis.verdict = match (outside.is_empty(), diagnosis.verdict) {
         (false, _) | (_, Verdict::UnknownEffect) => Verdict::UnknownEffect,
@@ -124,22 +96,12 @@ pub(super) fn outcome(
     diagnosis.inputs.insert("reference", "a motion".to_owned());
     diagnosis.summary = crate::diagnosis::sentence::summary(&diagnosis);
     let mut augmented = found.rest.augmented.clone();
-    augmented.triads = corrected(sim, &driven);
+    augmented.triads = together::corrected(sim, &driven);
     let residuals = found.triads.iter().flat_map(|of| {
         let sent = of.triad.channels().map(|channel| part.values(channel).unwrap_or_default());
         residuals::residuals(of, sim, sent, &aligned.motions, part.rate_hz, from_s)
     });
     Outcome { diagnosis, augmented, residuals: residuals.collect() }
-}
-
-/// Nats of the gap that remains without the motion's, where there is one that counts.
-fn rest_nats(of: &Diagnosis, all: f64) -> f64 {
-    match of.verdict {
-        Verdict::Effects | Verdict::UnknownEffect => {
-            ((of.discrepancy.after_parameters - of.discrepancy.floor) * all).max(0.0)
-        }
-        _ => 0.0,
-    }
 }
 
 /// Effects of the library that were chosen on a triad.
@@ -184,7 +146,7 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
         let confidence = RIGHT[0] / (1.0 + (-margin.clamp(-30.0, 30.0)).exp());
         let uncertainty = uncertainty(candidate, estimates, wide);
         let effect = Arc::clone(&fitted.effect);
-        all.push(driven(of.triad, effect, Some(gain), channels, confidence, uncertainty, evidence));
+        all.push(Driven::new(of.triad, effect, Some(gain), channels, confidence, uncertainty, evidence));
     }
     all
 }
@@ -241,34 +203,6 @@ fn uncertainty(candidate: Candidate, estimates: &[Estimate], wide: f64) -> Value
     Value::Object(pairs.collect())
 }
 
-fn driven(
-    triad: Triad,
-    effect: Arc<dyn TriadEffect>,
-    gain: Option<f64>,
-    channels: Vec<String>,
-    confidence: f64,
-    uncertainty: Value,
-    evidence: Vec<String>,
-) -> Driven {
-    let own: Map<String, Value> =
-        effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
-    let mut intervals = Map::new();
-    if uncertainty.as_object().is_some_and(|of| !of.is_empty()) {
-        intervals.insert(triad.name().to_owned(), uncertainty);
-    }
-    let cause = Cause {
-        effect: effect.name(),
-        triad: Some(triad.name()),
-        channels,
-        confidence,
-        closes: None,
-        parameters: BTreeMap::from([(triad.name().to_owned(), Value::Object(own))]),
-        uncertainty: intervals,
-        evidence,
-    };
-    Driven { triad, effect, gain, rank: gain.unwrap_or_default(), cause }
-}
-
 fn all_of(triad: Triad) -> Vec<String> {
     triad.channels().iter().map(|channel| channel.name().to_owned()).collect()
 }
@@ -299,7 +233,7 @@ fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
     let confidence = RIGHT[0] / (1.0 + (-margin.clamp(-30.0, 30.0)).exp());
     let effect = Candidate::Latency.make(&[seconds]);
     let ends = json!({"seconds": [seconds - half, seconds + half]});
-    driven(of.triad, effect, Some(nats), all_of(of.triad), confidence, ends, evidence)
+    Driven::new(of.triad, effect, Some(nats), all_of(of.triad), confidence, ends, evidence)
 }
 
 /// The sensor's range, where samples stand at it and the model has none.
@@ -318,7 +252,7 @@ fn saturation(of: &Settled) -> Option<Driven> {
         clipping.limit
     )];
     let effect = Candidate::Saturation.make(&[clipping.limit]);
-    let mut one = driven(of.triad, effect, None, channels, 0.999, Value::Null, evidence);
+    let mut one = Driven::new(of.triad, effect, None, channels, 0.999, Value::Null, evidence);
     one.rank = TIE * ties as f64;
     Some(one)
 }
@@ -367,66 +301,6 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
     let axes = of.screen.by_axis(&columns, &numbers);
     let all: f64 = axes.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     axes.map(|axis| [total * axis / all, (total - closed) * axis / all])
-}
-
-/// Adds the motion's gap to that of what remains.
-fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, driven: &[Driven]) {
-    const DRAWS: usize = 1000;
-    let gap = &mut diagnosis.discrepancy;
-    let (whole, closed): (f64, f64) = (sums.whole.iter().sum(), sums.closed.iter().sum());
-    let floor = 0.5 * sums.numbers as f64;
-    let rest_counts = matches!(diagnosis.verdict, Verdict::Effects | Verdict::UnknownEffect);
-    let rest = if rest_counts { (gap.after_parameters - gap.floor) * all } else { 0.0 };
-    let rest_closed = gap.closed.map_or(0.0, |part| part * rest);
-    let rest_error = gap.closed_ci95.map_or(0.0, |[low, high]| (high - low) / (2.0 * NORMAL_95) * rest);
-    let ratio_is_told = driven.iter().any(|one| one.gain.is_some()) || gap.closed.is_some();
-    if ratio_is_told && whole > floor {
-        let ratio = |whole: f64, closed: f64, more: f64| (closed + rest_closed + more) / (whole - floor + rest);
-        gap.closed = Some(ratio(whole, closed, 0.0)).filter(|value| value.is_finite());
-        let mut stream = Stream::new(BLOCKS as u64, StreamId { owner: 0, effect: 3, instance: 0 });
-        let mut draw = || {
-            let (mut some_whole, mut some_closed) = (0.0, 0.0);
-            for _ in 0..BLOCKS {
-                let block = ((stream.uniform() * BLOCKS as f64) as usize).min(BLOCKS - 1);
-                some_whole += sums.whole[block];
-                some_closed += sums.closed[block];
-            }
-            ratio(some_whole, some_closed, rest_error * stream.normal())
-        };
-        let mut draws: Vec<f64> = (0..DRAWS).map(|_| draw()).filter(|value| value.is_finite()).collect();
-        draws.sort_unstable_by(f64::total_cmp);
-        let at = |share: f64| draws.get((share * draws.len() as f64) as usize).copied();
-        gap.closed_ci95 = at(0.025).zip(at(0.975)).map(|(low, high)| [low, high]);
-    }
-    gap.before += whole / all;
-    gap.after_parameters += whole / all;
-    gap.after += (whole - closed) / all;
-    gap.floor += floor / all;
-    gap.measured_on = format!(
-        "held-out blocks: of what the motion drives each eighth of {BLOCKS} with the numbers of the others; of the rest the {}",
-        gap.measured_on
-    );
-}
-
-/// Causes of both kinds, the strongest first, each with what it closes.
-fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: &Sums) {
-    let motion: f64 = driven.iter().filter_map(|one| one.gain).sum();
-    let closed: f64 = sums.closed.iter().sum();
-    let (whole, floor) = (sums.whole.iter().sum::<f64>(), 0.5 * sums.numbers as f64);
-    let all = (whole - floor).max(0.0) + rest_nats;
-    for one in driven.iter_mut() {
-        one.cause.closes = one.gain.filter(|_| motion > 0.0 && all > 0.0).map(|gain| gain / motion * closed / all);
-    }
-    let mut ranked: Vec<(f64, Cause)> = driven.iter().map(|one| (one.rank, one.cause.clone())).collect();
-    for mut cause in std::mem::take(&mut diagnosis.causes) {
-        let nats = cause.closes.map_or(0.0, |part| part * rest_nats);
-        if all > 0.0 {
-            cause.closes = cause.closes.map(|_| nats / all);
-        }
-        ranked.push((nats, cause));
-    }
-    ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
-    diagnosis.causes = ranked.into_iter().map(|(_, cause)| cause).collect();
 }
 
 /// What nearly explains what a cause does.
@@ -515,21 +389,4 @@ fn left_open(found: &Found) -> Vec<String> {
         own.map(|one| format!("{}: {}", settled.triad.name(), one.sentence)).collect::<Vec<String>>()
     };
     found.triads.iter().flat_map(of).collect()
-}
-
-/// The model's effects on triads with those that were found in place of their like.
-fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad, TriadModel> {
-    let form = |effect: &dyn TriadEffect| {
-        effect.parameters().into_iter().find(|(name, _)| *name == "form").map(|(_, value)| value)
-    };
-    let mut triads = sim.triads.clone();
-    for one in driven {
-        let effects = &mut triads.entry(one.triad).or_default().effects;
-        let like = |effect: &Arc<dyn TriadEffect>| {
-            effect.name() == one.effect.name() && form(effect.as_ref()) == form(one.effect.as_ref())
-        };
-        effects.retain(|effect| !like(effect));
-        effects.push(Arc::clone(&one.effect));
-    }
-    triads
 }

@@ -32,6 +32,7 @@ mod round_trip;
 mod rounds;
 pub mod select;
 mod settle;
+mod together;
 mod tumble;
 
 pub use reference::{Reference, ReferenceError};

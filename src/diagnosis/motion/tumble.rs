@@ -9,18 +9,18 @@ use super::noise::mean_freedom;
 use super::poses::{self, BELIEF, PARTS, POSES_MIN, Part, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
+use super::together::{self, Driven, Sums};
 use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::prepare;
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::{Cause, Driver, Place, Verdict};
+use crate::diagnosis::report::{Driver, Place, Verdict};
 use crate::effects::TriadEffect;
 use crate::effects::triad::{Axes, Bias, CrossAxisSensitivity, ScaleFactor};
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
 use crate::units::STANDARD_GRAVITY_M_S2;
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Confidence in what the poses name.
@@ -90,7 +90,7 @@ pub fn diagnose_tumble(
             quasi_static(&windows, options.level).map(|of| Poses { of, stands: &windows.stands, how: How::Windows })
         }
     };
-    tell(&mut outcome, sim, real, longest, found.as_ref(), &turns);
+    tell(&mut outcome, sim, real, options, longest, found.as_ref(), &turns);
     Some(Ok(outcome))
 }
 
@@ -121,26 +121,18 @@ impl Poses<'_> {
     }
 }
 
-/// An effect with its evidence and intervals.
-struct Named {
-    triad: Triad,
-    effect: Arc<dyn TriadEffect>,
-    gain: f64,
-    channels: Vec<String>,
-    ends: Value,
-    evidence: Vec<String>,
-}
-
 fn tell(
     outcome: &mut Outcome,
     sim: &SensorModel,
     real: &Recording,
+    options: &Options<'_>,
     longest: &Rest,
     poses: Option<&Poses<'_>>,
     turns: &[Turned],
 ) {
-    let mut named: Vec<Named> = poses.map(|poses| of_poses(poses, sim)).unwrap_or_default();
+    let mut named: Vec<Driven> = poses.map(|poses| of_poses(poses, sim)).unwrap_or_default();
     named.extend(of_turns(turns, sim));
+    named.retain(|one| options.wants(one.effect.name()));
     let diagnosis = &mut outcome.diagnosis;
     let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
     let mut notes = vec![format!(
@@ -182,26 +174,15 @@ fn tell(
              0.13 % to which local gravity is known: a reference would tell both"
                 .to_owned(),
         );
-        let gap = &mut diagnosis.discrepancy;
-        let numbers = 3.0 * of.choice.groups.len() as f64;
-        let (whole, floor) = (of.choice.gain, 0.5 * numbers);
-        gap.before += whole / all;
-        gap.after_parameters += whole / all;
-        gap.after += (whole - of.held_out) / all;
-        gap.floor += floor / all;
-        if whole > floor {
-            gap.closed = Some(of.held_out / (whole - floor));
-            gap.closed_ci95 = None;
-        }
+        let sums = Sums { whole: vec![of.choice.gain], closed: vec![of.held_out], numbers: 3 * of.choice.groups.len() };
         let held_out = match poses.how {
             How::Rests => "poses foretold by all others",
             How::Windows => "half of the windows foretold by the other",
         };
-        gap.measured_on = format!("{held_out}; of the noise the {}", gap.measured_on);
-        gap.p_value_after = gap.p_value_after.min(of.p_value);
-        if let Some(place) = place(of, poses.stands, real.rate_hz).filter(|_| !of.choice.groups.is_empty()) {
-            diagnosis.r#where.insert(0, place);
-        }
+        let at = place(of, poses.stands, real.rate_hz).filter(|_| !of.choice.groups.is_empty());
+        let located = at.map(|place| (place.share * of.choice.gain, place)).into_iter().collect();
+        together::join(diagnosis, &sums, &mut named, located, all, held_out);
+        diagnosis.discrepancy.p_value_after = diagnosis.discrepancy.p_value_after.min(of.p_value);
         if of.p_value < REMAINS {
             notes.push(format!(
                 "gravity's magnitude is not that of one pose to the next as the noise would have it (chance {:.1e}): rests that \
@@ -211,41 +192,20 @@ fn tell(
             diagnosis.verdict = Verdict::UnknownEffect;
         }
     }
+    if poses.is_none() && !named.is_empty() {
+        together::join(diagnosis, &Sums::default(), &mut named, Vec::new(), all, "of the turns nothing");
+    }
     if !named.is_empty() && diagnosis.verdict != Verdict::UnknownEffect {
         diagnosis.verdict = Verdict::Effects;
     }
-    named.sort_by(|one, other| other.gain.total_cmp(&one.gain));
-    let total: f64 = named.iter().map(|of| of.gain).sum();
-    let closed = diagnosis.discrepancy.closed;
-    let causes = named.iter().map(|of| Cause {
-        effect: of.effect.name(),
-        triad: Some(of.triad.name()),
-        channels: of.channels.clone(),
-        confidence: RIGHT,
-        closes: closed.map(|closed| closed * of.gain / total.max(f64::MIN_POSITIVE)),
-        parameters: BTreeMap::from([(of.triad.name().to_owned(), parameters(of.effect.as_ref()))]),
-        uncertainty: Map::from_iter([(of.triad.name().to_owned(), of.ends.clone())]),
-        evidence: of.evidence.clone(),
-    });
-    let found: Vec<Cause> = causes.chain(std::mem::take(&mut diagnosis.causes)).collect();
-    diagnosis.causes = found;
     notes.append(&mut diagnosis.notes);
     diagnosis.notes = notes;
     diagnosis.summary = crate::diagnosis::sentence::summary(diagnosis);
-    outcome.augmented.triads = sim.triads.clone();
-    for of in named {
-        let effects = &mut outcome.augmented.triads.entry(of.triad).or_default().effects;
-        effects.retain(|effect| effect.name() != of.effect.name());
-        effects.push(of.effect);
-    }
-}
-
-fn parameters(effect: &dyn TriadEffect) -> Value {
-    Value::Object(effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+    outcome.augmented.triads = together::corrected(sim, &named);
 }
 
 /// What the magnitudes name.
-fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Named> {
+fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
     let of = &poses.of;
     let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
     of.choice
@@ -297,14 +257,9 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Named> {
                 at.iter().any(|place| found[*place].abs() > NORMAL_95 * of.errors[3 * group + place])
             };
             let own: Vec<String> = (0..3).filter(concerned).map(|axis| channels[axis].clone()).collect();
-            Named {
-                triad: Triad::Accel,
-                effect,
-                gain,
-                channels: if own.is_empty() { channels.to_vec() } else { own },
-                ends: json!({names[0]: ends(0), names[1]: ends(1), names[2]: ends(2)}),
-                evidence,
-            }
+            let channels = if own.is_empty() { channels.to_vec() } else { own };
+            let ends = json!({names[0]: ends(0), names[1]: ends(1), names[2]: ends(2)});
+            Driven::new(Triad::Accel, effect, Some(gain), channels, RIGHT, ends, evidence)
         })
         .collect()
 }
@@ -319,7 +274,7 @@ fn known(sim: &SensorModel, triad: Triad, effect: &str, names: [&str; 3]) -> Axe
 }
 
 /// What the circles name.
-fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Named> {
+fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Driven> {
     let channels = Triad::Gyro.channels();
     let mut axes = known(sim, Triad::Gyro, "scale_factor", AXES);
     let (mut ends, mut evidence, mut gain) = (Map::new(), Vec::new(), 0.0);
@@ -337,14 +292,12 @@ fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Named> {
         ));
         gain += 0.5 * (one.scale / one.error).powi(2);
     }
-    (!turns.is_empty()).then(|| Named {
-        triad: Triad::Gyro,
-        effect: Arc::new(ScaleFactor { axes }),
-        gain,
-        channels: turns.iter().map(|one| channels[one.axis].name().to_owned()).collect(),
-        ends: Value::Object(ends),
-        evidence,
-    })
+    let effect = Arc::new(ScaleFactor { axes });
+    let channels = turns.iter().map(|one| channels[one.axis].name().to_owned()).collect();
+    // What it closes was not measured on another turn.
+    let mut one = Driven::new(Triad::Gyro, effect, None, channels, RIGHT, Value::Object(ends), evidence);
+    one.rank = gain;
+    (!turns.is_empty()).then_some(one)
 }
 
 /// The rest in which gravity is off most.

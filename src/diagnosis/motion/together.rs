@@ -1,0 +1,178 @@
+//! Together: what a motion drives and what remains without it are one gap, with one ranking of its causes.
+//!
+//! Both gaps are in nats of the same record, so they add, and a cause of either closes its part of their sum.
+
+use crate::diagnosis::report::{Cause, Diagnosis, Place, Verdict};
+use crate::effects::{Stream, StreamId, TriadEffect};
+use crate::sample::Triad;
+use crate::simulator::{SensorModel, TriadModel};
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Draws of blocks for an interval of what is closed.
+const DRAWS: usize = 1000;
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+
+/// A cause on a triad before it is told.
+pub(super) struct Driven {
+    pub(super) triad: Triad,
+    pub(super) effect: Arc<dyn TriadEffect>,
+    /// Nats, all others fitted anew; None for what is read off exactly.
+    pub(super) gain: Option<f64>,
+    pub(super) rank: f64,
+    pub(super) cause: Cause,
+}
+
+impl Driven {
+    pub(super) fn new(
+        triad: Triad,
+        effect: Arc<dyn TriadEffect>,
+        gain: Option<f64>,
+        channels: Vec<String>,
+        confidence: f64,
+        uncertainty: Value,
+        evidence: Vec<String>,
+    ) -> Self {
+        let own: Map<String, Value> =
+            effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        let mut intervals = Map::new();
+        if uncertainty.as_object().is_some_and(|of| !of.is_empty()) {
+            intervals.insert(triad.name().to_owned(), uncertainty);
+        }
+        let cause = Cause {
+            effect: effect.name(),
+            triad: Some(triad.name()),
+            channels,
+            confidence,
+            closes: None,
+            parameters: BTreeMap::from([(triad.name().to_owned(), Value::Object(own))]),
+            uncertainty: intervals,
+            evidence,
+        };
+        Self { triad, effect, gain, rank: gain.unwrap_or_default(), cause }
+    }
+}
+
+/// The gap that a motion drives, nats.
+#[derive(Default)]
+pub(super) struct Sums {
+    /// In blocks that the rest tells of: of time, or poses.
+    pub(super) whole: Vec<f64>,
+    pub(super) closed: Vec<f64>,
+    /// Numbers that were fitted.
+    pub(super) numbers: usize,
+}
+
+impl Sums {
+    fn floor(&self) -> f64 {
+        0.5 * self.numbers as f64
+    }
+}
+
+/// Adds a motion's gap, its causes and its places to what was found in what remains. `all`: samples of all channels; `measured`:
+/// on what the motion's was measured.
+pub(super) fn join(
+    diagnosis: &mut Diagnosis,
+    sums: &Sums,
+    driven: &mut [Driven],
+    located: Vec<(f64, Place)>,
+    all: f64,
+    measured: &str,
+) {
+    let rest_nats = rest_nats(diagnosis, all);
+    rank(diagnosis, driven, rest_nats, sums);
+    shrink(diagnosis, sums, all, rest_nats, driven);
+    let gap = &mut diagnosis.discrepancy;
+    gap.measured_on = format!("{measured}; of the rest the {}", gap.measured_on);
+    let total = (sums.whole.iter().sum::<f64>() + rest_nats).max(f64::MIN_POSITIVE);
+    diagnosis.r#where.iter_mut().for_each(|place| place.share *= rest_nats / total);
+    diagnosis.r#where.extend(located.into_iter().map(|(nats, mut place)| {
+        place.share = (nats / total).min(1.0);
+        place
+    }));
+    diagnosis.r#where.sort_by(|one, other| other.share.total_cmp(&one.share));
+}
+
+/// Nats of the gap that remains without the motion's, where there is one that counts.
+fn rest_nats(of: &Diagnosis, all: f64) -> f64 {
+    match of.verdict {
+        Verdict::Effects | Verdict::UnknownEffect => {
+            ((of.discrepancy.after_parameters - of.discrepancy.floor) * all).max(0.0)
+        }
+        _ => 0.0,
+    }
+}
+
+/// Adds the motion's gap to that of what remains.
+fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, rest: f64, driven: &[Driven]) {
+    let gap = &mut diagnosis.discrepancy;
+    let (whole, closed): (f64, f64) = (sums.whole.iter().sum(), sums.closed.iter().sum());
+    let (floor, blocks) = (sums.floor(), sums.whole.len());
+    let rest_closed = gap.closed.map_or(0.0, |part| part * rest);
+    let rest_error = gap.closed_ci95.map_or(0.0, |[low, high]| (high - low) / (2.0 * NORMAL_95) * rest);
+    let ratio_is_told = driven.iter().any(|one| one.gain.is_some()) || gap.closed.is_some();
+    let ratio = |whole: f64, closed: f64, more: f64| (closed + rest_closed + more) / (whole - floor + rest);
+    if ratio_is_told && whole > floor {
+        gap.closed = Some(ratio(whole, closed, 0.0)).filter(|value| value.is_finite());
+        gap.closed_ci95 = None;
+    }
+    if ratio_is_told && whole > floor && blocks > 1 {
+        let mut stream = Stream::new(blocks as u64, StreamId { owner: 0, effect: 3, instance: 0 });
+        let mut draw = || {
+            let (mut some_whole, mut some_closed) = (0.0, 0.0);
+            for _ in 0..blocks {
+                let block = ((stream.uniform() * blocks as f64) as usize).min(blocks - 1);
+                some_whole += sums.whole[block];
+                some_closed += sums.closed[block];
+            }
+            ratio(some_whole, some_closed, rest_error * stream.normal())
+        };
+        let mut draws: Vec<f64> = (0..DRAWS).map(|_| draw()).filter(|value| value.is_finite()).collect();
+        draws.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| draws.get((share * draws.len() as f64) as usize).copied();
+        gap.closed_ci95 = at(0.025).zip(at(0.975)).map(|(low, high)| [low, high]);
+    }
+    gap.before += whole / all;
+    gap.after_parameters += whole / all;
+    gap.after += (whole - closed) / all;
+    gap.floor += floor / all;
+}
+
+/// Causes of both kinds, the strongest first, each with what it closes.
+fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: &Sums) {
+    let motion: f64 = driven.iter().filter_map(|one| one.gain).sum();
+    let closed: f64 = sums.closed.iter().sum();
+    let (whole, floor) = (sums.whole.iter().sum::<f64>(), sums.floor());
+    let all = (whole - floor).max(0.0) + rest_nats;
+    for one in driven.iter_mut() {
+        one.cause.closes = one.gain.filter(|_| motion > 0.0 && all > 0.0).map(|gain| gain / motion * closed / all);
+    }
+    let mut ranked: Vec<(f64, Cause)> = driven.iter().map(|one| (one.rank, one.cause.clone())).collect();
+    for mut cause in std::mem::take(&mut diagnosis.causes) {
+        let nats = cause.closes.map_or(0.0, |part| part * rest_nats);
+        if all > 0.0 {
+            cause.closes = cause.closes.map(|_| nats / all);
+        }
+        ranked.push((nats, cause));
+    }
+    ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
+    diagnosis.causes = ranked.into_iter().map(|(_, cause)| cause).collect();
+}
+
+/// The model's effects on triads with those that were found in place of their like.
+pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad, TriadModel> {
+    let form = |effect: &dyn TriadEffect| {
+        effect.parameters().into_iter().find(|(name, _)| *name == "form").map(|(_, value)| value)
+    };
+    let mut triads = sim.triads.clone();
+    for one in driven {
+        let effects = &mut triads.entry(one.triad).or_default().effects;
+        let like = |effect: &Arc<dyn TriadEffect>| {
+            effect.name() == one.effect.name() && form(effect.as_ref()) == form(one.effect.as_ref())
+        };
+        effects.retain(|effect| !like(effect));
+        effects.push(Arc::clone(&one.effect));
+    }
+    triads
+}
