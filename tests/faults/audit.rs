@@ -101,13 +101,8 @@ impl Held {
     pub fn of(pid: u32) -> Self {
         let count = |folder: &str| std::fs::read_dir(format!("/proc/{pid}/{folder}")).map_or(0, Iterator::count);
         let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
-        let of = |name: &str| {
-            let kilobytes = status.lines().find_map(|line| line.strip_prefix(name));
-            kilobytes.and_then(|text| text.trim().trim_end_matches(" kB").parse::<u64>().ok()).unwrap_or(0)
-        };
-        // The code of an unoptimised build is several times that of the program's: mapped files are not counted there.
-        let mapped = if cfg!(debug_assertions) { of("RssFile:") } else { 0 };
-        let kilobytes = of("VmRSS:").saturating_sub(mapped);
+        let rss = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let kilobytes = rss.and_then(|rss| rss.trim().trim_end_matches(" kB").parse::<u64>().ok()).unwrap_or(0);
         // Fields 14 and 15, counted behind the name in parentheses, in ticks of 10 ms.
         let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
         let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
