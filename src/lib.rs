@@ -30,6 +30,7 @@ pub mod model_fit;
 pub mod motion;
 pub mod noise;
 pub mod page;
+pub mod plot;
 pub mod protocol;
 pub mod ros_messages;
 pub mod simulator;

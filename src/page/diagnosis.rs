@@ -1,9 +1,8 @@
 //! The page of a diagnosis: the sentence, how large the gap is and what closes it, where it lies, what the model lacks.
 
-use super::chart::{self, Spectra};
 use super::figure::{percent, plain, second, with_interval};
-use super::residual::Residuals;
 use super::{escaped, framed};
+use crate::plot::{Residuals, Spectra};
 use crate::sample::Channel;
 use serde::Deserialize;
 use serde_json::Value;
@@ -47,13 +46,13 @@ struct Report {
 #[derive(Debug, Deserialize)]
 struct Discrepancy {
     unit: String,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     before: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     after_parameters: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     after: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     floor: f64,
     p_value_after: Option<f64>,
     closed: Option<f64>,
@@ -65,15 +64,15 @@ struct Discrepancy {
 #[derive(Debug, Deserialize)]
 struct Place {
     channel: String,
-    #[serde(deserialize_with = "super::figure::pair")]
+    #[serde(deserialize_with = "crate::plot::json::pair")]
     band_hz: [f64; 2],
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     from_s: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     to_s: f64,
     temperature_c: Option<[f64; 2]>,
     at: Option<Driver>,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     share: f64,
     sign: String,
 }
@@ -84,7 +83,7 @@ struct Driver {
     quantity: String,
     axis: String,
     unit: String,
-    #[serde(deserialize_with = "super::figure::pair")]
+    #[serde(deserialize_with = "crate::plot::json::pair")]
     range: [f64; 2],
     pose: Option<String>,
 }
@@ -93,9 +92,9 @@ struct Driver {
 struct Parameter {
     channel: String,
     parameter: String,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     model: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     capture: f64,
     ratio: Option<f64>,
     ci95: Option<[f64; 2]>,
@@ -105,7 +104,7 @@ struct Parameter {
 struct Cause {
     effect: String,
     channels: Vec<String>,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     confidence: f64,
     closes: Option<f64>,
     #[serde(default)]
@@ -125,11 +124,11 @@ struct Alternative {
 
 #[derive(Debug, Deserialize)]
 struct Gap {
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     before: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     after: f64,
-    #[serde(deserialize_with = "super::figure::number")]
+    #[serde(deserialize_with = "crate::plot::json::number")]
     floor: f64,
 }
 
@@ -379,10 +378,10 @@ fn motion(out: &mut String, report: &Report, residuals: &[Residuals]) {
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. Rate and \
              specific force are those of the reference.</p>";
     let picture = |out: &mut String, of: &Residuals| {
-        let _ = write!(out, "<figure><figcaption>{}</figcaption>{}</figure>", escaped(&of.title()), of.drawn());
+        let _ = write!(out, "<figure>{}</figure>", of.svg());
     };
-    residuals.iter().filter(|of| named(report, &of.channel)).for_each(|of| picture(out, of));
-    let mut others = residuals.iter().filter(|of| !named(report, &of.channel)).peekable();
+    residuals.iter().filter(|of| named(report, of.channel())).for_each(|of| picture(out, of));
+    let mut others = residuals.iter().filter(|of| !named(report, of.channel())).peekable();
     if others.peek().is_some() {
         *out += "<details><summary>channels without a finding</summary>";
         others.for_each(|of| picture(out, of));
@@ -398,15 +397,15 @@ fn pictures(out: &mut String, report: &Report, spectra: &[Spectra]) {
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. \
              White noise stands at its N; drifts, steps and single events are in the recording alone.</p>";
     let picture = |out: &mut String, of: &Spectra| {
-        let bands: Vec<[f64; 2]> =
-            report.r#where.iter().filter(|place| place.channel == of.channel).map(|place| place.band_hz).collect();
-        let chart = chart::spectra(of, &bands);
-        let _ = write!(out, "<figure><figcaption>{}</figcaption>{chart}</figure>", escaped(&of.channel));
+        // What a motion drives is in no band of its own.
+        let places = report.r#where.iter().filter(|place| place.channel == of.channel() && place.at.is_none());
+        let bands: Vec<[f64; 2]> = places.map(|place| place.band_hz).collect();
+        let _ = write!(out, "<figure>{}</figure>", of.svg(&bands));
     };
-    spectra.iter().filter(|of| named(report, &of.channel)).for_each(|of| picture(out, of));
-    let others: Vec<&Spectra> = spectra.iter().filter(|of| !named(report, &of.channel)).collect();
+    spectra.iter().filter(|of| named(report, of.channel())).for_each(|of| picture(out, of));
+    let others: Vec<&Spectra> = spectra.iter().filter(|of| !named(report, of.channel())).collect();
     if !others.is_empty() {
-        let names: Vec<String> = others.iter().map(|of| escaped(&of.channel)).collect();
+        let names: Vec<String> = others.iter().map(|of| escaped(of.channel())).collect();
         let _ = write!(out, "<details><summary>without a finding: {}</summary>", names.join(", "));
         others.into_iter().for_each(|of| picture(out, of));
         *out += "</details>";
@@ -515,8 +514,8 @@ mod tests {
         let residuals = json!([of("accel_z"), of("accel_y")]).to_string();
         let page = diagnosis(&report().to_string(), Pictures { spectra: "[]", residuals: &residuals }, &[]).unwrap();
         let at = |part: &str| page.find(part).unwrap_or_else(|| panic!("{part} is not in {page}"));
-        assert!(at("<figcaption>accel_z against the specific force along z") < at("channels without a finding"));
-        assert!(at("channels without a finding") < at("<figcaption>accel_y against the specific force along z"));
+        assert!(at("aria-label=\"accel_z against the specific force along z") < at("channels without a finding"));
+        assert!(at("channels without a finding") < at("aria-label=\"accel_y against the specific force along z"));
     }
 
     #[test]

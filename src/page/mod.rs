@@ -3,14 +3,14 @@
 //! In: a document's JSON text, as any program gets it, of this version or another. Out: one HTML file without scripts or
 //! anything from elsewhere, readable on dark and on light. Promised: no text of a document becomes markup.
 
-mod chart;
 mod diagnosis;
 mod figure;
-mod residual;
 mod waiting;
 
 pub use diagnosis::{Links, Pictures, diagnosis};
 pub use waiting::waiting;
+
+use crate::plot::escaped;
 
 const STYLE: &str = include_str!("style.css");
 
@@ -20,12 +20,8 @@ fn framed(title: &str, refresh_s: Option<u32>, body: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{}</title>\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <meta name=\"color-scheme\" content=\"light dark\">{refresh}<style>{STYLE}</style></head>\n<body>{body}</body></html>\n",
-        escaped(title)
+         <meta name=\"color-scheme\" content=\"light dark\">{refresh}<style>{}{STYLE}</style></head>\n<body>{body}</body></html>\n",
+        escaped(title),
+        crate::plot::style()
     )
-}
-
-/// Text with nothing in it that HTML takes for its own.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

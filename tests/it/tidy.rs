@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 27] = [
+const MAY_USE: [(&str, &[&str]); 28] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -24,7 +24,8 @@ const MAY_USE: [(&str, &[&str]); 27] = [
     ("capture", &["protocol", "sample", "clock", "observe", "units"]),
     ("store", &["sample", "clock", "observe", "units"]),
     ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
-    ("page", &["sample"]),
+    ("page", &["plot", "sample"]),
+    ("plot", &[]),
     (
         "jobs",
         &["store", "diagnosis", "model_fit", "motion", "noise", "simulator", "sample", "clock", "observe", "units"],
@@ -52,7 +53,7 @@ const MAY_USE: [(&str, &[&str]); 27] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 14] = [
+const PURE: [&str; 15] = [
     "protocol",
     "sample",
     "noise",
@@ -63,6 +64,7 @@ const PURE: [&str; 14] = [
     "model_fit",
     "ros_messages",
     "page",
+    "plot",
     "effects",
     "simulator",
     "retention",

@@ -1,0 +1,108 @@
+//! Axes: straight or logarithmic, with round values.
+
+use super::number::plain;
+
+/// Lines across a straight axis, about.
+const LINES: f64 = 5.0;
+/// Room beyond the values, in parts of their range; of a logarithmic axis in decades.
+const ROOM: f64 = 0.04;
+const ROOM_DECADES: f64 = 0.06;
+/// Decades that a logarithmic axis has at least.
+const DECADES_MIN: f64 = 0.35;
+/// Decades from which on only powers of ten have a line.
+const DECADES_MANY: f64 = 2.5;
+/// Labels of a logarithmic axis at most.
+const LABELS: usize = 8;
+
+/// An axis: values from one end to the other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Axis {
+    log: bool,
+    /// Values, or their common logarithms.
+    from: f64,
+    to: f64,
+}
+
+impl Axis {
+    /// A straight one that has room for all values; None where there is none.
+    pub(super) fn straight(values: impl Iterator<Item = f64>) -> Option<Self> {
+        let (low, high) = ends(values)?;
+        // A flat curve gets some room around it.
+        let room = (ROOM * (high - low)).max(1e-3 * high.abs()).max(f64::MIN_POSITIVE);
+        Some(Self { log: false, from: low - room, to: high + room })
+    }
+
+    /// A straight one between just these.
+    pub(super) fn between(from: f64, to: f64) -> Self {
+        Self { log: false, from, to: if to > from { to } else { from + 1.0 } }
+    }
+
+    /// A logarithmic one of the values above 0; None where there is none.
+    pub(super) fn logarithmic(values: impl Iterator<Item = f64>) -> Option<Self> {
+        let (low, high) = ends(values.filter(|value| *value > 0.0).map(f64::log10))?;
+        let room = (DECADES_MIN - (high - low)).max(ROOM_DECADES);
+        Some(Self { log: true, from: low - room, to: high + room })
+    }
+
+    /// Where a value is, 0 to 1; beyond the ends it is at them.
+    pub(super) fn share(&self, value: f64) -> f64 {
+        let at = if self.log { value.max(f64::MIN_POSITIVE).log10() } else { value };
+        ((at - self.from) / (self.to - self.from)).clamp(0.0, 1.0)
+    }
+
+    /// Values with a line of their own, and their labels.
+    pub(super) fn ticks(&self) -> Vec<(f64, String)> {
+        if !self.log {
+            let rough = (self.to - self.from) / LINES;
+            let decade = 10f64.powf(rough.log10().floor());
+            let steps = [1.0, 2.0, 5.0, 10.0].into_iter().map(|of| of * decade);
+            let step = steps.into_iter().find(|step| *step >= rough).unwrap_or(rough);
+            // A sum of steps is rounded otherwise than a multiple.
+            let whole = (self.from / step).ceil() as i64..=(self.to / step).floor() as i64;
+            return whole.map(|of| of as f64 * step).map(|value| (value, plain(value))).collect();
+        }
+        let decades = (self.from.floor() as i32)..=(self.to.ceil() as i32);
+        let steps: &[f64] = if self.to - self.from > DECADES_MANY { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let all = decades.flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)));
+        let inside: Vec<f64> = all.filter(|value| (self.from..=self.to).contains(&value.log10())).collect();
+        let every = inside.len().div_ceil(LABELS).max(1);
+        inside.into_iter().step_by(every).map(|value| (value, plain(value))).collect()
+    }
+}
+
+/// The least and the greatest of what is finite.
+fn ends(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite = values.filter(|value| value.is_finite());
+    finite.fold(None, |ends, value| {
+        let (low, high) = ends.unwrap_or((value, value));
+        Some((low.min(value), high.max(value)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_axes_have_round_values_and_room() {
+        let axis = Axis::straight([-2.0, f64::NAN, 2.0].into_iter()).unwrap();
+        let values: Vec<f64> = axis.ticks().into_iter().map(|(value, _)| value).collect();
+        assert_eq!(values, [-2.0, -1.0, 0.0, 1.0, 2.0]);
+        assert!(axis.share(-2.0) > 0.0 && axis.share(2.0) < 1.0 && axis.share(9.0) == 1.0);
+        let flat = Axis::straight([3.0].into_iter()).unwrap();
+        assert!((flat.share(3.0) - 0.5).abs() < 1e-9 && !flat.ticks().is_empty());
+        assert_eq!(Axis::straight([f64::INFINITY].into_iter()), None);
+        assert!(Axis::between(2.0, 2.0).share(2.0) == 0.0);
+    }
+
+    #[test]
+    fn logarithmic_axes_have_powers_of_ten_and_more_where_these_are_few() {
+        let wide = Axis::logarithmic([1e-3, 0.0, 1e2].into_iter()).unwrap();
+        let labels: Vec<String> = wide.ticks().into_iter().map(|(_, label)| label).collect();
+        assert_eq!(labels, ["0.001", "0.01", "0.1", "1", "10", "100"]);
+        let narrow = Axis::logarithmic([2e-3, 3e-3].into_iter()).unwrap();
+        assert!(narrow.ticks().len() >= 2 && narrow.share(2e-3) > 0.0);
+        assert!(Axis::logarithmic([1e-30, 1e30].into_iter()).unwrap().ticks().len() <= LABELS);
+        assert_eq!(Axis::logarithmic([0.0, -1.0].into_iter()), None);
+    }
+}

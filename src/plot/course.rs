@@ -1,0 +1,76 @@
+//! The course of a channel: its samples over time, or where there are many the range of each stretch.
+
+use super::axis::Axis;
+use super::drawing::{Drawing, Frame};
+
+/// Values over time.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
+pub struct Course<'a> {
+    /// `gyro_x`.
+    pub channel: &'a str,
+    /// Its unit.
+    pub unit: &'a str,
+    /// Time in s, least and greatest value of each stretch; both the same for single samples. What is no number interrupts.
+    pub points: Vec<(f64, f64, f64)>,
+    /// From when to when samples are missing, s, and why.
+    pub gaps: Vec<([f64; 2], String)>,
+}
+
+/// Seconds to what is told, by how long it is.
+pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
+    match longest_s {
+        long if long > 3.0 * 3600.0 => (3600.0, "h"),
+        long if long > 300.0 => (60.0, "min"),
+        _ => (1.0, "s"),
+    }
+}
+
+impl Course<'_> {
+    /// The picture; empty where there is no value.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        let times = || self.points.iter().map(|(time_s, ..)| *time_s);
+        let (from_s, to_s) =
+            times().fold((f64::MAX, f64::MIN), |(from, to), time_s| (from.min(time_s), to.max(time_s)));
+        let (unit_s, unit) = told(to_s - from_s);
+        let up = Axis::straight(self.points.iter().flat_map(|(_, low, high)| [*low, *high]));
+        let Some(up) = up else { return String::new() };
+        let (title, x) = (format!("{} over time", self.channel), format!("time in {unit}"));
+        let y = format!("{} in {}", self.channel, self.unit);
+        let frame = Frame { title: &title, x: &x, y: &y, height: 280.0 };
+        let mut drawing = Drawing::new(frame, Axis::between(from_s / unit_s, to_s / unit_s), up);
+        for ([from, to], cause) in &self.gaps {
+            drawing.stretch("mark", [from / unit_s, to / unit_s], Some(cause));
+        }
+        let points: Vec<(f64, f64, f64)> =
+            self.points.iter().map(|(time_s, low, high)| (time_s / unit_s, *low, *high)).collect();
+        if points.iter().any(|(_, low, high)| high > low) {
+            drawing.surface("range", &points);
+        }
+        drawing.curve("one", points.iter().map(|(time, low, high)| (*time, 0.5 * (low + high))));
+        drawing.done()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_a_surface_and_gaps_are_marked() {
+        let points = (0..40).map(|t| (f64::from(t) * 600.0, -1.0, 1.0 + f64::from(t))).collect();
+        let of =
+            Course {
+                channel: "accel_z", unit: "m/s²", points, gaps: vec![([7200.0, 7210.0], "unplugged".to_owned())]
+            };
+        let svg = of.svg();
+        assert!(
+            svg.contains("time in h") && svg.contains("accel_z in m/s²") && svg.contains("<title>unplugged</title>")
+        );
+        assert_eq!((svg.matches("surface range").count(), svg.matches("class=\"mark\"").count()), (1, 1));
+        let single = Course { points: vec![(0.0, 1.0, 1.0), (1.0, f64::NAN, f64::NAN), (2.0, 2.0, 2.0)], ..of.clone() };
+        assert!(!single.svg().contains("surface") && !single.svg().contains("NaN"));
+        assert_eq!(Course { points: vec![], ..of }.svg(), "");
+    }
+}

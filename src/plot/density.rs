@@ -1,0 +1,62 @@
+//! Power spectra of a triad's channels, and the lines that were found in them.
+
+use super::axis::Axis;
+use super::deviation::class;
+use super::drawing::{Drawing, Frame};
+
+/// Amplitude densities of channels of one unit over the same frequencies.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
+pub struct Density<'a> {
+    /// "Power spectrum, gyro".
+    pub title: &'a str,
+    /// The channels' unit.
+    pub unit: &'a str,
+    /// Hz, ascending, above 0.
+    pub frequency_hz: Vec<f64>,
+    /// Per channel its name and the root of its one-sided power density, U/√Hz.
+    pub channels: Vec<(&'a str, Vec<f64>)>,
+    /// Frequencies of lines with what they are, Hz.
+    pub lines: Vec<(f64, String)>,
+}
+
+impl Density<'_> {
+    /// The picture; empty where nothing is above 0.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        let across = Axis::logarithmic(self.frequency_hz.iter().copied());
+        let up = Axis::logarithmic(self.channels.iter().flat_map(|(_, values)| values).copied());
+        let (Some(across), Some(up)) = (across, up) else { return String::new() };
+        let y = format!("density in {}/√Hz", self.unit);
+        let frame = Frame { title: self.title, x: "frequency in Hz", y: &y, height: 340.0 };
+        let mut drawing = Drawing::new(frame, across, up);
+        for (frequency_hz, what) in &self.lines {
+            drawing.stretch("mark", [*frequency_hz; 2], Some(what));
+        }
+        let mut key = Vec::new();
+        for (name, values) in &self.channels {
+            let class = class(name, self.channels.len());
+            drawing.curve(class, self.frequency_hz.iter().copied().zip(values.iter().copied()));
+            key.push((class, *name));
+        }
+        drawing.key(&key);
+        drawing.done()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_channel_has_a_curve_and_each_line_a_mark() {
+        let channels = vec![("gyro_x", vec![1e-3, 1e-4]), ("gyro_y", vec![0.0, 2e-4])];
+        let lines = vec![(11.4, "11.4 Hz".to_owned())];
+        let of =
+            Density { title: "Power spectrum, gyro", unit: "rad/s", frequency_hz: vec![0.1, 20.0], channels, lines };
+        let svg = of.svg();
+        assert_eq!((svg.matches("class=\"line x").count(), svg.matches("class=\"mark\"").count()), (2, 1), "{svg}");
+        assert!(svg.contains("density in rad/s/√Hz") && svg.contains("<title>11.4 Hz</title>") && !svg.contains("NaN"));
+        assert_eq!(Density::default().svg(), "");
+    }
+}

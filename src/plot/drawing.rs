@@ -1,0 +1,199 @@
+//! The drawing: one picture with two axes, built up from behind.
+
+use super::axis::Axis;
+use super::escaped;
+use std::fmt::Write as _;
+
+/// Width in the picture's own units. Text of 14 of them is 10 pixels high where a phone shows the picture 400 wide.
+const WIDTH: f64 = 560.0;
+/// Room at the left, right, top and bottom.
+const MARGIN: [f64; 4] = [84.0, 14.0, 30.0, 46.0];
+/// Between a tick's label and its line.
+const APART: f64 = 7.0;
+/// Characters of a title that fit.
+const LONGEST: usize = 72;
+
+/// What a picture is called, and what its axes are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Frame<'a> {
+    /// Above it.
+    pub title: &'a str,
+    /// Below it, with its unit.
+    pub x: &'a str,
+    /// Beside it, with its unit.
+    pub y: &'a str,
+    pub height: f64,
+}
+
+/// A picture in the making. Writing to a text cannot fail.
+#[derive(Debug)]
+pub(super) struct Drawing {
+    out: String,
+    x: Axis,
+    y: Axis,
+    bottom: f64,
+}
+
+impl Drawing {
+    /// Title, grid, labels.
+    pub(super) fn new(frame: Frame<'_>, x: Axis, y: Axis) -> Self {
+        let height = frame.height;
+        let (left, right, top, bottom) = (MARGIN[0], WIDTH - MARGIN[1], MARGIN[2], height - MARGIN[3]);
+        let title = escaped(&shortened(frame.title));
+        let mut own = Self { out: String::new(), x, y, bottom };
+        let out = &mut own.out;
+        let _ = write!(
+            out,
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">\
+             <text class=\"title\" x=\"{left}\" y=\"19\">{title}</text>"
+        );
+        for (value, label) in x.ticks() {
+            let at = left + x.share(value) * (right - left);
+            let _ = write!(
+                out,
+                "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{top}\" y2=\"{bottom}\"/>\
+                 <text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{label}</text>",
+                bottom + 18.0
+            );
+        }
+        for (value, label) in y.ticks() {
+            let at = bottom + y.share(value) * (top - bottom);
+            let _ = write!(
+                out,
+                "<line class=\"grid\" x1=\"{left}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/>\
+                 <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{label}</text>",
+                left - APART,
+                at + 5.0
+            );
+        }
+        let (middle, half) = (0.5 * (left + right), 0.5 * (top + bottom));
+        let _ = write!(
+            out,
+            "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>\
+             <text x=\"14\" y=\"{half}\" text-anchor=\"middle\" transform=\"rotate(-90 14 {half})\">{}</text>",
+            height - 8.0,
+            escaped(&shortened(frame.x)),
+            escaped(&shortened(frame.y))
+        );
+        own
+    }
+
+    fn at(&self, x: f64, y: f64) -> (f64, f64) {
+        let (left, right) = (MARGIN[0], WIDTH - MARGIN[1]);
+        (left + self.x.share(x) * (right - left), self.bottom + self.y.share(y) * (MARGIN[2] - self.bottom))
+    }
+
+    /// A curve; where a value is not finite it is interrupted.
+    pub(super) fn curve(&mut self, class: &str, points: impl IntoIterator<Item = (f64, f64)>) {
+        let mut path = String::new();
+        let mut open = false;
+        for (x, y) in points {
+            if !(x.is_finite() && y.is_finite()) {
+                open = false;
+                continue;
+            }
+            let (x, y) = self.at(x, y);
+            let _ = write!(path, "{}{x:.1} {y:.1}", if open { 'L' } else { 'M' });
+            open = true;
+        }
+        if !path.is_empty() {
+            let _ = write!(self.out, "<path class=\"line {class}\" d=\"{path}\"/>");
+        }
+    }
+
+    /// The surface between two curves over the same places; interrupted where one of them is not finite.
+    pub(super) fn surface(&mut self, class: &str, points: &[(f64, f64, f64)]) {
+        for stretch in points.split(|(x, low, high)| !(x + low + high).is_finite()).filter(|stretch| stretch.len() > 1)
+        {
+            let mut path = String::new();
+            let above = stretch.iter().map(|(x, _, high)| (*x, *high));
+            let below = stretch.iter().rev().map(|(x, low, _)| (*x, *low));
+            for (place, (x, y)) in above.chain(below).enumerate() {
+                let (x, y) = self.at(x, y);
+                let _ = write!(path, "{}{x:.1} {y:.1}", if place == 0 { 'M' } else { 'L' });
+            }
+            let _ = write!(self.out, "<path class=\"surface {class}\" d=\"{path}Z\"/>");
+        }
+    }
+
+    /// A bar from the bottom up, at least a hair wide.
+    pub(super) fn bar(&mut self, class: &str, from: f64, to: f64, value: f64) {
+        let ((left, y), (right, _)) = (self.at(from, value), self.at(to, value));
+        let (width, height) = ((right - left).max(0.5), self.bottom - y);
+        let _ = write!(
+            self.out,
+            "<rect class=\"{class}\" x=\"{left:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"/>"
+        );
+    }
+
+    /// A stretch of the x axis from bottom to top, wide enough to be seen, with what it is.
+    pub(super) fn stretch(&mut self, class: &str, [from, to]: [f64; 2], what: Option<&str>) {
+        let ((left, _), (right, _)) = (self.at(from, 0.0), self.at(to, 0.0));
+        let width = (right - left).max(4.0);
+        let title = what.map_or_else(String::new, |what| format!("<title>{}</title>", escaped(what)));
+        let _ = write!(
+            self.out,
+            "<rect class=\"{class}\" x=\"{:.1}\" y=\"{}\" width=\"{width:.1}\" height=\"{}\">{title}</rect>",
+            0.5 * (left + right - width),
+            MARGIN[2],
+            self.bottom - MARGIN[2]
+        );
+    }
+
+    /// Lines under the title's right end that say which curve is which.
+    pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
+        let right = WIDTH - MARGIN[1];
+        for (place, (class, text)) in entries.iter().enumerate() {
+            let y = MARGIN[2] + 16.0 + 18.0 * place as f64;
+            let _ = write!(
+                self.out,
+                "<path class=\"line {class}\" d=\"M{} {y}L{} {y}\"/><text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>",
+                right - 26.0,
+                right - 4.0,
+                right - 32.0,
+                y + 5.0,
+                escaped(text)
+            );
+        }
+    }
+
+    pub(super) fn done(mut self) -> String {
+        self.out.push_str("</svg>");
+        self.out
+    }
+}
+
+fn shortened(text: &str) -> String {
+    if text.chars().count() <= LONGEST {
+        return text.to_owned();
+    }
+    text.chars().take(LONGEST - 1).chain(['…']).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drawing() -> Drawing {
+        let frame = Frame { title: "<b>", x: "time in s", y: "m/s²", height: 200.0 };
+        Drawing::new(frame, Axis::between(0.0, 10.0), Axis::between(0.0, 1.0))
+    }
+
+    #[test]
+    fn what_is_not_finite_interrupts_and_no_text_is_markup() {
+        let mut drawing = drawing();
+        drawing.curve("x", [(0.0, 0.0), (1.0, f64::NAN), (2.0, 1.0), (3.0, 0.5)]);
+        drawing
+            .surface("x", &[(0.0, 0.1, 0.2), (1.0, 0.1, 0.2), (2.0, f64::NAN, 0.2), (3.0, 0.0, 1.0), (4.0, 0.0, 1.0)]);
+        drawing.stretch("mark", [3.0, 3.0], Some("a gap of \"<script>\""));
+        let svg = drawing.done();
+        assert_eq!((svg.matches('M').count(), svg.matches("class=\"surface").count()), (4, 2), "{svg}");
+        assert!(!svg.contains("NaN") && !svg.contains("<b>") && !svg.contains("<script>") && svg.ends_with("</svg>"));
+        assert!(svg.contains("width=\"4.0\""), "{svg}");
+    }
+
+    #[test]
+    fn a_long_title_is_cut() {
+        assert_eq!(shortened(&"x".repeat(200)).chars().count(), LONGEST);
+    }
+}

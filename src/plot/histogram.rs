@@ -1,0 +1,122 @@
+//! The histogram of a channel with the normal distribution of its mean and standard deviation, and whether it is one.
+
+use super::axis::Axis;
+use super::drawing::{Drawing, Frame};
+use super::number::rounded;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// Points of the normal curve.
+const POINTS: usize = 200;
+/// Bins that are drawn at most: several are one bar where there are more.
+const BARS: usize = 120;
+
+/// The parts of a channel in `vn100d-statistics-1` that are drawn.
+#[derive(Debug, Deserialize)]
+struct Statistics {
+    unit: String,
+    mean: Option<f64>,
+    std: Option<f64>,
+    histogram: Bins,
+    normality: Option<Normality>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Bins {
+    edges: Vec<f64>,
+    counts: Vec<u64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Normality {
+    p_value: f64,
+    verdict: String,
+}
+
+/// The picture of a channel's entry in `vn100d-statistics-1`; empty where it has no samples.
+///
+/// # Errors
+/// What is no such entry.
+pub fn histogram(channel: &str, statistics: &str) -> Result<String, serde_json::Error> {
+    let of: Statistics = serde_json::from_str(statistics)?;
+    let (edges, counts) = (&of.histogram.edges, &of.histogram.counts);
+    let total: u64 = counts.iter().sum();
+    let ends = edges.first().zip(edges.last());
+    let (Some((low, high)), true) = (ends, total > 0 && edges.len() == counts.len() + 1) else {
+        return Ok(String::new());
+    };
+    let together = counts.len().div_ceil(BARS).max(1);
+    let bars: Vec<(f64, f64, f64)> = (0..counts.len())
+        .step_by(together)
+        .map(|place| {
+            let end = (place + together).min(counts.len());
+            let (from, to) = (edges[place], edges[end]);
+            let count: u64 = counts[place..end].iter().sum();
+            let width = if to > from { to - from } else { 1.0 };
+            (from, to, count as f64 / total as f64 / width)
+        })
+        .collect();
+    let normal: Vec<(f64, f64)> = match (of.mean, of.std.filter(|std| *std > 0.0)) {
+        (Some(mean), Some(std)) => (0..=POINTS)
+            .map(|point| {
+                let value = low + (high - low) * point as f64 / POINTS as f64;
+                (value, (-0.5 * ((value - mean) / std).powi(2)).exp() / (TAU.sqrt() * std))
+            })
+            .collect(),
+        _ => Vec::new(),
+    };
+    let most =
+        bars.iter().map(|(.., height)| *height).chain(normal.iter().map(|(_, height)| *height)).fold(0.0, f64::max);
+    let y = format!("density per {}", of.unit);
+    let x = format!("{channel} in {}", of.unit);
+    let title = match &of.normality {
+        Some(test) if test.verdict == "normal" => {
+            format!("Histogram of {channel}: normal (p = {})", rounded(test.p_value, 2))
+        }
+        Some(test) => format!("Histogram of {channel}: not normal (p = {})", rounded(test.p_value, 2)),
+        None => format!("Histogram of {channel}"),
+    };
+    let up = Axis::between(0.0, 1.05 * most);
+    let mut drawing =
+        Drawing::new(Frame { title: &title, x: &x, y: &y, height: 300.0 }, Axis::between(*low, *high), up);
+    for (from, to, height) in bars {
+        drawing.bar("bar", from, to, height);
+    }
+    drawing.curve("law", normal);
+    if of.std.is_some_and(|std| std > 0.0) {
+        drawing.key(&[("law", "normal distribution")]);
+    }
+    Ok(drawing.done())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn of(edges: &[f64], counts: &[u64]) -> String {
+        let of = json!({"unit": "m/s²", "n": 4, "mean": 0.5, "std": 0.4, "histogram": {"edges": edges, "counts": counts},
+            "normality": {"test": "jarque-bera", "statistic": 99.0, "p_value": 1e-9, "verdict": "not_normal"}});
+        histogram("accel_<x>", &of.to_string()).unwrap()
+    }
+
+    #[test]
+    fn bars_curve_and_verdict_are_there() {
+        let svg = of(&[0.0, 0.5, 1.0], &[3, 1]);
+        assert_eq!((svg.matches("class=\"bar\"").count(), svg.matches("line law").count()), (2, 2), "{svg}");
+        assert!(
+            svg.contains("not normal (p = 1·10⁻⁹)") && svg.contains("density per m/s²") && !svg.contains("<x>"),
+            "{svg}"
+        );
+    }
+
+    #[test]
+    fn many_bins_become_few_bars_and_none_is_no_picture() {
+        let edges: Vec<f64> = (0..=1000).map(f64::from).collect();
+        let bars = of(&edges, &[1; 1000]).matches("class=\"bar\"").count();
+        assert!((100..=BARS).contains(&bars), "{bars}");
+        assert_eq!(of(&[], &[]), "");
+        assert!(!of(&[1.0, 1.0], &[5]).contains("NaN"));
+        assert!(histogram("x", "{}").is_err());
+    }
+}

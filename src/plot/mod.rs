@@ -1,0 +1,71 @@
+//! Plots: what the interfaces' documents say, as SVG. Pure.
+//!
+//! In: documents as any program gets them (JSON, of this version or another), or plain numbers. Out: one `<svg>`, coloured by the style
+//! of the page it stands in, or [`alone`] with a style of its own for light, dark and paper. Promised: no text of a document
+//! becomes markup, nothing that is not finite is drawn, every axis has its unit.
+
+mod axis;
+mod course;
+mod density;
+mod deviation;
+mod drawing;
+mod gaps;
+mod histogram;
+pub mod json;
+pub mod number;
+mod residuals;
+mod spectra;
+
+pub use course::Course;
+pub use density::Density;
+pub use deviation::Deviations;
+pub use gaps::{Gap, Gaps};
+pub use histogram::histogram;
+pub use residuals::Residuals;
+pub use spectra::Spectra;
+
+const STYLE: &str = include_str!("style.css");
+
+/// A picture as a file of its own, with its style.
+#[must_use]
+pub fn alone(svg: &str) -> String {
+    match svg.split_once('>') {
+        Some((head, body)) => {
+            format!("{head}><style>{STYLE}</style><rect class=\"ground\" width=\"100%\" height=\"100%\"/>{body}\n")
+        }
+        None => String::new(),
+    }
+}
+
+/// The style of curves and surfaces, for a page that has pictures in it.
+#[must_use]
+pub fn style() -> &'static str {
+    STYLE
+}
+
+/// Text with nothing in it that HTML or SVG take for their own.
+#[must_use]
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_alone_has_its_style_and_its_ground() {
+        let svg = alone("<svg viewBox=\"0 0 1 1\"><path/></svg>");
+        assert!(
+            svg.starts_with("<svg viewBox=\"0 0 1 1\"><style>") && svg.trim_end().ends_with("<path/></svg>"),
+            "{svg}"
+        );
+        assert!(svg.contains("prefers-color-scheme:dark") && !STYLE.contains('<') && !STYLE.contains('&'));
+        assert_eq!(alone(""), "");
+    }
+
+    #[test]
+    fn no_text_is_markup() {
+        assert_eq!(escaped("<script a=\"1\">&"), "&lt;script a=&quot;1&quot;&gt;&amp;");
+    }
+}

@@ -1,0 +1,88 @@
+//! Spectra of one channel: the recording's, the model's before and after.
+
+use super::axis::Axis;
+use super::drawing::{Drawing, Frame};
+use super::json::{numbers, numbers_or_none};
+use serde::Deserialize;
+
+/// Amplitude densities of one channel.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Spectra {
+    channel: String,
+    unit: String,
+    #[serde(deserialize_with = "numbers")]
+    frequency_hz: Vec<f64>,
+    #[serde(deserialize_with = "numbers")]
+    real: Vec<f64>,
+    #[serde(default, deserialize_with = "numbers_or_none")]
+    before: Option<Vec<f64>>,
+    #[serde(default, deserialize_with = "numbers_or_none")]
+    after: Option<Vec<f64>>,
+}
+
+impl Spectra {
+    /// Whose they are.
+    #[must_use]
+    pub fn channel(&self) -> &str {
+        &self.channel
+    }
+
+    /// The pictures: densities, and where the model is known what they are over its own, which shows what is small beside drifts.
+    /// Bands in Hz are marked behind the curves. Empty where nothing is above 0.
+    #[must_use]
+    pub fn svg(&self, bands: &[[f64; 2]]) -> String {
+        let all = [("real", Some(&self.real)), ("before", self.before.as_ref()), ("after", self.after.as_ref())];
+        let curves: Vec<(&str, Vec<f64>)> =
+            all.iter().filter_map(|(class, values)| Some((*class, (*values)?.clone()))).collect();
+        let y = format!("density in {}/√Hz", self.unit);
+        let mut out = self.drawn(&format!("Spectra of {}", self.channel), &y, 320.0, &curves, bands);
+        if let Some(before) = &self.before {
+            let over = |values: &[f64]| -> Vec<f64> {
+                values.iter().zip(before).map(|(value, own)| if *own > 0.0 { value / own } else { 0.0 }).collect()
+            };
+            let ratios: Vec<(&str, Vec<f64>)> = curves.iter().map(|(class, values)| (*class, over(values))).collect();
+            let title = format!("Spectra of {} over the model's", self.channel);
+            out += &self.drawn(&title, "times the model", 260.0, &ratios, bands);
+        }
+        out
+    }
+
+    fn drawn(&self, title: &str, y: &str, height: f64, curves: &[(&str, Vec<f64>)], bands: &[[f64; 2]]) -> String {
+        let frame = Frame { title, x: "frequency in Hz", y, height };
+        let across = Axis::logarithmic(self.frequency_hz.iter().copied());
+        let up = Axis::logarithmic(curves.iter().flat_map(|(_, values)| values).copied());
+        let (Some(across), Some(up)) = (across, up) else { return String::new() };
+        let mut drawing = Drawing::new(frame, across, up);
+        bands.iter().for_each(|band| drawing.stretch("mark", *band, None));
+        for (class, values) in curves {
+            drawing.curve(class, self.frequency_hz.iter().copied().zip(values.iter().copied()));
+        }
+        drawing.done()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_curve_that_is_there_is_drawn_inside_the_picture() {
+        let of = Spectra {
+            channel: "<z>".to_owned(),
+            unit: "m/s²".to_owned(),
+            frequency_hz: vec![0.01, 1.0, 20.0],
+            real: vec![1.0, 2e-3, 0.0],
+            before: None,
+            after: Some(vec![1.1, 2e-3, 2e-3]),
+        };
+        let svg = of.svg(&[[11.0, 12.0]]);
+        assert_eq!(svg.matches("<path class=\"line").count(), 2);
+        assert!(svg.contains("class=\"mark\"") && svg.contains("m/s²/√Hz") && !svg.contains("<z>"), "{svg}");
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        let known = Spectra { before: Some(vec![1.0, 2e-3, 1e-3]), ..of };
+        let svg = known.svg(&[]);
+        assert_eq!((svg.matches("<path class=\"line").count(), svg.matches("<svg").count()), (6, 2));
+        assert!(svg.contains("times the model") && !svg.contains("NaN"), "{svg}");
+        assert_eq!(Spectra { frequency_hz: vec![], real: vec![], after: None, ..known }.svg(&[]), "");
+    }
+}
