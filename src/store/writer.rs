@@ -41,7 +41,8 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
-/// The longest a record waits for its commit to begin, in real time: with the commit itself it stays under a second.
+/// The longest a record that was taken from the queue waits for its commit to begin, in real time: with this commit and the one
+/// before it, during which it waited in the queue, it stays under a second.
 pub const COMMIT_AFTER: Duration = Duration::from_millis(750);
 /// So many records are committed without waiting.
 pub const COMMIT_RECORDS: usize = 8192;

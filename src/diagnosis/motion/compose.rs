@@ -63,11 +63,14 @@ pub(super) fn outcome(
         let bias = |channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0);
         let level = of.triad.channels().map(bias);
         located.extend(places::places(of, level, late.is_some(), &aligned.motions, part.rate_hz, from_s));
+        let numbers = sums.numbers;
         let own = add(&mut sums, of, late.is_some());
+        let floor = 0.5 * (sums.numbers - numbers) as f64 / 3.0;
         for (channel, [whole, left]) in of.triad.channels().into_iter().zip(own) {
             if let Some(gap) = diagnosis.per_channel.get_mut(channel.name()) {
                 gap.before += whole / samples;
                 gap.after += left / samples;
+                gap.floor += floor / samples;
             }
         }
         for (_, foreign) in of.foreign() {

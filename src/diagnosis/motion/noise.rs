@@ -1,11 +1,9 @@
 //! Noise: the law that a triad's answer is weighed by, of a model as far as it is known.
 
-use crate::diagnosis::report::Diagnosis;
 use crate::diagnosis::response::{Filters, NORMAL_95, NoiseLaw, ResponseError};
 use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
-use serde_json::Value;
 use std::sync::Arc;
 
 /// Effects that have a density throughout a record; drifts are taken off before.
@@ -15,6 +13,10 @@ const LASTING: [&str; 7] =
 const LOUD: [&str; 2] = ["bursts", "spikes"];
 /// How well N, B and K are believed to be known where a model says no interval: standard deviations of ln of their squares.
 const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
+/// Standard error of a cutoff's logarithm where a model states no interval.
+const UNSTATED: f64 = 0.1;
+/// What a cutoff has to be below to act at the rate of decimated samples, in parts of it.
+const BELOW: f64 = 0.49;
 /// Euler's constant.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
 
@@ -49,33 +51,32 @@ pub(super) fn law(
     NoiseLaw::of_model(&plain, triad, rate_hz, samples)
 }
 
-/// The filters of each axis that a motion passes, with the cutoffs that were found in a noise open as far as it left them.
-pub(super) fn filters(model: &SensorModel, found: Option<&Diagnosis>, triad: Triad) -> Filters {
+/// The filters of each axis that a motion passes; of its low passes the cutoff that is known worst is open, as far as its interval
+/// leaves it.
+pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
     // Before samples are decimated filters act at another rate: a cutoff in Hz is the same at this one, a window is not.
     let decimated = model.sampling.is_some();
-    let of = triad.channels().map(|channel| {
-        let effects = model.channels.get(&channel).map(|of| of.effects.as_slice()).unwrap_or_default();
-        let filters = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
-        filters.filter(|effect| !decimated || effect.name() == "low_pass").cloned().collect()
-    });
-    let open = triad.channels().map(|channel| {
-        let causes = found.into_iter().flat_map(|found| &found.causes).filter(|cause| cause.effect == "low_pass");
-        let told = causes.filter_map(|cause| ends_of(cause.uncertainty.get(channel.name())?, "cutoff_hz")).next();
-        told.map(|[low, high]| (high / low).ln() / (2.0 * NORMAL_95)).filter(|error| error.is_finite() && *error > 0.0)
-    });
-    Filters { of, open }
-}
-
-/// The first interval of that name among the intervals of one or several effects.
-fn ends_of(of: &Value, name: &str) -> Option<[f64; 2]> {
-    match of {
-        Value::Array(list) => list.iter().find_map(|one| ends_of(one, name)),
-        Value::Object(map) => {
-            let ends = map.get(name)?.as_array()?;
-            Some([ends.first()?.as_f64()?, ends.get(1)?.as_f64()?])
+    let mut all = Filters::default();
+    for (axis, channel) in triad.channels().into_iter().enumerate() {
+        let Some(of) = model.channels.get(&channel) else { continue };
+        for (index, effect) in of.effects.iter().enumerate().filter(|(_, effect)| effect.stage() == Stage::Bandwidth) {
+            let cutoff = effect.parameters().into_iter().find(|(name, _)| *name == "cutoff_hz");
+            let cutoff_hz = cutoff.and_then(|(_, value)| value.as_f64());
+            if decimated && cutoff_hz.is_none_or(|cutoff_hz| cutoff_hz > BELOW * model.rate_hz) {
+                continue;
+            }
+            if cutoff_hz.is_some() {
+                let told =
+                    of.effect_interval(index, "cutoff_hz").map(|[low, high]| (high / low).ln() / (2.0 * NORMAL_95));
+                let error = told.filter(|error| error.is_finite() && *error > 0.0).unwrap_or(UNSTATED);
+                if all.open[axis].is_none_or(|(_, other)| error > other) {
+                    all.open[axis] = Some((all.of[axis].len(), error));
+                }
+            }
+            all.of[axis].push(Arc::clone(effect));
         }
-        _ => None,
     }
+    all
 }
 
 /// What a model says of the level's course on each axis beside its motion, U.
@@ -122,4 +123,42 @@ pub(super) fn mean_freedom(model: &SensorModel, triad: Triad, rate_hz: f64, samp
         Some(2.0 / variance).filter(|value| value.is_finite())
     };
     triad.channels().into_iter().filter_map(of).fold(1e6, f64::min).max(4.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::response::Filters;
+    use serde_json::{Value, json};
+
+    fn of(effects: Value, uncertainty: Value, sampling: Value) -> Filters {
+        let channel = json!({"N": 1e-4, "effects": effects, "uncertainty": {"effects": uncertainty}});
+        let mut value = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": 40,
+            "channels": {"gyro_x": channel, "gyro_y": {"N": 1e-4}, "gyro_z": {"N": 1e-4}}});
+        if !sampling.is_null() {
+            value["sampling"] = sampling;
+        }
+        filters(&SensorModel::from_value(&value, "test").unwrap(), Triad::Gyro)
+    }
+
+    #[test]
+    fn the_cutoff_that_is_known_worst_is_open_as_far_as_its_interval_says() {
+        let two = json!([{"effect": "low_pass", "cutoff_hz": 15.0}, {"effect": "low_pass", "cutoff_hz": 5.0}]);
+        let told = json!([{"cutoff_hz": {"ci95": [14.9, 15.1]}}, {"cutoff_hz": {"ci95": [4.5, 5.5]}}]);
+        let found = of(two.clone(), told, Value::Null);
+        let (place, error) = found.open[0].unwrap();
+        assert!(place == 1 && (error - (5.5f64 / 4.5).ln() / 3.92).abs() < 1e-4, "{error}");
+        assert_eq!((found.of[0].len(), found.open[1]), (2, None));
+        // Nothing stated is little known.
+        assert_eq!(of(two, json!([]), Value::Null).open[0], Some((0, UNSTATED)));
+    }
+
+    #[test]
+    fn before_samples_are_decimated_only_a_cutoff_below_their_band_acts() {
+        let sampling = json!({"internal_rate_hz": 800, "filter_window": 4});
+        let all = json!([{"effect": "low_pass", "cutoff_hz": 70.0}, {"effect": "moving_average", "window": 3},
+            {"effect": "low_pass", "cutoff_hz": 8.0}]);
+        let found = of(all, json!([]), sampling);
+        assert_eq!((found.of[0].len(), found.open[0]), (1, Some((0, UNSTATED))));
+    }
 }

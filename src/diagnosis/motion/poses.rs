@@ -15,6 +15,7 @@
 use super::groups::Pricing;
 use super::rests::Rest;
 use super::select::Choice;
+use crate::diagnosis::diagnose::Options;
 use crate::effects::triad::Axes;
 use crate::sample::Triad;
 use crate::simulator::SensorModel;
@@ -47,6 +48,17 @@ pub(super) enum Part {
     Bias,
     ScaleFactor,
     CrossAxis,
+}
+
+impl Part {
+    /// The contract's name of the effect.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Bias => "bias",
+            Self::ScaleFactor => "scale_factor",
+            Self::CrossAxis => "cross_axis_sensitivity",
+        }
+    }
 }
 
 pub(super) const PARTS: [Part; 3] = [Part::Bias, Part::ScaleFactor, Part::CrossAxis];
@@ -121,9 +133,10 @@ pub(super) fn tumbled(
     rests: &[Rest],
     rate_hz: f64,
     model: &SensorModel,
-    level: f64,
+    options: &Options<'_>,
     mean_freedom: f64,
 ) -> Option<Tumbled> {
+    let level = options.level;
     let count = rests.len();
     let channels = Triad::Accel.channels();
     let noise: Vec<[f64; 3]> = channels
@@ -196,7 +209,11 @@ pub(super) fn tumbled(
     let all = vec![1.0; count];
     // A bias is as sure as flicker's level is known, as against a reference.
     let of_mean = Pricing { level, triads: 1, mean_freedom }.price_of_mean(3, PARTS.len());
-    let prices = PARTS.map(|part| if part == Part::Bias { of_mean } else { price(3.0, level) });
+    let prices = PARTS.map(|part| match part {
+        part if !options.wants(part.name()) => f64::INFINITY,
+        Part::Bias => of_mean,
+        _ => price(3.0, level),
+    });
     let mut best: Option<(f64, Vec<usize>)> = None;
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {

@@ -9,9 +9,10 @@
 //! Stat. Assoc. 84), so that windows with a jerk in them count little. Where the scale is above [`STEADY`] nothing is told: a
 //! hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
-use super::poses::{PARTS, Tumbled, belief, columns_of, price};
+use super::poses::{PARTS, Part, Tumbled, belief, columns_of, price};
 use super::rests::{self, Rest};
 use super::select::Choice;
+use crate::diagnosis::diagnose::Options;
 use crate::diagnosis::recording::Recording;
 use crate::effects::triad::Axes;
 use crate::units::STANDARD_GRAVITY_M_S2;
@@ -111,7 +112,7 @@ struct Fit {
 }
 
 /// What the windows say; None where they are too few, too alike or too restless.
-pub(super) fn quasi_static(windows: &Windows, level: f64) -> Option<Tumbled> {
+pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<Tumbled> {
     let count = windows.rows.len();
     if count < LEAST || rests::poses(&windows.stands) < POSES_MIN {
         return None;
@@ -129,11 +130,13 @@ pub(super) fn quasi_static(windows: &Windows, level: f64) -> Option<Tumbled> {
     let all: Vec<Fit> = (0..8usize)
         .map(|subset| fit(&(0..3).filter(|part| subset >> part & 1 == 1).collect::<Vec<_>>(), &everywhere))
         .collect::<Option<_>>()?;
-    let prices = PARTS.map(|_| price(3.0, level));
+    let priced = |part: Part| if options.wants(part.name()) { price(3.0, options.level) } else { f64::INFINITY };
+    let prices = PARTS.map(priced);
     // Neighbours that are alike count for fewer than they are.
     let alike = all.last().map_or(0.0, |of| correlation(&of.left)).max(0.0);
     let fewer = (1.0 - alike) / (1.0 + alike);
-    let score = |subset: usize| fewer * all[subset].nats - f64::from(subset.count_ones()) * prices[0];
+    let cost = |subset: usize| (0..3).filter(|part| subset >> part & 1 == 1).map(|part| prices[part]).sum::<f64>();
+    let score = |subset: usize| fewer * all[subset].nats - cost(subset);
     let own = (0..8).max_by(|one, other| score(*one).total_cmp(&score(*other)))?;
     let best = &all[own];
     if best.scale > STEADY {
@@ -270,7 +273,7 @@ mod tests {
         let of = |triad: Triad| triad.channels().map(|channel| real.values(channel).unwrap());
         let windows = Windows::of(real, of(Triad::Accel), of(Triad::Gyro), [0.0; 3]);
         assert!(windows.turn(&[]));
-        quasi_static(&windows, 0.05)
+        quasi_static(&windows, &Options { level: 0.05, ..Options::default() })
     }
 
     #[test]

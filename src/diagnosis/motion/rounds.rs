@@ -42,7 +42,6 @@ pub(super) fn run(
     let mut still = sim.clone();
     still.triads.clear();
     let mut told = still.clone();
-    let mut noise_told = None;
     let mut before = None;
     let mut round = 0;
     loop {
@@ -50,8 +49,7 @@ pub(super) fn run(
         let places: Vec<Mutex<Option<Result<Settled, DiagnosisError>>>> =
             triads.iter().map(|_| Mutex::new(None)).collect();
         options.workers.each(triads.len(), &|index| {
-            let (told, found, temperature_c) = (&told, noise_told.as_ref(), temperature_c.as_deref());
-            let about = About { part, aligned, sim, told, found, temperature_c };
+            let about = About { part, aligned, sim, told: &told, temperature_c: temperature_c.as_deref() };
             let settled = about.settle(triads[index], triads.len(), options, lenient);
             *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(settled);
         });
@@ -68,7 +66,6 @@ pub(super) fn run(
         }
         before = Some(now);
         told = rest.augmented;
-        noise_told = Some(rest.diagnosis);
     }
 }
 
@@ -81,7 +78,7 @@ pub(super) fn refined(
     triads: &[Triad],
 ) -> Result<Option<Lie>, DiagnosisError> {
     let mut best: Option<(f64, Lie)> = None;
-    let about = About { part, aligned, sim, told: sim, found: None, temperature_c: None };
+    let about = About { part, aligned, sim, told: sim, temperature_c: None };
     let middle_s = 0.5 * part.len().saturating_sub(1) as f64 / part.rate_hz;
     for triad in triads {
         let fit = about.delayed(*triad)?;

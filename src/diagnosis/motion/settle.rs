@@ -7,9 +7,7 @@ use super::select::{Choice, Weighing};
 use super::{BLOCKS, noise};
 use crate::diagnosis::diagnose::Options;
 use crate::diagnosis::error::DiagnosisError;
-use crate::diagnosis::law::reach;
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::Diagnosis;
 use crate::diagnosis::response::{self, Candidate, Clock, Filters, Fit, Record, Request, Screen};
 use crate::diagnosis::{facts, prepare};
 use crate::effects::TriadEffect;
@@ -21,8 +19,9 @@ use std::sync::Arc;
 const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
 /// Nats from which on samples that repeat are sent again.
 const REPEATED: f64 = 14.0;
-/// Times a filter's reach, 2π of its time constants, after which what went in before the record shows below any noise.
-const FORGETS: usize = 3;
+/// The most of a record that is left out at its begin behind a slow filter.
+const FORGOTTEN_MOST: f64 = 1.0 / 32.0;
+const BANDWIDTH: Member = Member::Foreign(Foreign::Bandwidth);
 /// Orders of a filter that a motion's rounded corners are tried with.
 const ORDERS: [u64; 3] = [1, 2, 4];
 
@@ -71,9 +70,8 @@ pub(super) struct About<'a> {
     pub(super) part: &'a Recording,
     pub(super) aligned: &'a Aligned,
     pub(super) sim: &'a SensorModel,
-    /// The noise as far as it is known, and how it was found.
+    /// The noise as far as it is known.
     pub(super) told: &'a SensorModel,
-    pub(super) found: Option<&'a Diagnosis>,
     pub(super) temperature_c: Option<&'a [f64]>,
 }
 
@@ -100,7 +98,7 @@ impl About<'_> {
         let (rate_hz, motions) = (self.part.rate_hz, self.aligned.motions.as_slice());
         let n = motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
-        let filters = noise::filters(self.told, self.found, triad);
+        let filters = noise::filters(self.told, triad);
         let left_out = self.left_out(sent, &filters);
         let courses = noise::courses(self.told, triad, rate_hz, n, self.temperature_c);
         let mut samples = sent.map(|values| {
@@ -169,21 +167,30 @@ impl About<'_> {
             for (values, of) in inside.iter_mut().zip(&outside) {
                 values.iter_mut().zip(of).for_each(|(value, of)| *value -= of);
             }
+            let left_out = self.left_out(sent, filters);
             let record = self.record(triad, &inside, sent, &left_out);
             let fit = response::fit(&record, &law, &Request { filters, ..request })?;
             Ok(Ended { fit, outside })
         };
         // What is outside the library is taken off before the rest is fitted as the simulator makes it.
         let own: Vec<(usize, f64)> = columns.iter().copied().zip(numbers.iter().copied()).collect();
-        let mut ended = fitted(self.outside(triad, &own, screen.own, &counts, &filters), &filters)?;
-        if members().any(|member| member == Member::Foreign(Foreign::Bandwidth)) {
-            // Its columns are a filter's to some hundredths; what they leave would hide the filter from the noise's diagnosis.
+        let outside = |own: &[(usize, f64)]| self.outside(triad, own, &screen, &counts, &filters);
+        let mut ended = fitted(outside(&own), &filters)?;
+        if let Some(place) = choice.groups.iter().find(|place| groups[**place].member == BANDWIDTH) {
+            // Its columns are a filter's to some hundredths; what they leave would hide the filter from the noise's diagnosis. What
+            // else is outside may be what they leave.
+            let others: Vec<(usize, f64)> =
+                own.iter().copied().filter(|(column, _)| !groups[*place].columns.contains(column)).collect();
             let delay_s = self.aligned.shared.then_some(numbers[0]);
-            for order in ORDERS {
-                let nothing = std::array::from_fn(|_| vec![0.0; n]);
-                let other = fitted(nothing, &filters.supposed(order, delay_s, rate_hz))?;
-                if other.misfit() < ended.misfit() {
-                    ended = other;
+            for supposed in ORDERS.into_iter().filter_map(|order| filters.supposed(order, delay_s, rate_hz)) {
+                for left in [&others[..], &[]] {
+                    let other = fitted(outside(left), &supposed)?;
+                    if other.misfit() < ended.misfit() {
+                        ended = other;
+                    }
+                    if others.iter().all(|(column, _)| *column < screen.own) {
+                        break;
+                    }
                 }
             }
         }
@@ -194,17 +201,20 @@ impl About<'_> {
         Ok(Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, rest })
     }
 
-    /// What the columns that are none of the library's make with their numbers; they begin at `first`.
+    /// What the columns of a screen that are none of the library's make with their numbers.
     fn outside(
         &self,
         triad: Triad,
         columns: &[(usize, f64)],
-        mut first: usize,
+        screen: &Screen,
         counts: &[(Foreign, usize)],
         filters: &Filters,
     ) -> [Vec<f64>; 3] {
         let motions = self.aligned.motions.as_slice();
         let mut outside: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; motions.len()]);
+        let moved = ["x ln_cutoff", "y ln_cutoff", "z ln_cutoff"]
+            .map(|name| screen.estimates().iter().find(|one| one.parameter == name).map_or(0.0, |one| one.value));
+        let mut first = screen.own;
         for (of, count) in counts {
             let own: Vec<_> = columns.iter().filter(|(column, _)| (first..first + count).contains(column)).collect();
             // Rarely one is chosen: it is made again sooner than kept.
@@ -216,7 +226,7 @@ impl About<'_> {
                 for (axis, sum) in outside.iter_mut().enumerate() {
                     // The screen had it behind the filters.
                     let Some(mut values) = made[column - first][axis].clone() else { continue };
-                    filters.pass(axis, 0.0, self.part.rate_hz, &mut values);
+                    filters.pass(axis, moved[axis], self.part.rate_hz, &mut values);
                     sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
                 }
             }
@@ -250,7 +260,7 @@ impl About<'_> {
     pub(super) fn delayed(&self, triad: Triad) -> Result<Fit, DiagnosisError> {
         let n = self.aligned.motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
-        let filters = noise::filters(self.told, self.found, triad);
+        let filters = noise::filters(self.told, triad);
         let left_out = self.left_out(sent, &filters);
         let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
         let samples = sent.map(|values| values.iter().map(finite).collect::<Vec<f64>>());
@@ -293,8 +303,8 @@ impl About<'_> {
         if repeats.gain > REPEATED && repeats.places.len() >= 3 {
             repeats.places.into_iter().for_each(|t| out[t] = true);
         }
-        let reach = filters.of.iter().flatten().map(|filter| reach(filter.as_ref(), self.part.rate_hz)).max();
-        let begins = (FORGETS * reach.unwrap_or(0)).min(out.len() / 32);
+        let most = (FORGOTTEN_MOST * out.len() as f64) as usize;
+        let begins = filters.memory(self.part.rate_hz).min(most);
         out[..begins].fill(true);
         out
     }

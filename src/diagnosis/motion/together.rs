@@ -1,6 +1,7 @@
 //! Together: what a motion drives and what remains without it are one gap, with one ranking of its causes.
 //!
-//! Both gaps are in nats of the same record, so they add, and a cause of either closes its part of their sum.
+//! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was compared at
+//! one rest alone is taken to be as large a sample throughout.
 
 use crate::diagnosis::report::{Cause, Diagnosis, Place, Verdict};
 use crate::effects::{Stream, StreamId, TriadEffect};
@@ -18,7 +19,7 @@ const NORMAL_95: f64 = 1.959_963_984_540_054;
 pub(super) struct Driven {
     pub(super) triad: Triad,
     pub(super) effect: Arc<dyn TriadEffect>,
-    /// Nats, all others fitted anew; None for what is read off exactly.
+    /// Nats, all others fitted anew; None for what is read off exactly and what nothing held out measures.
     pub(super) gain: Option<f64>,
     pub(super) rank: f64,
     pub(super) cause: Cause,
@@ -57,7 +58,7 @@ impl Driven {
 /// The gap that a motion drives, nats.
 #[derive(Default)]
 pub(super) struct Sums {
-    /// In blocks that the rest tells of: of time, or poses.
+    /// In blocks of time; one where there are none.
     pub(super) whole: Vec<f64>,
     pub(super) closed: Vec<f64>,
     /// Numbers that were fitted.
@@ -65,7 +66,8 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    fn floor(&self) -> f64 {
+    /// What numbers of noise alone explain.
+    pub(super) fn floor(&self) -> f64 {
         0.5 * self.numbers as f64
     }
 }
@@ -149,13 +151,17 @@ fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: 
         one.cause.closes = one.gain.filter(|_| motion > 0.0 && all > 0.0).map(|gain| gain / motion * closed / all);
     }
     let mut ranked: Vec<(f64, Cause)> = driven.iter().map(|one| (one.rank, one.cause.clone())).collect();
-    for mut cause in std::mem::take(&mut diagnosis.causes) {
+    // What is read off exactly closes no part; it stays before those it was before.
+    let mut least = 0.0f64;
+    for mut cause in std::mem::take(&mut diagnosis.causes).into_iter().rev() {
         let nats = cause.closes.map_or(0.0, |part| part * rest_nats);
         if all > 0.0 {
             cause.closes = cause.closes.map(|_| nats / all);
         }
-        ranked.push((nats, cause));
+        least = least.max(nats);
+        ranked.push((least, cause));
     }
+    ranked[driven.len()..].reverse();
     ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
     diagnosis.causes = ranked.into_iter().map(|(_, cause)| cause).collect();
 }
@@ -175,4 +181,68 @@ pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad,
         effects.push(Arc::clone(&one.effect));
     }
     triads
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::diagnose::{Options, diagnose};
+    use crate::diagnosis::recording::Recording;
+    use crate::effects::triad::ScaleFactor;
+    use crate::sample::Channel;
+    use serde_json::json;
+
+    /// A record at rest whose values are rounded, and what it has besides a tone.
+    fn at_rest() -> Diagnosis {
+        let channel = json!({"N": 1e-4, "effects": [{"effect": "resolution", "step": 1e-3},
+            {"effect": "tone", "frequency_hz": 7.3, "amplitude": 2e-3}]});
+        let of = |channel| {
+            SensorModel::from_value(
+                &json!({"format": "vn100d-sensor-model-1", "name": "t", "rate_hz": 40, "channels": {"gyro_x": channel}}),
+                "test",
+            )
+            .unwrap()
+        };
+        let mut simulator = crate::simulator::Simulator::new(&of(channel), 4, 40.0, 300.0).unwrap();
+        let values = std::iter::from_fn(|| simulator.next_sample()).take(12_000);
+        let values = values.map(|sample| sample.values[Channel::GyroX as usize]).collect();
+        let real = Recording { rate_hz: 40.0, channels: vec![(Channel::GyroX, values)], ..Recording::default() };
+        diagnose(&real, &of(json!({"N": 1e-4})), &Options::default()).unwrap().diagnosis
+    }
+
+    fn joined(gain: f64, whole: &[f64], closed: &[f64]) -> Diagnosis {
+        let mut diagnosis = at_rest();
+        let effect = Arc::new(ScaleFactor { axes: [1e-3, 0.0, 0.0] });
+        let mut driven =
+            [Driven::new(Triad::Gyro, effect, Some(gain), vec!["gyro_x".to_owned()], 0.99, Value::Null, Vec::new())];
+        let sums = Sums { whole: whole.to_vec(), closed: closed.to_vec(), numbers: 3 };
+        join(&mut diagnosis, &sums, &mut driven, Vec::new(), 12_000.0, "blocks");
+        diagnosis
+    }
+
+    #[test]
+    fn causes_of_both_are_ranked_together_and_close_parts_of_one_gap() {
+        let rest = at_rest();
+        let names = |of: &Diagnosis| of.causes.iter().map(|cause| cause.effect).collect::<Vec<_>>();
+        assert!(names(&rest).contains(&"resolution") && names(&rest).contains(&"tone"), "{:?}", names(&rest));
+        // Far more than the rest, and next to nothing beside it.
+        let more = joined(1e6, &[6e5, 4e5], &[6e5, 4e5]);
+        assert_eq!(names(&more)[0], "scale_factor");
+        let less = joined(5.0, &[3.0, 3.0], &[2.0, 2.0]);
+        assert_eq!(names(&less).last(), Some(&"scale_factor"));
+        assert_eq!(names(&less)[..rest.causes.len()], names(&rest)[..]);
+        for of in [&more, &less] {
+            let all: f64 = of.causes.iter().filter_map(|cause| cause.closes).sum();
+            assert!((all - of.discrepancy.closed.unwrap()).abs() < 0.02, "{all} {:?}", of.discrepancy);
+            let shares: f64 = of.r#where.iter().map(|place| place.share).sum();
+            assert!(shares <= 1.0 + 1e-9, "{shares}");
+        }
+        assert!((more.discrepancy.before - rest.discrepancy.before - 1e6 / 12_000.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn one_block_has_no_interval() {
+        assert!(joined(1e4, &[1e4], &[9e3]).discrepancy.closed_ci95.is_none());
+        assert!(joined(1e4, &[5e3, 5e3], &[4e3, 5e3]).discrepancy.closed_ci95.is_some());
+    }
 }

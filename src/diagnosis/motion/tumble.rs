@@ -83,12 +83,10 @@ pub fn diagnose_tumble(
         of.n = outcome.augmented.channels.get(channel).map_or(of.n, |found| found.n);
     }
     let freedom = mean_freedom(&noise, Triad::Accel, real.rate_hz, real.len());
-    let at_rest = tumble.then(|| poses::tumbled(&rests, real.rate_hz, &noise, options.level, freedom)).flatten();
+    let at_rest = tumble.then(|| poses::tumbled(&rests, real.rate_hz, &noise, options, freedom)).flatten();
     let found = match at_rest {
         Some(of) => Some(Poses { of, stands: &rests, how: How::Rests }),
-        None => {
-            quasi_static(&windows, options.level).map(|of| Poses { of, stands: &windows.stands, how: How::Windows })
-        }
+        None => quasi_static(&windows, options).map(|of| Poses { of, stands: &windows.stands, how: How::Windows }),
     };
     tell(&mut outcome, sim, real, options, longest, found.as_ref(), &turns);
     Some(Ok(outcome))
@@ -131,8 +129,7 @@ fn tell(
     turns: &[Turned],
 ) {
     let mut named: Vec<Driven> = poses.map(|poses| of_poses(poses, sim)).unwrap_or_default();
-    named.extend(of_turns(turns, sim));
-    named.retain(|one| options.wants(one.effect.name()));
+    named.extend(of_turns(turns, sim).filter(|_| options.wants("scale_factor")));
     let diagnosis = &mut outcome.diagnosis;
     let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
     let mut notes = vec![format!(
@@ -175,6 +172,15 @@ fn tell(
                 .to_owned(),
         );
         let sums = Sums { whole: vec![of.choice.gain], closed: vec![of.held_out], numbers: 3 * of.choice.groups.len() };
+        // A magnitude is of no axis.
+        let each = |nats: f64| nats / (3.0 * real.len() as f64);
+        for channel in Triad::Accel.channels() {
+            if let Some(gap) = diagnosis.per_channel.get_mut(channel.name()) {
+                gap.before += each(of.choice.gain);
+                gap.after += each(of.choice.gain - of.held_out);
+                gap.floor += each(sums.floor());
+            }
+        }
         let held_out = match poses.how {
             How::Rests => "poses foretold by all others",
             How::Windows => "half of the windows foretold by the other",
@@ -193,7 +199,7 @@ fn tell(
         }
     }
     if poses.is_none() && !named.is_empty() {
-        together::join(diagnosis, &Sums::default(), &mut named, Vec::new(), all, "of the turns nothing");
+        together::join(diagnosis, &Sums::default(), &mut named, Vec::new(), all, "no part of the turns was held out");
     }
     if !named.is_empty() && diagnosis.verdict != Verdict::UnknownEffect {
         diagnosis.verdict = Verdict::Effects;
@@ -213,14 +219,10 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
         .iter()
         .map(|group| {
             let part = PARTS[*group];
-            let (name, names) = match part {
-                Part::Bias => ("bias", AXES),
-                Part::ScaleFactor => ("scale_factor", AXES),
-                Part::CrossAxis => ("cross_axis_sensitivity", ["xy", "xz", "yz"]),
-            };
+            let names = if part == Part::CrossAxis { ["xy", "xz", "yz"] } else { AXES };
             let found: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
             // To first order what is found beside what is known adds to it.
-            let known = known(sim, Triad::Accel, name, names);
+            let known = known(sim, Triad::Accel, part.name(), names);
             let axes: Axes = std::array::from_fn(|axis| known[axis] + found[axis]);
             let effect: Arc<dyn TriadEffect> = match part {
                 Part::Bias => Arc::new(Bias { axes }),

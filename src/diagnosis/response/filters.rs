@@ -4,6 +4,7 @@
 //! filter is known as well as both together tell it: the cutoff's logarithm is fitted, with what the noise said of it as one
 //! observation more.
 
+use crate::diagnosis::law::reach;
 use crate::effects::{Effect, LowPass, Stream, StreamId};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -14,33 +15,35 @@ use std::sync::Arc;
 pub struct Filters {
     /// x, y and z, each in their order.
     pub of: [Vec<Arc<dyn Effect>>; 3],
-    /// Standard error of the logarithm of the cutoff of each axis's first low pass, where it is to be fitted.
-    pub open: [Option<f64>; 3],
+    /// Which of each axis's filters is a low pass whose cutoff is to be fitted, and the standard error of its logarithm.
+    pub open: [Option<(usize, f64)>; 3],
 }
 
 /// Filters of no axis.
 pub static NO_FILTERS: Filters = Filters { of: [Vec::new(), Vec::new(), Vec::new()], open: [None; 3] };
 /// Half the step of the derivative by the logarithm.
-pub(super) const STEP: f64 = 1e-3;
+const STEP: f64 = 1e-3;
 /// What a cutoff stays below, in parts of the rate.
 const HIGHEST: f64 = 0.49;
-/// Where a supposed cutoff starts at least, and where nothing tells, in parts of the rate.
+/// Where a supposed cutoff starts at least, in parts of the rate.
 const LOWEST: f64 = 0.005;
+/// Where it starts when nothing tells.
 const UNTOLD: f64 = 0.1;
 /// Standard error of the logarithm of a cutoff of which nothing is known.
 const WIDE_OPEN: f64 = 3.0;
+/// Times rate over cutoff, 2π of a filter's time constants, that it remembers.
+const FORGETS: f64 = 3.0;
 
 impl Filters {
     /// Lets values of an axis pass, in place; linear, and from what they begin with. `moved`: what is added to the logarithm of
     /// the open cutoff.
     pub(crate) fn pass(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
         let length_s = values.len() as f64 / rate_hz;
-        let mut first = self.open[axis].is_some() && moved != 0.0;
-        for filter in &self.of[axis] {
+        let open = self.open[axis].map(|(place, _)| place).filter(|_| moved != 0.0);
+        for (place, filter) in self.of[axis].iter().enumerate() {
             // A filter draws nothing.
             let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
-            let other = low_pass(filter.as_ref()).filter(|_| first).map(|own| {
-                first = false;
+            let other = low_pass(filter.as_ref()).filter(|_| open == Some(place)).map(|own| {
                 let cutoff_hz = (own.cutoff_hz * moved.exp()).min(own.cutoff_hz.max(HIGHEST * rate_hz));
                 LowPass { cutoff_hz, ..own }
             });
@@ -58,25 +61,38 @@ impl Filters {
     }
 
     /// The same with a low pass of this order on every axis that has none, so far open that the motion alone tells it. It starts
-    /// where others of the triad are, else where it would make this delay.
-    pub(crate) fn supposed(&self, order: u64, delay_s: Option<f64>, rate_hz: f64) -> Self {
+    /// where others of the triad are, else where it would make this delay. None where every axis has one.
+    pub(crate) fn supposed(&self, order: u64, delay_s: Option<f64>, rate_hz: f64) -> Option<Self> {
         let own = |axis: usize| self.of[axis].iter().find_map(|filter| low_pass(filter.as_ref()));
         // Of a Butterworth filter of order n the delay is 1/(2πf·sin(π/2n)).
         let lags = |seconds: f64| (TAU * seconds * (PI / (2 * order) as f64).sin()).recip();
         let told_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(UNTOLD * rate_hz, lags);
         let other = (0..3).find_map(own).unwrap_or(LowPass { cutoff_hz: told_hz, order });
         let cutoff_hz = other.cutoff_hz.clamp(LOWEST * rate_hz, HIGHEST * rate_hz);
+        if (0..3).all(|axis| own(axis).is_some()) {
+            return None;
+        }
         let mut all = self.clone();
         for axis in (0..3).filter(|axis| own(*axis).is_none()) {
+            all.open[axis] = Some((all.of[axis].len(), WIDE_OPEN));
             all.of[axis].push(Arc::new(LowPass { cutoff_hz, order: other.order }));
-            all.open[axis] = Some(WIDE_OPEN);
         }
-        all
+        Some(all)
+    }
+
+    /// Samples after which what went in before a record's first shows no longer: it falls by e to the −6π, slower behind the sharper
+    /// corners of higher orders.
+    pub(crate) fn memory(&self, rate_hz: f64) -> usize {
+        let of = |filter: &dyn Effect| match low_pass(filter) {
+            Some(own) => FORGETS * rate_hz / own.cutoff_hz / (PI / (2 * own.order) as f64).sin(),
+            None => reach(filter, rate_hz) as f64,
+        };
+        self.of.iter().flatten().map(|filter| of(filter.as_ref())).fold(0.0, f64::max).ceil() as usize
     }
 
     /// What was known of an axis's cutoff beforehand: the inverse variance of its logarithm.
     pub(super) fn weight(&self, axis: usize) -> f64 {
-        self.open[axis].map_or(0.0, |error| error.powi(-2))
+        self.open[axis].map_or(0.0, |(_, error)| error.powi(-2))
     }
 }
 
@@ -99,7 +115,7 @@ mod tests {
         let case = Case::new(Triad::Gyro, rate_table(), &[]);
         let filters = |cutoff_hz| Filters {
             of: std::array::from_fn(|_| vec![Arc::new(LowPass { cutoff_hz, order: 2 }) as Arc<dyn Effect>]),
-            open: [Some(error); 3],
+            open: [Some((0, error)); 3],
         };
         let mut samples = case.samples(seed);
         for (axis, values) in samples.iter_mut().enumerate() {
@@ -154,7 +170,8 @@ mod tests {
         let filters = |cutoff_hz, open: Option<f64>| {
             let low_pass: Arc<dyn Effect> = Arc::new(LowPass { cutoff_hz, order: 3 });
             let mean: Arc<dyn Effect> = Arc::new(MovingAverage { window: 4 });
-            Filters { of: [vec![mean, low_pass], Vec::new(), Vec::new()], open: [open, Some(0.1), None] }
+            let open = open.map(|error| (1, error));
+            Filters { of: [vec![mean, low_pass], Vec::new(), Vec::new()], open: [open, Some((0, 0.1)), None] }
         };
         let passed = |filters: Filters, axis, moved| {
             let mut values: Vec<f64> = (0..50).map(|index| f64::from(index % 7)).collect();
@@ -168,5 +185,23 @@ mod tests {
         // Up to what the rate carries, and nothing where there is no filter.
         assert_eq!(passed(filters(10.0, Some(0.1)), 0, 9.0), passed(filters(49.0, None), 0, 0.0));
         assert_eq!(passed(filters(10.0, None), 1, 0.1), passed(filters(10.0, None), 2, 0.0));
+    }
+
+    #[test]
+    fn a_filter_is_supposed_where_there_is_none_and_begins_with_the_delay_it_would_make() {
+        let none = NO_FILTERS.clone();
+        let supposed = none.supposed(1, Some(0.02), 100.0).unwrap();
+        let of = low_pass(supposed.of[2][0].as_ref()).unwrap();
+        assert!((of.cutoff_hz * TAU * 0.02 - 1.0).abs() < 1e-12 && supposed.open[2] == Some((0, WIDE_OPEN)));
+        let low_pass_at = |cutoff_hz| Arc::new(LowPass { cutoff_hz, order: 2 }) as Arc<dyn Effect>;
+        let one = Filters { of: [vec![low_pass_at(5.0)], Vec::new(), Vec::new()], open: [Some((0, 0.02)), None, None] };
+        let others = one.supposed(1, Some(0.02), 100.0).unwrap();
+        assert_eq!(
+            (low_pass(others.of[1][0].as_ref()), others.open[0]),
+            (low_pass(one.of[0][0].as_ref()), Some((0, 0.02)))
+        );
+        assert!(others.supposed(1, None, 100.0).is_none());
+        // Three times rate over cutoff, more for a sharper corner.
+        assert_eq!((supposed.memory(100.0), one.memory(100.0), none.memory(100.0)), (38, 85, 0));
     }
 }

@@ -39,8 +39,10 @@ pub struct Screen {
     pub known: Vec<f64>,
     /// XᵀX and Xᵀy per block, in the order of time.
     pub blocks: Vec<(DMatrix<f64>, DVector<f64>)>,
-    /// Their sums.
+    /// Their sums, with what was known of open cutoffs beforehand.
     pub total: (DMatrix<f64>, DVector<f64>),
+    /// What was known of each column's number beforehand: the inverse variance about 0, no block's and therefore every one's in part.
+    beforehand: Vec<f64>,
     /// Whitened columns in time, per axis.
     columns: Vec<Held>,
     /// Whitened samples less the known response, in time.
@@ -73,9 +75,12 @@ pub fn screen(
             total.1 += gradient;
         }
         // What was known of a cutoff is one observation more, of no time.
+        let known = search.known();
+        let beforehand =
+            (0..columns.len()).map(|place| if place < own { known[(place, place)] } else { 0.0 }).collect();
         let mut corner = total.0.view_mut((0, 0), (own, own));
-        corner += search.known();
-        Screen { fit, own, known: known_values, blocks: sums, total, columns, samples }
+        corner += known;
+        Screen { fit, own, known: known_values, blocks: sums, total, beforehand, columns, samples }
     })
 }
 
@@ -192,7 +197,7 @@ impl Screen {
             }
             let (_, numbers) = solve(&matrix, &gradient, columns);
             for (block, (own, more)) in self.blocks.iter().enumerate().skip(fold).step_by(folds) {
-                explained[block] = predicted(own, more, columns, &numbers);
+                explained[block] = predicted(own, more, columns, &numbers) - self.strained(columns, &numbers);
             }
         }
         explained
@@ -201,7 +206,15 @@ impl Screen {
     /// What the columns with these numbers explain in each block, nats.
     #[must_use]
     pub fn explained(&self, columns: &[usize], numbers: &[f64]) -> Vec<f64> {
-        self.blocks.iter().map(|(own, more)| predicted(own, more, columns, numbers)).collect()
+        let strained = self.strained(columns, numbers);
+        self.blocks.iter().map(|(own, more)| predicted(own, more, columns, numbers) - strained).collect()
+    }
+
+    /// Nats per block that it costs to have these numbers otherwise than they were known beforehand.
+    fn strained(&self, columns: &[usize], numbers: &[f64]) -> f64 {
+        let all: f64 =
+            columns.iter().zip(numbers).map(|(column, number)| self.beforehand[*column] * number * number).sum();
+        0.5 * all / self.blocks.len().max(1) as f64
     }
 
     /// Per axis and sample: half the square of what the columns with these numbers make of it, whitened. Its sum is the gap
@@ -320,5 +333,45 @@ mod tests {
         // A cube says nothing here beyond chance.
         let (more, _) = found.gain(&[0, 1, 2, 3, 4, 5, 9]);
         assert!((0.0..8.0).contains(&(more - gain)), "{}", more - gain);
+    }
+
+    #[test]
+    fn what_was_known_of_a_cutoff_counts_as_an_observation_that_no_block_has() {
+        use crate::diagnosis::response::Filters;
+        use crate::effects::{Effect, LowPass};
+        use std::sync::Arc;
+        let case = Case::new(Triad::Gyro, rate_table(), &[(Candidate::Latency, vec![0.02])]);
+        let samples = case.samples(6);
+        let record = Record {
+            rate_hz: RATE_HZ,
+            triad: Triad::Gyro,
+            samples: samples.each_ref().map(Vec::as_slice),
+            reference: &case.reference,
+            temperature_c: None,
+            left_out: &[],
+            sent: None,
+        };
+        let found = |error: f64| {
+            let low_pass = || vec![Arc::new(LowPass { cutoff_hz: 5.0, order: 1 }) as Arc<dyn Effect>];
+            let filters = Filters { of: [low_pass(), low_pass(), low_pass()], open: [Some((0, error)); 3] };
+            let request = Request {
+                known: &[],
+                level: [0.0; 3],
+                candidates: &[Candidate::Latency],
+                clock: Clock::SHARED,
+                filters: &filters,
+            };
+            screen(&record, &case.law, &request, Vec::new(), 16).unwrap()
+        };
+        for error in [1e-3, 0.3] {
+            let found = found(error);
+            let columns: Vec<usize> = (0..found.own).collect();
+            let (gain, numbers) = found.gain(&columns);
+            let explained: f64 = found.explained(&columns, &numbers).iter().sum();
+            assert!((explained / gain - 1.0).abs() < 1e-9, "{explained} {gain}");
+            let strained: f64 = numbers[1..4].iter().map(|number| 0.5 * (number / error).powi(2)).sum();
+            let of_blocks: f64 = found.blocks.iter().map(|(own, more)| predicted(own, more, &columns, &numbers)).sum();
+            assert!((of_blocks - strained - gain).abs() < 1e-6 * gain, "{of_blocks} {strained} {gain}");
+        }
     }
 }

@@ -121,7 +121,7 @@ impl Kind {
     pub fn unit(self, triad: Triad) -> &'static str {
         let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
         match self {
-            Self::Bias => of("rad/s", "m/s²"),
+            Self::Bias | Self::DeadBand => of("rad/s", "m/s²"),
             Self::TemperatureBias => of("rad/s/°C", "m/s²/°C"),
             Self::Misalignment => "rad",
             Self::GSensitivity => "rad/s per m/s²",
@@ -132,7 +132,7 @@ impl Kind {
             Self::WarmScale => "per °C",
             Self::ScaleFactor | Self::CrossAxisSensitivity => "",
             Self::UnsignedNonlinearity | Self::SignedNonlinearity => "at full scale",
-            Self::Hysteresis | Self::Creep | Self::DeadBand => "",
+            Self::Hysteresis | Self::Creep => "",
         }
     }
 

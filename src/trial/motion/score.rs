@@ -362,7 +362,7 @@ mod tests {
         use crate::trial::motion::case::{Case, pack, unpack};
         use crate::trial::motion::plan;
         let told = |name: &str| std::env::var(name).ok();
-        let cases: usize = told("VN100D_MOTION_CASES").and_then(|text| text.parse().ok()).unwrap_or(4);
+        let cases: usize = told("VN100D_MOTION_CASES").and_then(|text| text.parse().ok()).unwrap_or(10);
         let seed: u64 = told("VN100D_MOTION_SEED").and_then(|text| text.parse().ok()).unwrap_or(11);
         let kinds = told("VN100D_MOTION_KINDS").unwrap_or_default();
         let wishes = plan(seed, cases, kinds.split(',').filter(|word| !word.is_empty())).unwrap();
