@@ -60,8 +60,11 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
 fn closed_by_truth(report: &Value, truth: &Value) -> Option<f64> {
     let (before, floor) = (discrepancy(report, "after_parameters")?, discrepancy(report, "floor")?);
     let after = discrepancy(truth, "after_parameters")?;
-    // Where nothing was named the motion's gap is in no number: the truth closes it.
-    let Some(_) = discrepancy(report, "closed") else { return Some(1.0) };
+    if discrepancy(report, "closed").is_none() {
+        // Where nothing was named the motion's gap is in no number: the truth closes it. Where something was, nothing was there to
+        // close in what chose nothing.
+        return report["causes"].as_array().is_none_or(Vec::is_empty).then_some(1.0);
+    }
     (before > floor).then(|| (before - after) / (before - floor))
 }
 

@@ -241,11 +241,7 @@ fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
 
 /// The sensor's range, where samples stand at it and the model has none.
 fn saturation(of: &Settled) -> Option<Driven> {
-    let clipping = of.fit.clipping?;
-    let told = of.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
-    if told.is_some_and(|range| (range / clipping.limit - 1.0).abs() < 1e-6) {
-        return None;
-    }
+    let clipping = of.range()?;
     let ties: usize = clipping.ties.iter().sum();
     let channels = of.triad.channels().into_iter().zip(clipping.ties).filter(|(_, ties)| *ties > 0);
     let channels: Vec<String> = channels.map(|(channel, _)| channel.name().to_owned()).collect();
@@ -255,8 +251,10 @@ fn saturation(of: &Settled) -> Option<Driven> {
         clipping.limit
     )];
     let effect = Candidate::Saturation.make(&[clipping.limit]);
-    let mut one = Driven::new(of.triad, effect, None, channels, 0.999, Value::Null, evidence);
-    one.rank = TIE * ties as f64;
+    let nats: f64 = of.cut_off.iter().flatten().flatten().sum();
+    let mut one = Driven::new(of.triad, effect, Some(nats), channels, 0.999, Value::Null, evidence);
+    // An exact tie tells of the range even where hardly anything is beyond it.
+    one.rank = nats.max(TIE * ties as f64);
     Some(one)
 }
 
@@ -273,8 +271,18 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
         .chain(delay.iter().copied())
         .collect();
     let whole_columns = weighing.columns(&of.choice.groups);
+    let n = of.fit.response[0].len();
+    let cut_off = of.cut_off.as_ref().map_or([0.0; 3], |axes| axes.each_ref().map(|nats| nats.iter().sum::<f64>()));
+    for nats in of.cut_off.iter().flatten() {
+        for block in 0..BLOCKS {
+            // With its range a model shows these samples exactly.
+            let own: f64 = nats[n * block / BLOCKS..n * (block + 1) / BLOCKS].iter().sum();
+            sums.whole[block] += own;
+            sums.closed[block] += own;
+        }
+    }
     if inside.is_empty() && of.choice.groups.is_empty() {
-        return [[0.0; 2]; 3];
+        return cut_off.map(|nats| [nats, 0.0]);
     }
     let with_base = |columns: &[usize]| base.iter().copied().chain(columns.iter().copied()).collect::<Vec<usize>>();
     let (_, of_base) = of.screen.gain(&base);
@@ -303,7 +311,7 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
         .collect();
     let axes = of.screen.by_axis(&columns, &numbers);
     let all: f64 = axes.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-    axes.map(|axis| [total * axis / all, (total - closed) * axis / all])
+    std::array::from_fn(|axis| [total * axes[axis] / all + cut_off[axis], (total - closed) * axes[axis] / all])
 }
 
 /// What nearly explains what a cause does.

@@ -113,7 +113,10 @@ pub fn diagnose_moved(
     }
     let mut found = rounds::run(&part, &aligned, sim, &triads, options)?;
     // Laid beside the triad that tells the time best, which is the late one: what all are late by is the clock's.
-    if let Some(offset_s) = found.lateness.offset_s.filter(|of| !aligned.shared && of.abs() * real.rate_hz > ALIGNED) {
+    // With a small latency too: laid beside the late triad it would be the other one that is early.
+    let latency_s = found.lateness.latencies.iter().map(|(of, _)| of.seconds).fold(f64::INFINITY, f64::min);
+    let most_s = (ALIGNED / real.rate_hz).min(0.1 * latency_s);
+    if let Some(offset_s) = found.lateness.offset_s.filter(|of| !aligned.shared && of.abs() > most_s) {
         let begins_s = aligned.begins_s - offset_s;
         aligned = align::at(real, reference, sim, align::Lie { begins_s, gains: aligned.gains, shared: false })?;
         part = real.part(aligned.from..aligned.from + aligned.motions.len());

@@ -33,7 +33,10 @@ pub(super) fn places(
     let told = |place: &usize| *place >= of.base.len() || (late && *place == 0);
     let (chosen, by): (Vec<usize>, Vec<f64>) =
         (0..columns.len()).filter(told).map(|place| (columns[place], numbers[place])).unzip();
-    let course = of.screen.course(&chosen, &by);
+    let mut course = of.screen.course(&chosen, &by);
+    for (values, more) in course.iter_mut().zip(of.cut_off.iter().flatten()) {
+        values.iter_mut().zip(more).for_each(|(value, more)| *value += more);
+    }
     let model = response::expected(of.triad, rate_hz, motions, &of.known, level);
     let totals = course.each_ref().map(|values| values.iter().sum::<f64>());
     let all: f64 = totals.iter().sum();
@@ -44,7 +47,9 @@ pub(super) fn places(
         }
         let values = &course[axis];
         let [from, to] = shortest(values, totals[axis]);
-        let rising = mean_gap(&of.fit.response[axis], &model[axis], values);
+        // What is cut off is missing.
+        let is_cut = of.cut_off.as_ref().is_some_and(|nats| nats[axis].iter().sum::<f64>() > 0.5 * totals[axis]);
+        let rising = if is_cut { -1.0 } else { mean_gap(&of.fit.response[axis], &model[axis], values) };
         places.push((
             totals[axis],
             Place {

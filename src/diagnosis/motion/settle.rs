@@ -8,7 +8,7 @@ use super::{BLOCKS, noise};
 use crate::diagnosis::diagnose::Options;
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::response::{self, Candidate, Clock, Filters, Fit, Record, Request, Screen};
+use crate::diagnosis::response::{self, Candidate, Clipping, Clock, Filters, Fit, Record, Request, Screen};
 use crate::diagnosis::{facts, prepare};
 use crate::effects::TriadEffect;
 use crate::sample::Triad;
@@ -42,6 +42,8 @@ pub(super) struct Settled {
     pub(super) mean_freedom: f64,
     /// What the model has already.
     pub(super) known: Vec<Arc<dyn TriadEffect>>,
+    /// Per axis and sample what the sensor cut off beyond its range, nats, where the model has no such range.
+    pub(super) cut_off: Option<[Vec<f64>; 3]>,
     /// Samples less everything that answers the motion, U; no number where a sample is left out.
     pub(super) rest: [Vec<f64>; 3],
 }
@@ -49,6 +51,14 @@ pub(super) struct Settled {
 impl Settled {
     pub(super) fn weighing(&self) -> Weighing<'_> {
         Weighing::new(&self.screen, &self.base, &self.groups)
+    }
+
+    /// The sensor's range, where samples show one that the model has not.
+    pub(super) fn range(&self) -> Option<Clipping> {
+        let clipping = self.fit.clipping?;
+        let told = self.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
+        let is_told = told.is_some_and(|range| (range / clipping.limit - 1.0).abs() < 1e-6);
+        (!is_told).then_some(clipping)
     }
 
     /// The groups that were chosen.
@@ -198,7 +208,20 @@ impl About<'_> {
         let rest = self.rest(sent, &ended);
         let fit = ended.fit;
         let delay = Delay::of(triad, &fit.estimates);
-        Ok(Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, rest })
+        let mut settled =
+            Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, cut_off: None, rest };
+        settled.cut_off = settled.range().filter(|_| options.wants("saturation")).map(|clipping| {
+            // A model without the range expects the response; what was sent is the range exactly.
+            let deviations = law.sample_deviations();
+            std::array::from_fn(|axis| {
+                let beyond = sent[axis].iter().zip(&settled.fit.response[axis]).map(|(sent, response)| {
+                    let more = if sent.abs() == clipping.limit { response.abs() - clipping.limit } else { 0.0 };
+                    0.5 * (more.max(0.0) / deviations[axis]).powi(2)
+                });
+                beyond.collect()
+            })
+        });
+        Ok(settled)
     }
 
     /// What the columns of a screen that are none of the library's make with their numbers.

@@ -15,6 +15,7 @@
 
 use super::ResponseError;
 use crate::effects::Record;
+use crate::effects::triad::Axes;
 use crate::sample::{Channel, Triad};
 use crate::simulator::{SensorModel, Spectrum};
 use std::f64::consts::{PI, SQRT_2};
@@ -102,6 +103,12 @@ impl NoiseLaw {
     #[must_use]
     pub fn samples(&self) -> usize {
         self.axes[0].deviations.len()
+    }
+
+    /// Standard deviation of each axis's white noise in single samples, U.
+    #[must_use]
+    pub fn sample_deviations(&self) -> Axes {
+        self.axes.each_ref().map(AxisLaw::sample_deviation)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::clipping::Bridges;
 use super::design::Column;
-use super::noise_law::{AxisLaw, NoiseLaw};
+use super::noise_law::NoiseLaw;
 use crate::diagnosis::transform::Cosines;
 use crate::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
@@ -52,7 +52,7 @@ impl<'a> Whitening<'a> {
 
     /// Standard deviation of each axis's white noise in single samples.
     pub(super) fn sample_deviations(&self) -> Axes {
-        self.law.axes.each_ref().map(AxisLaw::sample_deviation)
+        self.law.sample_deviations()
     }
 
     pub(super) fn whiten(&mut self, axis: usize, values: &mut [f64]) {
