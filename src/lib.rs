@@ -42,6 +42,7 @@ pub mod cli;
 pub mod config;
 pub mod daemon;
 pub mod emulator;
+pub mod gallery;
 pub mod jobs;
 pub mod notify;
 pub mod recording;

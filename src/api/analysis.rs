@@ -239,6 +239,37 @@ async fn document<T: Serialize + Send + 'static>(
     }
 }
 
+/// What a picture is drawn of.
+pub(super) enum Drawn {
+    /// The analysis' JSON.
+    Document(String),
+    /// It is being worked on: the answer that says so.
+    Later(Response),
+}
+
+/// The document of a kind with the usual parameters; of a capture that runs of what there is so far.
+pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result<Drawn, ApiError> {
+    let (wished, name) = (jobs::parameters(kind, &Value::Null)?, name.to_owned());
+    let found = state.read(move |reader| find(reader, kind, &name, None, &wished)).await?;
+    Ok(match found {
+        Found::Open(id) => {
+            let so_far = move |reader: &Reader, parts: &ApiParts| {
+                let live = &parts.live;
+                let document = match kind {
+                    JobKind::Statistics => serde_json::to_string(&live.statistics(reader, id)?),
+                    JobKind::Noise => serde_json::to_string(&live.noise(reader, id)?),
+                    _ => serde_json::to_string(&live.allan(reader, id)?),
+                };
+                document.map_err(JobError::from)
+            };
+            Drawn::Document(state.read_heavy(so_far).await?)
+        }
+        Found::Result(result) => Drawn::Document(result.body),
+        Found::Job(row) => Drawn::Later(unfinished(row)?),
+        Found::Nothing(id) => Drawn::Later(unfinished(jobs::submit_wish(state, kind, id, Value::Null).await?)?),
+    })
+}
+
 fn find(reader: &Reader, kind: JobKind, name: &str, job: Option<i64>, wished: &Value) -> Result<Found, StoreError> {
     let id = reader.resolve(name)?;
     if let Some(job_id) = job {

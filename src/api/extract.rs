@@ -34,6 +34,20 @@ impl<S: Send + Sync> FromRequestParts<S> for P {
     }
 }
 
+/// Two parts of the path.
+#[derive(Debug, Clone)]
+pub(super) struct P2(pub String, pub String);
+
+impl<S: Send + Sync> FromRequestParts<S> for P2 {
+    type Rejection = ApiError;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let Path((one, other)) = Path::<(String, String)>::from_request_parts(parts, state)
+            .await
+            .map_err(|rejection| ApiError::bad_request(rejection.body_text()))?;
+        Ok(Self(one, other))
+    }
+}
+
 /// A JSON body, `None` where the request has no body.
 #[derive(Debug, Clone)]
 pub(super) struct J<T>(pub Option<T>);

@@ -22,6 +22,7 @@ mod layers;
 mod models;
 mod openapi;
 mod page;
+mod plots;
 mod problem;
 mod router;
 mod samples;

@@ -2,7 +2,7 @@
 
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
-use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, samples, status};
+use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, plots, samples, status};
 use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
@@ -35,6 +35,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(analysis::statistics))
         .routes(routes!(analysis::allan))
         .routes(routes!(analysis::noise))
+        .routes(routes!(plots::plot))
         .routes(routes!(jobs::list, jobs::submit))
         .routes(routes!(jobs::show, jobs::cancel))
         .routes(routes!(models::list, models::keep))
@@ -68,7 +69,8 @@ pub fn router(parts: ApiParts) -> Router {
 
 fn worth_compressing(_: StatusCode, _: Version, headers: &HeaderMap, extensions: &axum::http::Extensions) -> bool {
     let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    extensions.get::<Streamed>().is_none() && (media_type.contains("json") || media_type.starts_with("text/"))
+    extensions.get::<Streamed>().is_none()
+        && (media_type.contains("json") || media_type.contains("svg") || media_type.starts_with("text/"))
 }
 
 async fn nothing_here(_: Request) -> StatusCode {

@@ -11,6 +11,8 @@ const ROOM_DECADES: f64 = 0.06;
 const DECADES_MIN: f64 = 0.35;
 /// Decades from which on only powers of ten have a line.
 const DECADES_MANY: f64 = 2.5;
+/// Decades up to which values between have lines as well.
+const DECADES_FEW: f64 = 0.8;
 /// Labels of a logarithmic axis at most.
 const LABELS: usize = 8;
 
@@ -62,7 +64,11 @@ impl Axis {
             return whole.map(|of| of as f64 * step).map(|value| (value, plain(value))).collect();
         }
         let decades = (self.from.floor() as i32)..=(self.to.ceil() as i32);
-        let steps: &[f64] = if self.to - self.from > DECADES_MANY { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let steps: &[f64] = match self.to - self.from {
+            wide if wide > DECADES_MANY => &[1.0],
+            wide if wide > DECADES_FEW => &[1.0, 2.0, 5.0],
+            _ => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0],
+        };
         let all = decades.flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)));
         let inside: Vec<f64> = all.filter(|value| (self.from..=self.to).contains(&value.log10())).collect();
         let every = inside.len().div_ceil(LABELS).max(1);

@@ -44,7 +44,7 @@ impl Drawing {
         let out = &mut own.out;
         let _ = write!(
             out,
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">\
+            "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">\
              <text class=\"title\" x=\"{left}\" y=\"19\">{title}</text>"
         );
         for (value, label) in x.ticks() {

@@ -29,10 +29,11 @@ const STYLE: &str = include_str!("style.css");
 /// A picture as a file of its own, with its style.
 #[must_use]
 pub fn alone(svg: &str) -> String {
-    match svg.split_once('>') {
-        Some((head, body)) => {
-            format!("{head}><style>{STYLE}</style><rect class=\"ground\" width=\"100%\" height=\"100%\"/>{body}\n")
-        }
+    match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
+        Some((head, body)) => format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\"{head}><style>{STYLE}</style>\
+             <rect class=\"ground\" width=\"100%\" height=\"100%\"/>{body}\n"
+        ),
         None => String::new(),
     }
 }
@@ -57,7 +58,8 @@ mod tests {
     fn a_picture_alone_has_its_style_and_its_ground() {
         let svg = alone("<svg viewBox=\"0 0 1 1\"><path/></svg>");
         assert!(
-            svg.starts_with("<svg viewBox=\"0 0 1 1\"><style>") && svg.trim_end().ends_with("<path/></svg>"),
+            svg.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 1 1\"><style>")
+                && svg.trim_end().ends_with("<path/></svg>"),
             "{svg}"
         );
         assert!(svg.contains("prefers-color-scheme:dark") && !STYLE.contains('<') && !STYLE.contains('&'));

@@ -78,7 +78,7 @@ fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
     let sentence = said.lines().next().unwrap();
     assert!(sentence.contains("that the model lacks"), "{said}");
     let html = std::fs::read_to_string(&page).unwrap();
-    assert!(html.contains(&format!("<h1>{sentence}</h1>")) && html.contains("<polyline class=\"after\""), "{html}");
+    assert!(html.contains(&format!("<h1>{sentence}</h1>")) && html.contains("<path class=\"line after\""), "{html}");
     let again = vn100d(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
     let said = String::from_utf8(again.stderr).unwrap();
     assert!(again.status.code() == Some(73) && said.contains("--force"), "{said}");

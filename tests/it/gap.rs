@@ -164,7 +164,10 @@ fn a_hands_slow_turn_tells_the_bias_that_the_rests_have_and_a_magnets_pass_is_na
     let rest = broad(&world, &turned, "rest.csv", 7, [1.0, 32.8]);
     let found = against_plain(&world, &broad(&world, &turned, "turned.csv", 10, [0.0, 1e9]), &rest, &[]);
     assert_eq!(named(&found)[0], "bias", "{found:#}");
-    let ends = &found["causes"][0]["uncertainty"]["accel"]["z"];
+    // What the noise at rest has stands among the causes where its nats put it.
+    let causes = found["causes"].as_array().unwrap();
+    let bias = causes.iter().find(|cause| cause["triad"] == "accel" && cause["effect"] == "bias").unwrap();
+    let ends = &bias["uncertainty"]["accel"]["z"];
     // At rest with z up |m| is 9.8897: 0.077 more, of which x and y have a thousandth.
     let rested = 9.8897 - BERLIN_M_S2;
     let (low, high) = (ends[0].as_f64().unwrap(), ends[1].as_f64().unwrap());

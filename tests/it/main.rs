@@ -14,6 +14,7 @@ mod export_line;
 mod gap;
 mod imports;
 mod night;
+mod plots;
 mod real_recordings;
 mod recordings;
 mod replay;

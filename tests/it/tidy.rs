@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 28] = [
+const MAY_USE: [(&str, &[&str]); 29] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -26,6 +26,7 @@ const MAY_USE: [(&str, &[&str]); 28] = [
     ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
     ("page", &["plot", "sample"]),
     ("plot", &[]),
+    ("gallery", &["store", "plot", "export", "noise", "sample"]),
     (
         "jobs",
         &["store", "diagnosis", "model_fit", "motion", "noise", "simulator", "sample", "clock", "observe", "units"],
@@ -39,6 +40,8 @@ const MAY_USE: [(&str, &[&str]); 28] = [
             "store",
             "jobs",
             "page",
+            "plot",
+            "gallery",
             "simulator",
             "datasheet",
             "export",

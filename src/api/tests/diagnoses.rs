@@ -47,7 +47,7 @@ fn a_capture_is_compared_with_a_model_and_everyone_gets_the_form_they_read() {
         "{}",
         page.text
     );
-    assert!(page.text.contains("<polyline class=\"real\""), "{}", page.text);
+    assert!(page.text.contains("<path class=\"line real\""), "{}", page.text);
     let list = world.get("/v1/diagnoses?capture=a").json();
     let entry = &list["diagnoses"][0];
     assert_eq!((&entry["id"], &entry["summary"], &entry["verdict"]), (&id, &json["summary"], &json["verdict"]));

@@ -132,7 +132,10 @@ mod tests {
     use serde_json::{Value, json};
 
     fn of(effects: Value, uncertainty: Value, sampling: Value) -> Filters {
-        let channel = json!({"N": 1e-4, "effects": effects, "uncertainty": {"effects": uncertainty}});
+        let mut channel = json!({"N": 1e-4, "effects": effects});
+        if !uncertainty.is_null() {
+            channel["uncertainty"] = json!({ "effects": uncertainty });
+        }
         let mut value = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": 40,
             "channels": {"gyro_x": channel, "gyro_y": {"N": 1e-4}, "gyro_z": {"N": 1e-4}}});
         if !sampling.is_null() {
@@ -150,7 +153,7 @@ mod tests {
         assert!(place == 1 && (error - (5.5f64 / 4.5).ln() / 3.92).abs() < 1e-4, "{error}");
         assert_eq!((found.of[0].len(), found.open[1]), (2, None));
         // Nothing stated is little known.
-        assert_eq!(of(two, json!([]), Value::Null).open[0], Some((0, UNSTATED)));
+        assert_eq!(of(two, Value::Null, Value::Null).open[0], Some((0, UNSTATED)));
     }
 
     #[test]
@@ -158,7 +161,7 @@ mod tests {
         let sampling = json!({"internal_rate_hz": 800, "filter_window": 4});
         let all = json!([{"effect": "low_pass", "cutoff_hz": 70.0}, {"effect": "moving_average", "window": 3},
             {"effect": "low_pass", "cutoff_hz": 8.0}]);
-        let found = of(all, json!([]), sampling);
+        let found = of(all, Value::Null, sampling);
         assert_eq!((found.of[0].len(), found.open[0]), (1, Some((0, UNSTATED))));
     }
 }

@@ -140,10 +140,7 @@ fn a_filter_is_no_latency() {
     let filter = json!([{"effect": "low_pass", "cutoff_hz": 6.0, "order": 1}]);
     let truth = model(json!({}), json!({"gyro_x": filter, "gyro_y": filter, "gyro_z": filter}));
     let found = diagnosed(&truth, Kind::RateTable, 32);
-    let on = |channel: &str| (channel.to_owned(), "low_pass");
-    let mut found_on = named(&found);
-    found_on.sort();
-    assert_eq!(found_on, [on("gyro_x"), on("gyro_y"), on("gyro_z")]);
+    assert_eq!(named(&found), [("gyro_x gyro_y gyro_z".to_owned(), "low_pass")]);
     // The corrected model says how well it knows the cutoffs: on another record of that sensor they are no latency either.
     let again = recorded(&truth, Kind::RateTable, SAMPLES, 35);
     let reference = reference(Kind::RateTable, SAMPLES, 0.0);

@@ -53,8 +53,8 @@ impl Filters {
     }
 
     /// The derivative of what comes through by the logarithm of the open cutoff, in the place of what goes in.
-    pub(super) fn slope(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut Vec<f64>) {
-        let mut above = values.clone();
+    pub(super) fn slope(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
+        let mut above = values.to_vec();
         self.pass(axis, moved + STEP, rate_hz, &mut above);
         self.pass(axis, moved - STEP, rate_hz, values);
         values.iter_mut().zip(above).for_each(|(value, above)| *value = (above - *value) / (2.0 * STEP));

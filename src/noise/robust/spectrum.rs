@@ -6,8 +6,7 @@
 
 use super::Part;
 use super::scale::{median, spread_of_95};
-use realfft::RealFftPlanner;
-use std::f64::consts::PI;
+use crate::noise::welch::Windows;
 
 /// Windows that a spectrum should at least be averaged from.
 const LEAST_WINDOWS: usize = 16;
@@ -41,35 +40,23 @@ impl Spectrum {
         let longest = parts.iter().map(|part| part.values.len()).max()?;
         let most = (longest / LEAST_WINDOWS).clamp(SHORTEST, LONGEST);
         let window = 1 << most.ilog2();
-        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(window);
-        let hann: Vec<f64> = (0..window).map(|i| 0.5 - 0.5 * (2.0 * PI * i as f64 / window as f64).cos()).collect();
-        let norm = 2.0 / (rate_hz * hann.iter().map(|w| w * w).sum::<f64>());
+        let mut transform = Windows::new(window, rate_hz);
         let begin_s = parts.first()?.start_s;
         let end_s = parts.last().map(|part| part.time_s(part.values.len(), rate_hz))?;
         let places = places(parts, window);
         let wild = wildness(parts, &places, window);
         let mut sums = std::array::from_fn::<Vec<f64>, STRETCHES, _>(|_| vec![0.0; window / 2 + 1]);
         let mut counts = [0usize; STRETCHES];
-        let (mut input, mut output, mut scratch) =
-            (fft.make_input_vec(), fft.make_output_vec(), fft.make_scratch_vec());
         for ((part, from), wild) in places.iter().zip(wild) {
             if wild {
                 continue;
             }
             let values = parts.get(*part)?.values.get(*from..from + window)?;
-            detrended(values, &hann, &mut input);
-            fft.process_with_scratch(&mut input, &mut output, &mut scratch).ok()?;
             let middle_s = parts.get(*part)?.time_s(from + window / 2, rate_hz);
             let share = (middle_s - begin_s) / (end_s - begin_s).max(f64::MIN_POSITIVE);
             let stretch = ((share * STRETCHES as f64) as usize).min(STRETCHES - 1);
             counts[stretch] += 1;
-            for (sum, value) in sums[stretch].iter_mut().zip(&output) {
-                *sum += value.norm_sqr() * norm;
-            }
-            // At half the rate both sides are one.
-            if let Some((sum, value)) = sums[stretch].last_mut().zip(output.last()) {
-                *sum -= 0.5 * value.norm_sqr() * norm;
-            }
+            transform.add(values, &mut sums[stretch])?;
         }
         let total: usize = counts.iter().sum();
         if total < LEAST_WINDOWS {
@@ -122,23 +109,6 @@ fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<boo
     // The spread of the calm half: knocks must not widen what they are measured by.
     let spread = (2.0 * spread_of_95(below.iter().copied()).unwrap_or(0.0)).max((2.0 / window as f64).sqrt());
     roughness.iter().map(|value| value - centre > WILD * spread + 0.1).collect()
-}
-
-/// Windowed samples less their straight line, so that a drift does not leak into every bin.
-fn detrended(values: &[f64], hann: &[f64], out: &mut [f64]) {
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let centre = (count - 1.0) / 2.0;
-    let (mut xy, mut xx) = (0.0, 0.0);
-    for (i, value) in values.iter().enumerate() {
-        let x = i as f64 - centre;
-        xy += x * (value - mean);
-        xx += x * x;
-    }
-    let slope = xy / xx.max(1.0);
-    for (i, ((out, value), weight)) in out.iter_mut().zip(values).zip(hann).enumerate() {
-        *out = (value - mean - slope * (i as f64 - centre)) * weight;
-    }
 }
 
 /// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.

@@ -1,0 +1,134 @@
+//! Pictures that are drawn of the samples and gaps themselves.
+
+use super::Picture;
+use crate::export::samples::Bucket;
+use crate::noise::welch::Welch;
+use crate::plot::{Course, Density, Gap, Gaps};
+use crate::sample::{Channel, Triad};
+use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError};
+
+/// Stretches that a course is drawn of: about as many as a picture has columns.
+const STRETCHES: u64 = 1000;
+/// Samples read at once.
+const CHUNK: usize = 16_384;
+/// Bins that lie closer than this part of their frequency are one point of a spectrum.
+const APART: f64 = 0.02;
+/// Gaps that are drawn at most: the longest lists are of minutes of trouble.
+const GAPS_MAX: usize = 2000;
+
+/// A picture of a capture's samples or gaps; None where it is drawn of an analysis. Empty where there is nothing to draw.
+///
+/// # Errors
+/// What the database says.
+pub fn from_samples(reader: &Reader, capture: &str, picture: Picture) -> Result<Option<String>, StoreError> {
+    let mut range = SampleRange::read(reader, capture, None, None)?;
+    Ok(match picture {
+        Picture::Timeseries(channel) => Some(course(reader, &mut range, channel)?),
+        Picture::Psd(triad) => Some(density(reader, &range, triad)?),
+        Picture::Gaps => {
+            let (gaps, length_s) = (gaps(reader, &range)?, length_s(reader, &mut range)?);
+            Some(Gaps { length_s, samples: range.samples(), gaps }.svg())
+        }
+        Picture::Histogram(_) | Picture::Allan(_) | Picture::AllanOfOne(_) => None,
+    })
+}
+
+fn seconds(range: &SampleRange, time_ns: i64) -> f64 {
+    (time_ns - range.axis.origin_ns()) as f64 / 1e9
+}
+
+/// Time of the last sample, s since the first.
+fn length_s(reader: &Reader, range: &mut SampleRange) -> Result<f64, StoreError> {
+    let Some(last) = range.to_seq.checked_sub(1) else { return Ok(0.0) };
+    let chunk = reader.read_samples(range.capture.id, last, 1, &[])?;
+    let times = range.axis.times(reader, &chunk)?;
+    Ok(times.last().map_or(0.0, |time_ns| seconds(range, *time_ns)))
+}
+
+fn gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {
+    let mut all: Vec<Gap> = Vec::new();
+    let mut cursor = None;
+    let of = |row: GapRow| Gap {
+        within_s: [row.from.0, row.to.0].map(|ns| seconds(range, ns)),
+        missing: row.missing,
+        cause: row.cause.name().to_owned(),
+    };
+    loop {
+        let page = reader.gaps(range.capture.id, &PageRequest { limit: None, cursor })?;
+        all.extend(page.rows.into_iter().map(of));
+        cursor = page.next;
+        if cursor.is_none() || all.len() >= GAPS_MAX {
+            return Ok(all);
+        }
+    }
+}
+
+fn course(reader: &Reader, range: &mut SampleRange, channel: Channel) -> Result<String, StoreError> {
+    let mut bucket = Bucket::new(range.samples().div_ceil(STRETCHES).max(1), 1);
+    let mut points: Vec<(f64, f64, f64)> = Vec::new();
+    let mut take = |range: &SampleRange, bucket: &mut Bucket| {
+        if let Some((time_ns, values)) = bucket.row() {
+            let ends: Vec<f64> = values.collect();
+            points.push((seconds(range, time_ns), ends[0], ends[1]));
+        }
+    };
+    let mut next_seq = range.from_seq;
+    while next_seq < range.to_seq {
+        let limit = CHUNK.min(usize::try_from(range.to_seq - next_seq).unwrap_or(CHUNK));
+        let chunk = reader.read_samples(range.capture.id, next_seq, limit, &[channel])?;
+        if chunk.is_empty() {
+            break;
+        }
+        let times = range.axis.times(reader, &chunk)?;
+        let values = chunk.columns.first().map(Vec::as_slice).unwrap_or_default();
+        for (time_ns, value) in times.into_iter().zip(values) {
+            if bucket.take(time_ns, std::iter::once(*value)) {
+                take(range, &mut bucket);
+            }
+        }
+        next_seq = chunk.next_seq();
+    }
+    take(range, &mut bucket);
+    let gaps = gaps(reader, range)?;
+    let told = |gap: Gap| (gap.within_s, format!("{} missing, {}", gap.missing, gap.cause));
+    let gaps = gaps.into_iter().map(told).collect();
+    Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
+}
+
+fn density(reader: &Reader, range: &SampleRange, triad: Triad) -> Result<String, StoreError> {
+    let Some(rate_hz) = range.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0) else { return Ok(String::new()) };
+    let there = |channel: &Channel| range.capture.channels.contains(channel);
+    let channels: Vec<Channel> = triad.channels().into_iter().filter(there).collect();
+    let mut spectra: Vec<Welch> = channels.iter().map(|_| Welch::new(range.samples(), rate_hz)).collect();
+    let mut segment = None;
+    let mut next_seq = range.from_seq;
+    while next_seq < range.to_seq {
+        let limit = CHUNK.min(usize::try_from(range.to_seq - next_seq).unwrap_or(CHUNK));
+        let chunk = reader.read_chunk(range.capture.id, next_seq, limit, &channels)?;
+        if chunk.is_empty() {
+            break;
+        }
+        let mut from = 0;
+        while let Some(own) = chunk.segment.get(from).copied() {
+            let to = from + chunk.segment[from..].iter().take_while(|other| **other == own).count();
+            if segment.replace(own) != Some(own) {
+                spectra.iter_mut().for_each(Welch::interrupt);
+            }
+            for (welch, values) in spectra.iter_mut().zip(&chunk.columns) {
+                welch.push(&values[from..to]);
+            }
+            from = to;
+        }
+        next_seq = chunk.next_seq();
+    }
+    let mut frequency_hz = Vec::new();
+    let mut drawn = Vec::new();
+    for (channel, welch) in channels.iter().zip(&spectra) {
+        let Some((hz, density)) = welch.density(APART) else { continue };
+        frequency_hz = hz;
+        drawn.push((channel.name(), density));
+    }
+    let title = format!("Power spectrum, {}", triad.name());
+    let unit = triad.channels()[0].unit();
+    Ok(Density { title: &title, unit, frequency_hz, channels: drawn, lines: Vec::new() }.svg())
+}
