@@ -301,17 +301,23 @@ fn two_jobs_beside_a_capture_at_800_hz_cost_it_nothing() {
     world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
     // What else this machine does is none of the jobs' doing: of three rounds one must hold.
     let mut shares = Vec::new();
-    for channels in [&SIX[..], &SIX[..5], &SIX[..4]] {
-        let names: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
+    // The same jobs again would be the same jobs: each pair has channels of its own.
+    let mut sets = (2..=SIX.len()).rev().flat_map(|count| SIX.windows(count));
+    for _ in 0..3 {
         let before = wakes(&world, "0.02");
-        let jobs = ["noise", "allan"]
-            .map(|kind| submit(&world, &json!({"kind": kind, "capture": capture, "channels": names})));
-        for job in jobs {
-            assert_eq!(ended(&world, job, &daemon)["state"], "done");
+        let mut after = before;
+        // On a fast machine a pair of jobs is over before there is anything to count.
+        while after.1 - before.1 < 50.0 {
+            let channels = sets.next().unwrap();
+            let names: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
+            let jobs = ["noise", "allan"]
+                .map(|kind| submit(&world, &json!({"kind": kind, "capture": capture, "channels": names})));
+            for job in jobs {
+                assert_eq!(ended(&world, job, &daemon)["state"], "done");
+            }
+            after = wakes(&world, "0.02");
         }
-        let after = wakes(&world, "0.02");
         let (in_time, all) = (after.0 - before.0, after.1 - before.1);
-        assert!(all >= 50.0, "{all} wakes");
         eprintln!("F4: {:.2} % of {all} wakes were at most 20 ms late", 100.0 * in_time / all);
         shares.push(in_time / all);
         if in_time / all >= 0.99 {
