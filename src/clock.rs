@@ -193,6 +193,15 @@ pub fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }
 
+/// By how many seconds local time is ahead of UTC at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the rules
+/// of the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
+#[must_use]
+pub fn local_offset_s(utc_s: i64) -> i64 {
+    use chrono::{Local, Offset, TimeZone};
+    let instant = chrono::DateTime::from_timestamp(utc_s, 0).unwrap_or_default();
+    i64::from(Local.offset_from_utc_datetime(&instant.naive_utc()).fix().local_minus_utc())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

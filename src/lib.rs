@@ -47,4 +47,5 @@ pub mod jobs;
 pub mod notify;
 pub mod recording;
 pub mod retention;
+pub mod schedule;
 pub mod store;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 29] = [
+const MAY_USE: [(&str, &[&str]); 30] = [
     ("units", &[]),
     ("clock", &[]),
     ("sample", &["units"]),
@@ -34,6 +34,7 @@ const MAY_USE: [(&str, &[&str]); 29] = [
     ("config", &["units", "protocol", "observe"]),
     ("notify", &["observe", "sample", "clock", "units"]),
     ("retention", &["sample"]),
+    ("schedule", &["retention", "clock"]),
     (
         "api",
         &[
@@ -56,7 +57,7 @@ const MAY_USE: [(&str, &[&str]); 29] = [
     ("lib", &[]),
 ];
 /// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 15] = [
+const PURE: [&str; 16] = [
     "protocol",
     "sample",
     "noise",
@@ -71,6 +72,7 @@ const PURE: [&str; 15] = [
     "effects",
     "simulator",
     "retention",
+    "schedule",
     "trial",
 ];
 /// Files of shells that are pure all the same.
