@@ -35,8 +35,15 @@ impl Coalescer {
 
     /// Takes in what happened; gives it back where it is to be told now.
     pub fn offer(&mut self, now_ns: u64, notice: Notice) -> Option<Notice> {
-        // Each capture completes once, each plan is another: none of them stands for another.
-        if matches!(notice.event, NotifyEvent::CaptureCompleted | NotifyEvent::DeletionPlanned | NotifyEvent::Test) {
+        // Each capture completes once, each plan and each night is another: none of them stands for another.
+        let is_single = matches!(
+            notice.event,
+            NotifyEvent::CaptureCompleted
+                | NotifyEvent::DeletionPlanned
+                | NotifyEvent::NightSkipped
+                | NotifyEvent::Test
+        );
+        if is_single {
             return Some(notice);
         }
         let slot = self.slots.entry(notice.event).or_insert(Slot { until_ns: 0, interval_ns: 0, held: None });

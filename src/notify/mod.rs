@@ -13,7 +13,7 @@ pub mod notice;
 pub mod watch;
 pub mod worker;
 
-pub use notice::{CaptureFacts, Notice};
+pub use notice::{CaptureFacts, NightFacts, Notice};
 
 use crate::clock::Clock;
 use crate::observe::{NotifyEvent, NotifyStatus, PlannedDeletion, Status};
@@ -74,6 +74,10 @@ impl Tap {
     /// Captures are going to be deleted.
     pub fn deletions(&self, planned: Vec<PlannedDeletion>) {
         self.put(Sign::Deletions(planned));
+    }
+    /// A night of the schedule was not recorded: the name that it would have had, and why.
+    pub fn night_skipped(&self, name: String, reason: String) {
+        self.put(Sign::Skipped(NightFacts { name, reason }));
     }
 }
 

@@ -70,6 +70,15 @@ impl GapFacts {
     }
 }
 
+/// A night of the schedule in a message.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NightFacts {
+    /// The name that its capture would have had.
+    pub name: String,
+    /// Why it was not recorded.
+    pub reason: String,
+}
+
 /// One message, or several of a kind in one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Notice {
@@ -95,6 +104,8 @@ pub struct Notice {
     pub deletions: Vec<PlannedDeletion>,
     /// How many are going to be deleted.
     pub deletions_total: u64,
+    /// The night that was skipped.
+    pub night: Option<NightFacts>,
 }
 
 /// A message fits into a pipe and an environment variable however many captures it is about.
@@ -126,6 +137,7 @@ impl Notice {
             storage: None,
             deletions: Vec::new(),
             deletions_total: 0,
+            night: None,
         }
     }
 
@@ -208,6 +220,10 @@ impl Notice {
                 let more = if more > 0 { format!("; and {more} more (/v1/status)") } else { String::new() };
                 format!("captures are going to be deleted unless they are pinned: {}{more}", names.join("; "))
             }
+            NotifyEvent::NightSkipped => match &self.night {
+                Some(NightFacts { name, reason }) => format!("the night {name} was not recorded: {reason}"),
+                None => "a night was not recorded".to_owned(),
+            },
             NotifyEvent::Test => "this is a test: notifications arrive".to_owned(),
         }
     }

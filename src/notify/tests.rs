@@ -439,6 +439,21 @@ fn a_thousand_deletions_are_one_short_message_that_counts_them() {
 }
 
 #[test]
+fn every_night_that_was_skipped_is_told_by_itself_with_its_reason() {
+    let mut coalescer = Coalescer::new(Duration::from_secs(60));
+    for name in ["nightly-2026-11-21", "nightly-2026-11-22"] {
+        let reason = "capture 7 runs or waits: stop it, or let it end".to_owned();
+        let night = NightFacts { name: name.to_owned(), reason };
+        let notice = watcher().sign(0, Sign::Skipped(night)).remove(0);
+        let notice = coalescer.offer(0, notice).unwrap();
+        let told = format!("the night {name} was not recorded: capture 7 runs or waits: stop it, or let it end");
+        assert_eq!(notice.message(), told);
+        let body: serde_json::Value = serde_json::from_str(&notice.rendered(&sender()).body).unwrap();
+        assert_eq!((&body["event"], &body["night"]["name"]), (&"night_skipped".into(), &name.into()));
+    }
+}
+
+#[test]
 fn without_receivers_the_tap_forgets() {
     let tap = Tap::default();
     assert!(!tap.is_heard());

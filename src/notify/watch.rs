@@ -1,6 +1,6 @@
 //! Watch: what of all that happens is worth telling. Pure: status snapshots and times in, notices out.
 
-use super::notice::{CaptureFacts, DELETIONS_NAMED, GapFacts, Notice};
+use super::notice::{CaptureFacts, DELETIONS_NAMED, GapFacts, NightFacts, Notice};
 use crate::observe::{CaptureStatus, NotifyEvent, PlannedDeletion, SensorState, Status, StorageState, StorageStatus};
 use crate::sample::Gap;
 use std::time::Duration;
@@ -28,6 +28,8 @@ pub enum Sign {
     Ended(CaptureFacts),
     /// Captures are going to be deleted.
     Deletions(Vec<PlannedDeletion>),
+    /// A night of the schedule was not recorded.
+    Skipped(NightFacts),
 }
 
 /// Compares each snapshot with what was told before.
@@ -94,6 +96,11 @@ impl Watcher {
                 notice.deletions_total = planned.len() as u64;
                 notice.deletions = planned;
                 notice.deletions.truncate(DELETIONS_NAMED);
+                vec![notice]
+            }
+            Sign::Skipped(night) => {
+                let mut notice = self.notice(NotifyEvent::NightSkipped, utc_ns);
+                notice.night = Some(night);
                 vec![notice]
             }
         }

@@ -22,13 +22,15 @@ pub enum NotifyEvent {
     SensorBack,
     /// Captures are going to be deleted to keep within `[storage]`'s limits.
     DeletionPlanned,
+    /// A night of `[schedule]` was not recorded, although the daemon ran.
+    NightSkipped,
     /// Somebody tries the notifications out (`vn100d notify`).
     Test,
 }
 
 impl NotifyEvent {
     /// All that can be selected: all but the test, which is always told.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::CaptureCompleted,
         Self::GapOpened,
         Self::GapClosed,
@@ -37,6 +39,7 @@ impl NotifyEvent {
         Self::SensorLost,
         Self::SensorBack,
         Self::DeletionPlanned,
+        Self::NightSkipped,
     ];
 
     /// The name in the configuration, in JSON and in `VN100D_EVENT`.
@@ -51,6 +54,7 @@ impl NotifyEvent {
             Self::SensorLost => "sensor_lost",
             Self::SensorBack => "sensor_back",
             Self::DeletionPlanned => "deletion_planned",
+            Self::NightSkipped => "night_skipped",
             Self::Test => "test",
         }
     }
