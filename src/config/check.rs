@@ -1,7 +1,7 @@
 //! Range checks: pure, over the typed configuration. Whether a rate fits a baud rate is the capture's to say, which
 //! knows the length of a frame.
 
-use super::sections::Config;
+use super::sections::{Config, ScheduleConfig};
 use super::values::{Baud, Output};
 use crate::units::{IMU_RATE_HZ, format_duration};
 use std::time::Duration;
@@ -53,6 +53,7 @@ pub fn check(config: &Config) -> Result<(), Refusal> {
     sensor.bauds.iter().try_for_each(|baud| check_baud("sensor.bauds", *baud))?;
     check_rate(config)?;
     between("capture.duration", config.capture.duration, DURATION)?;
+    check_schedule(config)?;
     between("storage.queue", config.storage.queue, QUEUE)?;
     within("storage.reserve-mib", config.storage.reserve_mib, RESERVE_MIB, " MiB")?;
     within("storage.wal-alarm-mib", config.storage.wal_alarm_mib, WAL_ALARM_MIB, " MiB")?;
@@ -117,6 +118,43 @@ fn within<T: PartialOrd + std::fmt::Display>(
         return Ok(());
     }
     Err(Refusal { key, found: value.to_string(), allowed: format!("allowed is {low} to {high}{unit}") })
+}
+
+fn check_schedule(config: &Config) -> Result<(), Refusal> {
+    let schedule = &config.schedule;
+    let name = &schedule.name;
+    let fits = !name.is_empty()
+        && name.trim() == name
+        && name.chars().count() <= ScheduleConfig::NAME_MAX
+        && !name.contains(|character: char| character == '/' || character.is_control());
+    if !fits {
+        return Err(Refusal {
+            key: "schedule.name",
+            found: format!("{name:?}"),
+            allowed: format!(
+                "expected 1 to {} characters without `/`, control characters, and spaces at either end",
+                ScheduleConfig::NAME_MAX
+            ),
+        });
+    }
+    let Some(interval) = schedule.shortest_interval() else {
+        return Err(Refusal {
+            key: "schedule.days",
+            found: "[]".to_owned(),
+            allowed: "expected at least one of mon, tue, wed, thu, fri, sat, sun; at = \"\" is for no schedule"
+                .to_owned(),
+        });
+    };
+    // A night that lasts into the next one would take its place every other time.
+    let (key, length) = match (schedule.duration.0, schedule.at.0) {
+        (Some(length), _) => ("schedule.duration", length),
+        (None, Some(_)) => ("capture.duration", config.capture.duration),
+        (None, None) => return Ok(()),
+    };
+    between(key, length, (DURATION.0, interval)).map_err(|refusal| Refusal {
+        allowed: format!("{} for a night of `[schedule]`, which ends before the next one begins", refusal.allowed),
+        ..refusal
+    })
 }
 
 fn check_notify(config: &Config) -> Result<(), Refusal> {

@@ -16,8 +16,12 @@ mod values;
 pub use check::{ASCII_RATES_HZ, BAUDS, Refusal, TOKEN_LENGTH_MIN, check};
 pub use error::{ConfigError, Place};
 pub use place::Environment;
-pub use sections::{CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, SensorConfig, StorageConfig};
-pub use values::{ASCII_TYPES, Baud, BinaryFields, Device, LogFormat, Output, Token, Webhook};
+pub use sections::{
+    CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, ScheduleConfig, SensorConfig, StorageConfig,
+};
+pub use values::{
+    ASCII_TYPES, Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook,
+};
 
 use source::Source;
 use std::io::Read as _;

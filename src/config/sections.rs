@@ -1,7 +1,7 @@
 //! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every key;
 //! a test holds the latter against these defaults.
 
-use super::values::{Baud, BinaryFields, Device, LogFormat, Output, Token, Webhook};
+use super::values::{Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook};
 use crate::observe::NotifyEvent;
 use crate::units::{IMU_RATE_HZ, duration_text};
 use serde::{Deserialize, Serialize};
@@ -17,6 +17,8 @@ pub struct Config {
     pub sensor: SensorConfig,
     /// `[capture]`
     pub capture: CaptureConfig,
+    /// `[schedule]`
+    pub schedule: ScheduleConfig,
     /// `[storage]`
     pub storage: StorageConfig,
     /// `[http]`
@@ -85,6 +87,45 @@ pub struct CaptureConfig {
 impl Default for CaptureConfig {
     fn default() -> Self {
         Self { duration: Duration::from_secs(5 * 3600) }
+    }
+}
+
+/// Captures that nobody asks for: one a night.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ScheduleConfig {
+    /// The local time at which a night's capture begins; none begins where it is empty.
+    pub at: StartTime,
+    /// Its sample time, and how late it may still begin; `capture.duration` where it is empty.
+    pub duration: NightLength,
+    /// What its name begins with; the date of the evening follows.
+    pub name: String,
+    /// The days on whose evening one begins.
+    pub days: Vec<Day>,
+}
+
+impl ScheduleConfig {
+    /// The longest name in characters: with the date it is that of a capture.
+    pub const NAME_MAX: usize = 80;
+
+    /// The time from the start of one night to that of the next, at least; `None` where there is no night.
+    #[must_use]
+    pub fn shortest_interval(&self) -> Option<Duration> {
+        let chosen = |day: usize| self.days.contains(&Day::ALL[day % Day::ALL.len()]);
+        let following = |day: usize| (1..=Day::ALL.len()).find(|later| chosen(day + later));
+        let days = (0..Day::ALL.len()).filter(|day| chosen(*day)).filter_map(following).min()?;
+        Some(Duration::from_secs(86_400 * days as u64))
+    }
+}
+
+impl Default for ScheduleConfig {
+    fn default() -> Self {
+        Self {
+            at: StartTime::default(),
+            duration: NightLength::default(),
+            name: "nightly".to_owned(),
+            days: Day::ALL.to_vec(),
+        }
     }
 }
 

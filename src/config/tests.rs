@@ -80,6 +80,21 @@ fn values_of_a_file_count() {
 }
 
 #[test]
+fn a_schedule_has_an_hour_and_may_have_a_length_a_name_and_days_of_its_own() {
+    let read = |text: &str| parse(Path::new("x.toml"), text).unwrap().schedule;
+    assert_eq!(read("").at, StartTime(None));
+    let plain = read("[schedule]\nat = \"22:00\"");
+    assert_eq!(plain.at.to_string(), "22:00");
+    assert_eq!((plain.duration, plain.name.as_str(), plain.days.len()), (NightLength(None), "nightly", 7));
+    let own = read("[schedule]\nat = \"6:05\"\nduration = \"60h\"\nname = \"weekend of A\"\ndays = [\"fri\"]");
+    assert_eq!((own.at.to_string().as_str(), own.duration.to_string().as_str()), ("06:05", "60h"));
+    assert_eq!((own.name.as_str(), own.days.as_slice()), ("weekend of A", [Day::Fri].as_slice()));
+    assert_eq!(own.shortest_interval(), Some(Duration::from_secs(7 * 86_400)));
+    // A long capture is no matter of a schedule that there is not.
+    assert_eq!(read("[capture]\nduration = \"30h\"").at, StartTime(None));
+}
+
+#[test]
 fn a_capture_may_keep_what_the_sensor_sends() {
     let config = parse(Path::new("x.toml"), "[sensor]\noutput = \"keep\"").unwrap();
     assert_eq!(config.sensor.output, Output::Keep);
@@ -93,7 +108,7 @@ fn an_unknown_key_is_refused_with_file_line_and_what_is_allowed() {
     );
     assert_eq!(
         refused("output = \"keep\""),
-        "x.toml:1: there is no key `output`: allowed here are capture, http, log, notify, sensor, storage"
+        "x.toml:1: there is no key `output`: allowed here are capture, http, log, notify, schedule, sensor, storage"
     );
     assert!(refused("\n[sensors]\nbaud = 1").starts_with("x.toml:2: there is no key `sensors`"));
     assert!(refused("sensor.x.y = 1").starts_with("x.toml:1: there is no key `sensor.x`"));
@@ -114,6 +129,27 @@ fn a_value_out_of_range_is_refused_with_file_line_key_and_what_is_allowed() {
         ),
         ("[sensor]\noutput = \"keep\"\nrate-hz = 0.5", "x.toml:3: `sensor.rate-hz` is 0.5 Hz: any rate"),
         ("[capture]\nduration = \"0s\"", "x.toml:2: `capture.duration` is 0ms: allowed is 1s to 8784h"),
+        (
+            "[schedule]\nduration = \"25h\"",
+            "x.toml:2: `schedule.duration` is 25h: allowed is 1s to 24h for a night of `[schedule]`, which ends before",
+        ),
+        (
+            "[schedule]\nduration = \"49h\"\ndays = [\"mon\", \"fri\", \"wed\"]",
+            "x.toml:2: `schedule.duration` is 49h: allowed is 1s to 48h",
+        ),
+        (
+            "[schedule]\nduration = \"25h\"\ndays = [\"sun\", \"mon\"]",
+            "x.toml:2: `schedule.duration` is 25h: allowed is 1s to 24h",
+        ),
+        ("[schedule]\nduration = \"0s\"", "x.toml:2: `schedule.duration` is 0ms: allowed is 1s to 24h"),
+        (
+            "[capture]\nduration = \"30h\"\n[schedule]\nat = \"22:00\"",
+            "x.toml:2: `capture.duration` is 30h: allowed is 1s to 24h for a night of `[schedule]`",
+        ),
+        ("[schedule]\ndays = []", "x.toml:2: `schedule.days` is []: expected at least one of mon, tue"),
+        ("[schedule]\nname = \"\"", "x.toml:2: `schedule.name` is \"\": expected 1 to 80 characters without `/`"),
+        ("[schedule]\nname = \"a/b\"", "x.toml:2: `schedule.name` is \"a/b\": expected 1 to 80"),
+        ("[schedule]\nname = \" a\"", "x.toml:2: `schedule.name` is \" a\": expected 1 to 80"),
         ("[storage]\nqueue = \"1s\"", "x.toml:2: `storage.queue` is 1s: allowed is 30s to 10m"),
         ("[storage]\nreserve-mib = 1", "x.toml:2: `storage.reserve-mib` is 1: allowed is 16 to 1048576 MiB"),
         ("[http]\ntoken = \"short\"", "x.toml:2: `http.token` is a text of 5 characters: allowed are at least 16"),
@@ -155,6 +191,20 @@ fn a_value_of_the_wrong_kind_is_refused_with_file_line_key_and_what_is_allowed()
             "x.toml:2: `sensor.bauds` is [\n9600,\n\"x\"]: invalid type: string \"x\", expected u32",
         ),
         ("[capture]\nduration = \"5\"", "x.toml:2: `capture.duration` is \"5\": `5` is not a duration"),
+        (
+            "[schedule]\nat = \"24:00\"",
+            "x.toml:2: `schedule.at` is \"24:00\": expected a local time of day such as \"22:00\", or \"\" for none",
+        ),
+        ("[schedule]\nat = \"22:00:30\"", "x.toml:2: `schedule.at` is \"22:00:30\": expected a local time"),
+        ("[schedule]\nat = 22:00:00", "x.toml:2: `schedule.at` is 22:00:00: "),
+        (
+            "[schedule]\nduration = \"5\"",
+            "x.toml:2: `schedule.duration` is \"5\": expected a duration such as \"5h\" or \"90m\", or \"\" for that",
+        ),
+        (
+            "[schedule]\ndays = [\"mon\", \"funday\"]",
+            "x.toml:2: `schedule.days` is [\"mon\", \"funday\"]: unknown variant `funday`, expected one of `mon`, `tue`",
+        ),
         ("[http]\nlisten = \"8100\"", "x.toml:2: `http.listen` is \"8100\": "),
         ("sensor = 3", "x.toml:1: `sensor` is 3: invalid type: integer `3`"),
         (

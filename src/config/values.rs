@@ -1,10 +1,13 @@
 //! Values of the configuration that are more than a number or a text: each is read with a message that says what is
 //! allowed, and written in the form in which it is read.
 
+use crate::units::{format_duration, parse_duration};
+use chrono::{NaiveTime, Weekday};
 use serde::de::{self, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// ASCII measurements of a VN-100 that register 6 can ask for and that carry channels (ICD, table of register 6).
 pub const ASCII_TYPES: [&str; 10] =
@@ -202,6 +205,87 @@ impl fmt::Debug for Webhook {
     }
 }
 
+/// A local time of day, `22:00`; none where it is empty.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StartTime(pub Option<NaiveTime>);
+
+impl StartTime {
+    fn parse(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "" => Ok(Self(None)),
+            time => NaiveTime::parse_from_str(time, "%H:%M")
+                .map(|time| Self(Some(time)))
+                .map_err(|_| "a local time of day such as \"22:00\", or \"\" for none".to_owned()),
+        }
+    }
+}
+
+impl fmt::Display for StartTime {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |time| time.format("%H:%M").fmt(formatter))
+    }
+}
+
+/// How long a night's capture is; where it is empty as long as any other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct NightLength(pub Option<Duration>);
+
+impl NightLength {
+    fn parse(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "" => Ok(Self(None)),
+            length => parse_duration(length)
+                .map(|length| Self(Some(length)))
+                .map_err(|_| "a duration such as \"5h\" or \"90m\", or \"\" for that of `[capture]`".to_owned()),
+        }
+    }
+}
+
+impl fmt::Display for NightLength {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |length| formatter.write_str(&format_duration(length)))
+    }
+}
+
+/// A day of the week.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Day {
+    /// Monday
+    Mon,
+    /// Tuesday
+    Tue,
+    /// Wednesday
+    Wed,
+    /// Thursday
+    Thu,
+    /// Friday
+    Fri,
+    /// Saturday
+    Sat,
+    /// Sunday
+    Sun,
+}
+
+impl Day {
+    /// All of them, in their order.
+    pub const ALL: [Self; 7] = [Self::Mon, Self::Tue, Self::Wed, Self::Thu, Self::Fri, Self::Sat, Self::Sun];
+
+    /// As the calendar has it.
+    #[must_use]
+    pub fn weekday(self) -> Weekday {
+        match self {
+            Self::Mon => Weekday::Mon,
+            Self::Tue => Weekday::Tue,
+            Self::Wed => Weekday::Wed,
+            Self::Thu => Weekday::Thu,
+            Self::Fri => Weekday::Fri,
+            Self::Sat => Weekday::Sat,
+            Self::Sun => Weekday::Sun,
+        }
+    }
+}
+
 /// The form of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -243,6 +327,8 @@ macro_rules! text_serde {
 text_serde!(Device, "`\"auto\"`, a path or a pattern", Device::parse, ToString::to_string);
 text_serde!(Output, "`\"binary\"`, `\"keep\"` or an ASCII type", Output::parse, ToString::to_string);
 text_serde!(BinaryFields, "groups and fields such as \"01,0609\"", BinaryFields::parse, ToString::to_string);
+text_serde!(StartTime, "a local time of day such as \"22:00\"", StartTime::parse, ToString::to_string);
+text_serde!(NightLength, "a duration such as \"5h\"", NightLength::parse, ToString::to_string);
 text_serde!(Webhook, "an address", Webhook::parse, |url| if url.is_empty() {
     String::new()
 } else {
