@@ -76,6 +76,12 @@ fn render(status: &Status, uptime_s: u64) -> String {
             );
         }
     }
+    if let Some(schedule) = &status.schedule {
+        row("next night", format!("{} at {} ({} local time)", schedule.name, schedule.next_start, schedule.at));
+        if let Some(waits) = &schedule.waits {
+            row("", format!("it waits: {waits}"));
+        }
+    }
     let storage = &status.storage;
     row("storage", named(&storage.state));
     if let Some(error) = &storage.error {

@@ -57,6 +57,14 @@ fn table(status: &Value) -> Table {
             row("", format!("nothing since {}", shown(&capture["gap_open_since"])));
         }
     }
+    let schedule = &status["schedule"];
+    if !schedule.is_null() {
+        let [name, start, at] = ["name", "next_start", "at"].map(|key| shown(&schedule[key]));
+        row("next night", format!("{name} at {start} ({at} local time)"));
+        if !schedule["waits"].is_null() {
+            row("", format!("it waits: {}", shown(&schedule["waits"])));
+        }
+    }
     row("storage", format!("{}, {}", shown(&storage["state"]), shown(&storage["database"])));
     if !storage["error"].is_null() {
         row("", shown(&storage["error"]));

@@ -11,6 +11,7 @@ pub mod import;
 pub mod notices;
 pub mod publish;
 pub mod retention;
+pub mod schedule;
 pub mod watchdog;
 
 use crate::api;
@@ -213,7 +214,19 @@ pub async fn run(
         }
         .run(retention_sender, stop.child_token()),
     );
-    let unattended = publish::Unattended { retention, notify: notifier.figures() };
+    let (schedule_sender, schedule) = watch::channel(None);
+    let scheduling = schedule::schedule(&config).map(|schedule| {
+        let scheduler = schedule::Scheduler {
+            store: store.clone(),
+            control: control.clone(),
+            tap: tap.clone(),
+            clock: Arc::clone(&clock),
+            zone: crate::clock::local_offset_s,
+            schedule,
+        };
+        tokio::spawn(scheduler.run(schedule_sender, stop.child_token()))
+    });
+    let unattended = publish::Unattended { retention, schedule, notify: notifier.figures() };
     let publisher = tokio::spawn(publish::run(
         store.clone(),
         jobs.clone(),
@@ -272,6 +285,7 @@ pub async fn run(
         keeping.abort();
     }
     keeping_within.abort();
+    scheduling.iter().for_each(tokio::task::JoinHandle::abort);
     importer.ended(IMPORT_END).await;
     let closed = {
         let store = store.clone();

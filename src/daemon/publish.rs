@@ -4,7 +4,7 @@ use crate::capture::task::Progress;
 use crate::clock::{Clock, rfc3339};
 use crate::jobs::{Jobs, Live};
 use crate::notify::NotifyFigures;
-use crate::observe::{CaptureStatus, RetentionStatus, SensorState, Status, Tally};
+use crate::observe::{CaptureStatus, RetentionStatus, ScheduleStatus, SensorState, Status, Tally};
 use crate::sample::DiscardCause;
 use crate::store::Store;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -27,11 +27,13 @@ pub struct Captured {
     pub tally: SharedTally,
 }
 
-/// What the status shows of retention and notifications, from memory.
+/// What the status shows of retention, schedule and notifications, from memory.
 #[derive(Debug, Clone)]
 pub struct Unattended {
     /// What is going to be deleted.
     pub retention: watch::Receiver<RetentionStatus>,
+    /// Which night comes next.
+    pub schedule: watch::Receiver<Option<ScheduleStatus>>,
     /// How the telling goes.
     pub notify: NotifyFigures,
 }
@@ -50,6 +52,7 @@ pub async fn run(
     loop {
         let mut now = compose(&store, &jobs, &mut captured, clock.as_ref());
         now.retention = unattended.retention.borrow().clone();
+        now.schedule = unattended.schedule.borrow().clone();
         now.notify = unattended.notify.status();
         let line = one_line(&now);
         if said.as_ref() != Some(&line) {

@@ -187,7 +187,8 @@ fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     }
 }
 
-fn candidate(row: &RetentionRow) -> Candidate {
+/// A capture as the clock is judged by it.
+pub(super) fn candidate(row: &RetentionRow) -> Candidate {
     Candidate {
         id: row.id,
         since_utc_ns: row.since.0,

@@ -9,6 +9,6 @@ pub mod status;
 pub use metrics::{Metrics, WriterFigures};
 pub use notify::{NotifyEvent, NotifyStatus};
 pub use status::{
-    CaptureStatus, ClockDistrust, JobsStatus, PlannedDeletion, RetentionStatus, SensorState, SensorStatus, Status,
-    StorageState, StorageStatus, Tally,
+    CaptureStatus, ClockDistrust, JobsStatus, PlannedDeletion, RetentionStatus, ScheduleStatus, SensorState,
+    SensorStatus, Status, StorageState, StorageStatus, Tally,
 };

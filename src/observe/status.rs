@@ -218,6 +218,21 @@ pub struct ClockDistrust {
     pub message: String,
 }
 
+/// Which night is recorded next.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ScheduleStatus {
+    /// The local time of day at which a night begins, `22:00`.
+    pub at: String,
+    /// When the next night begins, RFC 3339; when the present one did, while it waits.
+    pub next_start: String,
+    /// The name of its capture.
+    pub name: String,
+    /// Sample time that it will hold, s.
+    pub duration_s: f64,
+    /// Why a night whose time has come has not begun, for a person; null where none waits.
+    pub waits: Option<String>,
+}
+
 /// Everything that `GET /v1/status` says, but for version and uptime.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Status {
@@ -232,6 +247,9 @@ pub struct Status {
     /// Old captures.
     #[serde(default)]
     pub retention: RetentionStatus,
+    /// The next night; null without a schedule.
+    #[serde(default)]
+    pub schedule: Option<ScheduleStatus>,
     /// Notifications.
     #[serde(default)]
     pub notify: NotifyStatus,

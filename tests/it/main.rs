@@ -21,6 +21,7 @@ mod replay;
 mod restart;
 #[path = "../world/ros2.rs"]
 mod ros2;
+mod schedule;
 mod simulation;
 mod tidy;
 mod trial;
