@@ -6,7 +6,7 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
-use crate::datasheet::{Datasheet, FilterWindows, Measured, Sampling, compare};
+use crate::datasheet::{Datasheet, FilterWindows, compare_report};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
@@ -189,8 +189,7 @@ pub(super) async fn noise(
     if let Some(sheet) = sheet {
         let job_id = result.as_ref().and_then(|result| result.job_id);
         let windows = state.read(move |reader| filter_windows(reader, &capture, job_id)).await?;
-        let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
-        let compared = compare(&sheet, Sampling::new(report.rate_hz, windows), &measured);
+        let compared = compare_report(&sheet, &report, windows);
         report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
     }
     Ok(answer_of_form(&headers, result.as_ref(), form, axum::Json(SoFar { report, caught_up })))

@@ -10,7 +10,7 @@ use crate::page as pages;
 use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -178,7 +178,7 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
             let links = [
                 ("as JSON", format!("/v1/diagnoses/{}", job.id)),
                 ("corrected model", format!("/v1/diagnoses/{}/model", job.id)),
-                ("the capture", format!("/v1/captures/{}", job.capture)),
+                ("the capture", format!("/captures/{}", job.capture)),
                 ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
             ];
             let drawn = pages::Pictures { spectra: document.spectra.get(), residuals: document.residuals() };
@@ -187,11 +187,7 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
         }
         None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),
     };
-    let headers = [
-        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'"),
-        (header::CACHE_CONTROL, "no-store"),
-    ];
-    Ok((headers, Html(html)).into_response())
+    Ok(super::pages::html(html))
 }
 
 /// A part of a result as it was stored, or the job that is to make it.

@@ -1,23 +1,36 @@
-//! Plots of a capture as SVG.
+//! Plots of a capture as SVG or PNG.
 
 use super::analysis::{self, Drawn};
 use super::conditional;
-use super::extract::P2;
+use super::extract::{P2, Q};
 use super::problem::{ApiError, Problem, ProblemType};
+use super::samples;
 use super::state::ApiState;
-use crate::gallery::{self, Picture};
+use crate::gallery::{self, Documents, GalleryError, Picture, Window};
 use crate::jobs::{JobError, JobKind};
 use crate::plot;
 use crate::store::SOFTWARE;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
 
-/// A picture: `timeseries-<channel>`, `histogram-<channel>`, `allan-<triad>`, `allan-<channel>`, `psd-<triad>`, `gaps`. Of a
-/// capture that runs it is of what there is so far.
+/// Which part is wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct PlotQuery {
+    /// Of a time series: from this time on, RFC 3339 or seconds since the first sample.
+    from: Option<String>,
+    /// Of a time series: before this time.
+    to: Option<String>,
+}
+
+/// A picture: `timeseries-<channel>`, `histogram-<channel>`, `allan-<triad>`, `allan-<channel>`, `hourly-<channel>`,
+/// `psd-<triad>`, `gaps`; `.svg`, or `.png` for slides. Of a capture that runs it is of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/plots/{name}", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"),
-           ("name" = String, Path, description = "Such as `allan-gyro.svg`", example = "allan-gyro.svg")), responses(
+           ("name" = String, Path, description = "Such as `allan-gyro.svg`", example = "allan-gyro.svg"), PlotQuery), responses(
     (status = 200, body = String, content_type = "image/svg+xml", headers(("ETag" = String, description = "Of a finished capture"))),
     (status = 202, description = "The analysis that it is drawn of is not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
@@ -29,15 +42,36 @@ pub(super) async fn plot(
     State(state): State<ApiState>,
     headers: HeaderMap,
     P2(capture, file): P2,
+    Q(query): Q<PlotQuery>,
 ) -> Result<Response, ApiError> {
-    let picture = file.strip_suffix(".svg").and_then(Picture::from_name).ok_or_else(|| {
+    let (stem, form) = file.rsplit_once('.').unwrap_or((file.as_str(), ""));
+    let form = [Form::Svg, Form::Png].into_iter().find(|known| known.suffix() == form);
+    let picture = form.zip(Picture::from_name(stem)).ok_or_else(|| {
         let found: String = file.chars().take(60).collect();
-        ApiError::new(ProblemType::NotFound, format!("there is no plot `{found}`: there are {}", Picture::forms()))
-    })?;
+        ApiError::new(
+            ProblemType::NotFound,
+            format!("there is no plot `{found}`: there are {}, each with .svg or .png", Picture::forms()),
+        )
+    });
+    let (form, picture) = picture?;
+    let window = Window {
+        from: query.from.as_deref().map(samples::time).transpose()?,
+        to: query.to.as_deref().map(samples::time).transpose()?,
+    };
+    if window != Window::default() && !matches!(picture, Picture::Timeseries(_)) {
+        return Err(ApiError::bad_request(format!("`from` and `to` are for timeseries-<channel>, not for {stem}")));
+    }
     let name = capture.clone();
     let row = state.read(move |reader| reader.capture(reader.resolve(&name)?)).await?;
     let open = row.state.is_open();
-    let tag = format!("\"{}-{}-{}-{}\"", row.id, picture.name(), row.samples, conditional::plain(SOFTWARE));
+    let tag = format!(
+        "\"{}-{}-{}-{}-{}\"",
+        row.id,
+        conditional::plain(&file),
+        row.samples,
+        conditional::plain(&format!("{:?}", (window.from, window.to))),
+        conditional::plain(SOFTWARE)
+    );
     if !open && conditional::is_known(&headers, &tag) {
         return Ok(conditional::answer(&headers, &tag, ()));
     }
@@ -46,44 +80,79 @@ pub(super) async fn plot(
         return Err(ApiError::new(ProblemType::NotFound, message));
     }
     let id = row.id.to_string();
-    let svg = match picture {
-        Picture::Histogram(channel) => match analysis::drawn(&state, JobKind::Statistics, &id).await? {
-            Drawn::Document(statistics) => gallery::from_statistics(channel, &statistics).map_err(JobError::from)?,
+    let needs = picture.needs();
+    let mut documents = Documents::default();
+    if needs.statistics {
+        match analysis::drawn(&state, JobKind::Statistics, &id).await? {
+            Drawn::Document(statistics) => documents.statistics = Some(statistics),
             Drawn::Later(answer) => return Ok(answer),
-        },
-        Picture::Allan(_) | Picture::AllanOfOne(_) => match analysis::drawn(&state, JobKind::Allan, &id).await? {
-            Drawn::Document(allan) => {
-                let noise = match analysis::drawn(&state, JobKind::Noise, &id).await {
-                    Ok(Drawn::Document(noise)) => Some(noise),
-                    Ok(Drawn::Later(answer)) => return Ok(answer),
-                    // Lines that there will never be are left out.
-                    Err(_) => None,
-                };
-                gallery::from_allan(picture, &allan, noise.as_deref()).map_err(JobError::from)?
-            }
-            Drawn::Later(answer) => return Ok(answer),
-        },
-        Picture::Timeseries(_) | Picture::Psd(_) | Picture::Gaps => {
-            let svg = state.read_heavy(move |reader, _| Ok(gallery::from_samples(reader, &id, picture)?)).await?;
-            svg.unwrap_or_default()
         }
-    };
-    if svg.is_empty() {
-        let message = format!("there is not enough data for {}", picture.name());
-        return Err(ApiError::new(ProblemType::AnalysisFailed, message));
     }
+    if needs.allan {
+        match analysis::drawn(&state, JobKind::Allan, &id).await? {
+            Drawn::Document(allan) => documents.allan = Some(allan),
+            Drawn::Later(answer) => return Ok(answer),
+        }
+    }
+    if needs.noise {
+        match analysis::drawn(&state, JobKind::Noise, &id).await {
+            Ok(Drawn::Document(noise)) => documents.noise = Some(noise),
+            Ok(Drawn::Later(answer)) => return Ok(answer),
+            // Lines that there will never be are left out.
+            Err(_) => {}
+        }
+    }
+    let image = state
+        .read_heavy(move |reader, _| {
+            let svg = gallery::svg(reader, &id, picture, window, &documents).map_err(|error| match error {
+                GalleryError::Store(error) => JobError::from(error),
+                GalleryError::Document(error) => JobError::from(error),
+            })?;
+            if svg.is_empty() {
+                let reason = format!("there is not enough data for {}", picture.name());
+                return Err(JobError::InsufficientData { reason });
+            }
+            match form {
+                Form::Svg => Ok(plot::alone(&svg).into_bytes()),
+                Form::Png => plot::raster::png(&svg, plot::raster::SCALE)
+                    .map_err(|error| JobError::InsufficientData { reason: error.to_string() }),
+            }
+        })
+        .await?;
     let image = (
         [
-            (header::CONTENT_TYPE, HeaderValue::from_static("image/svg+xml")),
+            (header::CONTENT_TYPE, HeaderValue::from_static(form.media_type())),
             (
                 header::CONTENT_SECURITY_POLICY,
                 HeaderValue::from_static("default-src 'none'; style-src 'unsafe-inline'"),
             ),
         ],
-        plot::alone(&svg),
+        image,
     );
     Ok(match open {
         true => ([(header::CACHE_CONTROL, "no-store")], image).into_response(),
         false => conditional::answer(&headers, &tag, image),
     })
+}
+
+/// What a picture is sent as.
+#[derive(Debug, Clone, Copy)]
+enum Form {
+    Svg,
+    Png,
+}
+
+impl Form {
+    fn suffix(self) -> &'static str {
+        match self {
+            Self::Svg => "svg",
+            Self::Png => "png",
+        }
+    }
+    fn media_type(self) -> &'static str {
+        match self {
+            Self::Svg => "image/svg+xml",
+            Self::Png => "image/png",
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
-use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, plots, samples, status};
+use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, pages, plots, samples, status};
 use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
@@ -23,6 +23,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(health::readyz))
         .routes(routes!(health::metrics))
         .routes(routes!(status::status))
+        .routes(routes!(status::events))
         .routes(routes!(captures::list, captures::start))
         .routes(routes!(captures::show, captures::delete))
         .routes(routes!(captures::stop))
@@ -55,7 +56,10 @@ pub fn router(parts: ApiParts) -> Router {
     // The last layer is the outermost.
     routes
         .merge(openapi::route(&document))
-        .route("/", axum::routing::get(status::page))
+        .route("/", axum::routing::get(pages::dashboard))
+        .route("/captures/{id}", axum::routing::get(pages::capture))
+        .route("/captures/{id}/series/{channel}", axum::routing::get(pages::series))
+        .route(crate::page::SCRIPT_PATH, axum::routing::get(pages::script))
         .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))
         .fallback(nothing_here)
         .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))

@@ -126,7 +126,8 @@ fn channels(names: &str) -> Result<Vec<Channel>, ApiError> {
     Channel::list(names).map_err(|error| ApiError::bad_request(format!("`channels`: {error}")))
 }
 
-fn time(text: &str) -> Result<Moment, ApiError> {
+/// A time as a query gives it.
+pub(super) fn time(text: &str) -> Result<Moment, ApiError> {
     Moment::parse(text).ok_or_else(|| {
         let found: String = text.chars().take(40).collect();
         ApiError::bad_request(format!(

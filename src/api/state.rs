@@ -1,11 +1,13 @@
 //! What handlers share, and how they read the database: on threads for blocking work, a bounded number at a time, and
 //! ended when nobody waits for the answer any more.
 
+use super::latest::Latest;
 use super::problem::ApiError;
 use super::server::Limits;
+use crate::clock::Clock;
 use crate::control::{CaptureControl, Importer};
 use crate::jobs::{JobError, Jobs, Live};
-use crate::observe::{Metrics, Status};
+use crate::observe::{Metrics, SharedRecent, Status};
 use crate::store::{Interrupt, PooledReader, Reader, ReaderPool, Store, StoreError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,6 +15,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 /// Changes at once; the writer takes one after the other anyway.
 const CHANGES: usize = 4;
+
+/// Listeners to events at once: each has a connection.
+const LISTENERS: usize = 64;
 
 /// What the interface is given; the daemon makes it.
 #[derive(Debug, Clone)]
@@ -29,6 +34,10 @@ pub struct ApiParts {
     pub live: Arc<Live>,
     /// Counters.
     pub metrics: Arc<Metrics>,
+    /// The last minute of what the sensor sends.
+    pub recent: SharedRecent,
+    /// The time.
+    pub clock: Arc<dyn Clock>,
     /// The secret that requests need which change something; `None` where none is configured (loopback alone).
     pub token: Option<String>,
     /// Whether only this machine can ask: the header `Host` must then name it.
@@ -56,6 +65,8 @@ pub(super) struct Inner {
     light: Arc<Semaphore>,
     changes: Arc<Semaphore>,
     imports: Arc<Semaphore>,
+    listeners: Arc<Semaphore>,
+    pub(super) latest: Latest,
 }
 
 impl std::ops::Deref for ApiState {
@@ -75,6 +86,8 @@ impl ApiState {
             light: Arc::new(Semaphore::new(light)),
             changes: Arc::new(Semaphore::new(CHANGES)),
             imports: Arc::new(Semaphore::new(1)),
+            listeners: Arc::new(Semaphore::new(LISTENERS)),
+            latest: Latest::default(),
             parts,
         }))
     }
@@ -104,6 +117,14 @@ impl ApiState {
                 ),
                 1,
             )
+        })
+    }
+
+    /// The permit to listen to events, or 503 at once.
+    pub(super) fn listener_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Arc::clone(&self.listeners).try_acquire_owned().map_err(|_| {
+            let reason = format!("{LISTENERS} listen already, which is all that may: close a page, or ask /v1/status");
+            ApiError::unavailable(reason, 5)
         })
     }
 

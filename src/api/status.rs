@@ -1,14 +1,21 @@
-//! The status, for programs and for people. From memory: it answers while the disk hangs.
+//! The status, from memory: it answers while the disk hangs. Once, or as events for as long as somebody listens.
 
-use super::health::named;
+use super::layers::Streamed;
+use super::problem::{ApiError, Problem};
 use super::state::ApiState;
+use super::stream;
 use crate::observe::Status;
-use axum::Json;
 use axum::extract::State;
 use axum::http::header;
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::Serialize;
-use std::fmt::Write;
+use std::time::Duration;
+
+/// Between two events.
+const EVERY: Duration = Duration::from_secs(1);
+/// After which a browser that lost the line tries again, ms.
+const RETRY_MS: u32 = 2000;
 
 /// What the daemon is doing.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
@@ -24,117 +31,53 @@ pub(super) struct StatusBody {
 /// The status of sensor, capture, store and jobs; `capture` is null while none runs or waits.
 #[utoipa::path(get, path = "/v1/status", tag = "daemon", responses((status = 200, body = StatusBody)))]
 pub(super) async fn status(State(state): State<ApiState>) -> Response {
-    let body = StatusBody {
-        version: env!("CARGO_PKG_VERSION"),
-        uptime_s: state.started.elapsed().as_secs_f64(),
-        status: state.status(),
-    };
-    ([(header::CACHE_CONTROL, "max-age=1")], Json(body)).into_response()
+    ([(header::CACHE_CONTROL, "max-age=1")], Json(StatusBody::of(&state))).into_response()
 }
 
-/// A page for people: the status and where to go on.
-pub(super) async fn page(State(state): State<ApiState>) -> Response {
-    let html = render(&state.status(), state.started.elapsed().as_secs());
-    let headers = [
-        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'"),
-        (header::CACHE_CONTROL, "no-store"),
-    ];
-    (headers, Html(html)).into_response()
-}
-
-fn render(status: &Status, uptime_s: u64) -> String {
-    let mut rows = String::new();
-    let mut row = |name: &str, value: String| {
-        // Writing to a text cannot fail.
-        let _ = write!(rows, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
-    };
-    let sensor = &status.sensor;
-    row("sensor", named(&sensor.state));
-    for (name, value) in [
-        ("", &sensor.hint),
-        ("port", &sensor.port),
-        ("model", &sensor.model),
-        ("serial number", &sensor.serial_number),
-        ("firmware", &sensor.firmware),
-        ("output", &sensor.output),
-    ] {
-        if let Some(value) = value {
-            row(name, value.clone());
+impl StatusBody {
+    /// The status of now.
+    pub(super) fn of(state: &ApiState) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            uptime_s: state.started.elapsed().as_secs_f64(),
+            status: state.status(),
         }
     }
-    if let Some(rate_hz) = sensor.rate_hz {
-        row("rate", format!("{rate_hz} Hz"));
-    }
-    match &status.capture {
-        None => row("capture", "none".to_owned()),
-        Some(capture) => {
-            row("capture", format!("{} ({}), {}", capture.id, capture.name, capture.state));
-            row("elapsed", format!("{:.0} s, {:.0} s to come", capture.elapsed_s, capture.remaining_s));
-            row(
-                "samples",
-                format!("{} received, {} missing in {} gaps", capture.samples, capture.missing, capture.gaps),
-            );
-        }
-    }
-    if let Some(schedule) = &status.schedule {
-        row("next night", format!("{} at {} ({} local time)", schedule.name, schedule.next_start, schedule.at));
-        if let Some(waits) = &schedule.waits {
-            row("", format!("it waits: {waits}"));
-        }
-    }
-    let storage = &status.storage;
-    row("storage", named(&storage.state));
-    if let Some(error) = &storage.error {
-        row("", error.clone());
-    }
-    row("free", format!("{} MiB", storage.free_bytes >> 20));
-    let jobs = &status.jobs;
-    row(
-        "jobs",
-        format!("{} running, {} queued, {} done, {} failed", jobs.running, jobs.queued, jobs.done, jobs.failed),
-    );
-    row("uptime", format!("{uptime_s} s"));
-    let links: String = [
-        "/v1/status",
-        "/v1/captures",
-        "/v1/captures/latest",
-        "/v1/captures/latest/noise",
-        "/v1/captures/latest/allan",
-        "/v1/captures/latest/statistics",
-        "/v1/captures/latest/gaps",
-        "/v1/jobs",
-        "/v1/diagnoses",
-        "/diagnoses/latest",
-        "/readyz",
-        "/metrics",
-        "/openapi.json",
-    ]
-    .iter()
-    .map(|path| format!("<li><a href=\"{path}\">{path}</a></li>"))
-    .collect();
-    format!(
-        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>vn100d</title>\
-         <meta http-equiv=\"refresh\" content=\"5\"><style>body{{font:16px/1.5 system-ui,sans-serif;margin:2em}}\
-         th{{text-align:left;padding-right:2em;font-weight:600}}td{{font-variant-numeric:tabular-nums}}</style></head>\
-         <body><h1>vn100d {}</h1><table>{rows}</table><ul>{links}</ul></body></html>\n",
-        env!("CARGO_PKG_VERSION")
-    )
 }
 
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_sensor_says_does_not_become_markup() {
-        let mut status = Status::default();
-        status.sensor.model = Some("<script>&\"".to_owned());
-        let html = render(&status, 1);
-        assert!(html.contains("<td>&lt;script&gt;&amp;&quot;</td>"), "{html}");
-        assert!(!html.contains("<script"));
-    }
+/// The status each second, as server-sent events called `status` with the document of `GET /v1/status`. It ends when the
+/// daemon does.
+#[utoipa::path(get, path = "/v1/events/stream", tag = "daemon", responses(
+    (status = 200, body = String, content_type = "text/event-stream", description = "`event: status`, `data: {…}`"),
+    (status = 503, body = Problem, content_type = "application/problem+json", description = "Too many listen already")))]
+pub(super) async fn events(State(state): State<ApiState>) -> Result<Response, ApiError> {
+    let permit = state.listener_permit()?;
+    let (pieces, body) = stream::channel();
+    tokio::spawn(async move {
+        let _permit = permit;
+        let mut status = state.parts.status.clone();
+        let mut next = tokio::time::interval(EVERY);
+        next.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut head = format!("retry: {RETRY_MS}\n");
+        loop {
+            tokio::select! {
+                () = pieces.closed() => return,
+                _ = next.tick() => {}
+            }
+            // Whoever published is gone: the daemon ends, and this with it.
+            if status.has_changed().is_err() {
+                return;
+            }
+            status.mark_unchanged();
+            let Ok(json) = serde_json::to_string(&StatusBody::of(&state)) else { return };
+            let event = format!("{head}event: status\ndata: {json}\n\n");
+            head.clear();
+            // A listener that does not read is waited for; the connection gives it up in the end.
+            if pieces.send(Ok(event.into())).await.is_err() {
+                return;
+            }
+        }
+    });
+    let headers = [(header::CONTENT_TYPE, "text/event-stream"), (header::CACHE_CONTROL, "no-store")];
+    Ok((Extension(Streamed), headers, body).into_response())
 }

@@ -87,6 +87,8 @@ pub trait Sink: Send + Sync + 'static {
     fn is_closed(&self) -> bool;
     /// Where every measurement is that was received; told before what it counts is put into the queue.
     fn tally(&self, _tally: Tally) {}
+    /// Hears of every measurement, whether a capture runs or not.
+    fn seen(&self, _sample: &Sample) {}
     /// Hears how late the reader ran after it was to wake.
     fn woke(&self, _late: Duration) {}
 }
@@ -392,7 +394,7 @@ impl Shell {
                     book.note(actions, utc_ns);
                 }
                 if taken {
-                    book.sample(|| measurement.to_sample(mono_ns, utc_ns));
+                    book.sample(measurement.to_sample(mono_ns, utc_ns));
                     if let Some(device_time_ns) = measurement.device_time_ns {
                         device_clock.note(book.clock_run(), device_time_ns, mono_ns);
                     }
@@ -593,12 +595,13 @@ impl Book {
         self.flush();
     }
 
-    fn sample(&mut self, sample: impl FnOnce() -> Sample) {
+    fn sample(&mut self, sample: Sample) {
+        self.sink.seen(&sample);
         let Some(recorder) = &mut self.recorder else {
             if let (Some(idle), Some((kind, _))) = (&mut self.idle, self.accepted)
                 && kind.has_device_time()
             {
-                idle.observe(sample(), &mut self.out);
+                idle.observe(sample, &mut self.out);
                 idle.take_refused();
                 self.out.clear();
             }
@@ -611,7 +614,7 @@ impl Book {
             self.sink.tally(recorder.tally());
             return;
         }
-        recorder.sample(sample(), &mut self.out);
+        recorder.sample(sample, &mut self.out);
         self.sink.tally(recorder.tally());
         if self.overflow.is_empty() {
             let id = recorder.plan().id;

@@ -3,7 +3,7 @@
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat};
 use super::{Context, Outcome, print_json, table};
-use crate::datasheet::{Comparison, Measured, Sampling, compare};
+use crate::datasheet::{Comparison, compare_report};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::direct;
 use crate::noise::fit::{Estimate, Flag, NoiseReport};
@@ -16,10 +16,7 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     let together = analysis::open(context, &args.captures, args.rate)?;
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
-    let comparison = args.datasheet.map(|sheet| {
-        let measured = report.channels.keys().map(|channel| (*channel, Measured::of(&report, *channel))).collect();
-        compare(&sheet, Sampling::new(report.rate_hz, windows), &measured)
-    });
+    let comparison = args.datasheet.map(|sheet| compare_report(&sheet, &report, windows));
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
     let target = match args.format {
         NoiseFormat::Table | NoiseFormat::Json | NoiseFormat::Csv => None,

@@ -24,8 +24,8 @@ use crate::config::{Baud, Config, Device};
 use crate::control::{CaptureControl, CaptureRequest};
 use crate::jobs::{JobError, Jobs, JobsOptions, Live};
 use crate::notify::{Notifier, Tap};
-use crate::observe::{Metrics, RetentionStatus, Status, Tally};
-use crate::sample::{DiscardCause, Record};
+use crate::observe::{Metrics, RetentionStatus, SharedRecent, Status, Tally};
+use crate::sample::{DiscardCause, Record, Sample};
 use crate::store::{RecordSender, Refused, Store, StoreError, StoreOptions};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -106,6 +106,7 @@ struct Counted {
     records: RecordSender,
     metrics: Arc<Metrics>,
     tally: publish::SharedTally,
+    recent: SharedRecent,
     tap: Tap,
 }
 
@@ -133,6 +134,9 @@ impl Sink for Counted {
     }
     fn tally(&self, tally: Tally) {
         *self.tally.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(tally);
+    }
+    fn seen(&self, sample: &Sample) {
+        self.recent.note(sample);
     }
     fn woke(&self, late: std::time::Duration) {
         self.metrics.reader_woke(late.as_secs_f64());
@@ -175,6 +179,7 @@ pub async fn run(
     let (progress_sender, progress) = watch::channel(Progress::default());
     let turns = Arc::new(AtomicU64::new(0));
     let tally = publish::SharedTally::default();
+    let recent = SharedRecent::default();
     let task_options = TaskOptions { device: device(&config), session, seed: clock.mono_ns() };
     let source = device(&config).unwrap_or_else(|| "serial port".to_owned());
     let (control, commands) = CaptureControl::pair();
@@ -192,6 +197,7 @@ pub async fn run(
             records: store.records(),
             metrics: Arc::clone(&metrics),
             tally: Arc::clone(&tally),
+            recent: recent.clone(),
             tap: tap.clone(),
         }),
         task_receiver,
@@ -251,6 +257,8 @@ pub async fn run(
         jobs: jobs.clone(),
         live: Arc::clone(&live),
         metrics: Arc::clone(&metrics),
+        recent,
+        clock: Arc::clone(&clock),
         // Whoever configured a token wants it asked for, loopback or not: others may use this machine too.
         token: (!config.http.token.is_empty()).then(|| config.http.token.secret().to_owned()),
         default_duration: config.capture.duration,

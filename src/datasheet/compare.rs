@@ -1,6 +1,6 @@
 //! The comparison: per channel the density and the Allan minimum beside what is printed, with a verdict.
 
-use super::{Datasheet, Figures, Sampling};
+use super::{Datasheet, Figures, FilterWindows, Sampling};
 use crate::noise::NoiseReport;
 use crate::sample::{Channel, Triad};
 use crate::units::{Dimension, Quantity};
@@ -141,6 +141,13 @@ pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channe
         Some((*channel, compared?))
     });
     Comparison { name: sheet.name.to_owned(), source: sheet.source.to_owned(), sampling, channels: channels.collect() }
+}
+
+/// Compares all that a report says with a datasheet; `windows` are the sensor's filter windows (register 85), where they are known.
+#[must_use]
+pub fn compare_report(sheet: &Datasheet, report: &NoiseReport, windows: Option<FilterWindows>) -> Comparison {
+    let measured = report.channels.keys().map(|channel| (*channel, Measured::of(report, *channel))).collect();
+    compare(sheet, Sampling::new(report.rate_hz, windows), &measured)
 }
 
 fn of_channel<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<ChannelComparison> {

@@ -15,7 +15,9 @@ mod compare;
 mod sampling;
 mod vn100;
 
-pub use compare::{BiasComparison, ChannelComparison, Comparison, DensityComparison, Measured, Verdict, compare};
+pub use compare::{
+    BiasComparison, ChannelComparison, Comparison, DensityComparison, Measured, Verdict, compare, compare_report,
+};
 pub use sampling::{FilterWindows, Sampling};
 pub use vn100::vn_100;
 

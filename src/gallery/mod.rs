@@ -1,14 +1,16 @@
 //! Gallery: the pictures of a capture, by name, each made from the store when it is asked for.
 //!
-//! In: a picture's name, a reader of the store, and for those that an analysis is drawn of its document. Out: SVG ([`crate::plot`]).
+//! In: a picture's name, a reader of the store, and the documents of the analyses that it is drawn of. Out: SVG ([`crate::plot`]).
 //! Memory is that of one chunk of samples and of what is drawn, however long the capture is.
 
+mod facts;
 mod samples;
 
-pub use samples::from_samples;
+pub use facts::{Facts, causes};
 
 use crate::plot::{self, Deviations};
 use crate::sample::{Channel, Triad};
+use crate::store::{Moment, Reader, StoreError};
 use serde_json::Value;
 
 /// Triads that have pictures of their own.
@@ -26,7 +28,9 @@ pub enum Picture {
     Allan(Triad),
     /// `allan-<channel>`: the same of one channel, with the lines of N, B and K.
     AllanOfOne(Channel),
-    /// `psd-<triad>`: power spectra.
+    /// `hourly-<channel>`: Allan deviation hour by hour.
+    Hourly(Channel),
+    /// `psd-<triad>`: power spectra with the lines that were found in them.
     Psd(Triad),
     /// `gaps`: where samples are missing.
     Gaps,
@@ -43,6 +47,7 @@ impl Picture {
         all.extend(triads.iter().map(|triad| Self::Allan(*triad)));
         all.extend(triads.iter().map(|triad| Self::Psd(*triad)));
         all.extend(channels.iter().filter(analysed).map(|channel| Self::AllanOfOne(*channel)));
+        all.extend(channels.iter().filter(analysed).map(|channel| Self::Hourly(*channel)));
         all.extend(channels.iter().map(|channel| Self::Timeseries(*channel)));
         all.extend(channels.iter().map(|channel| Self::Histogram(*channel)));
         all
@@ -52,14 +57,13 @@ impl Picture {
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let triad = |of: &str| TRIADS.into_iter().find(|triad| triad.name() == of);
+        let analysed = |of: &str| Channel::from_name(of).filter(|channel| Channel::ANALYSED.contains(channel));
         match name.split_once('-') {
             None => (name == "gaps").then_some(Self::Gaps),
             Some(("timeseries", of)) => Channel::from_name(of).map(Self::Timeseries),
             Some(("histogram", of)) => Channel::from_name(of).map(Self::Histogram),
-            Some(("allan", of)) => {
-                let one = || Channel::from_name(of).filter(|channel| Channel::ANALYSED.contains(channel));
-                triad(of).map(Self::Allan).or_else(|| one().map(Self::AllanOfOne))
-            }
+            Some(("allan", of)) => triad(of).map(Self::Allan).or_else(|| analysed(of).map(Self::AllanOfOne)),
+            Some(("hourly", of)) => analysed(of).map(Self::Hourly),
             Some(("psd", of)) => triad(of).map(Self::Psd),
             Some(_) => None,
         }
@@ -73,6 +77,7 @@ impl Picture {
             Self::Histogram(channel) => format!("histogram-{}", channel.name()),
             Self::Allan(triad) => format!("allan-{}", triad.name()),
             Self::AllanOfOne(channel) => format!("allan-{}", channel.name()),
+            Self::Hourly(channel) => format!("hourly-{}", channel.name()),
             Self::Psd(triad) => format!("psd-{}", triad.name()),
             Self::Gaps => "gaps".to_owned(),
         }
@@ -82,25 +87,143 @@ impl Picture {
     #[must_use]
     pub fn channels(self) -> Vec<Channel> {
         match self {
-            Self::Timeseries(channel) | Self::Histogram(channel) | Self::AllanOfOne(channel) => vec![channel],
+            Self::Timeseries(channel)
+            | Self::Histogram(channel)
+            | Self::AllanOfOne(channel)
+            | Self::Hourly(channel) => vec![channel],
             Self::Allan(triad) | Self::Psd(triad) => triad.channels().to_vec(),
             Self::Gaps => Vec::new(),
+        }
+    }
+
+    /// The analyses that it is drawn of.
+    #[must_use]
+    pub fn needs(self) -> Needs {
+        match self {
+            Self::Timeseries(_) | Self::Gaps => Needs::default(),
+            Self::Histogram(_) => Needs { statistics: true, ..Needs::default() },
+            Self::Allan(_) | Self::AllanOfOne(_) => Needs { allan: true, noise: true, ..Needs::default() },
+            // Without the names of lines a spectrum is a spectrum all the same.
+            Self::Hourly(_) | Self::Psd(_) => Needs { noise: true, ..Needs::default() },
+        }
+    }
+
+    /// Its height in units of which it is 560 wide.
+    #[must_use]
+    pub fn height(self) -> u32 {
+        match self {
+            Self::Gaps => 130,
+            Self::Timeseries(_) => 280,
+            Self::Histogram(_) => 300,
+            Self::Hourly(_) => 320,
+            Self::Psd(_) => 340,
+            Self::Allan(_) | Self::AllanOfOne(_) => 360,
+        }
+    }
+
+    /// What a person who does not see it is told.
+    #[must_use]
+    pub fn told(self) -> String {
+        match self {
+            Self::Timeseries(channel) => format!("{} over time", channel.name()),
+            Self::Histogram(channel) => format!("Histogram of {}", channel.name()),
+            Self::Allan(triad) => format!("Allan deviation of the {} triad over averaging time", triad.name()),
+            Self::AllanOfOne(channel) => {
+                format!("Allan deviation of {} with its 68 % band and the lines of N, B and K", channel.name())
+            }
+            Self::Hourly(channel) => format!("Allan deviation of {} hour by hour", channel.name()),
+            Self::Psd(triad) => format!("Power spectrum of the {} triad", triad.name()),
+            Self::Gaps => "Where samples are missing".to_owned(),
         }
     }
 
     /// Names that a message can list: `timeseries-<channel>, …`.
     #[must_use]
     pub fn forms() -> &'static str {
-        "timeseries-<channel>, histogram-<channel>, allan-<triad>, allan-<channel>, psd-<triad> and gaps, with the triads gyro, \
-         accel and mag"
+        "timeseries-<channel>, histogram-<channel>, allan-<triad>, allan-<channel>, hourly-<channel>, psd-<triad> and gaps, with the \
+         triads gyro, accel and mag"
     }
 }
 
-/// A picture of `vn100d-allan-1` and, where it is there, `vn100d-noise-1`; empty where the document lacks the channels.
+/// Which analyses a picture is drawn of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "the three analyses")]
+pub struct Needs {
+    /// `vn100d-statistics-1`.
+    pub statistics: bool,
+    /// `vn100d-allan-1`.
+    pub allan: bool,
+    /// `vn100d-noise-1`, where there is one.
+    pub noise: bool,
+}
+
+/// Documents of a capture's analyses, as JSON; None where there is none.
+#[derive(Debug, Clone, Default)]
+#[expect(clippy::exhaustive_structs, reason = "the three analyses")]
+pub struct Documents {
+    /// `vn100d-statistics-1`.
+    pub statistics: Option<String>,
+    /// `vn100d-allan-1`.
+    pub allan: Option<String>,
+    /// `vn100d-noise-1`.
+    pub noise: Option<String>,
+}
+
+/// The part of a capture that a time series is drawn of: all of it where both ends are None.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "two ends")]
+pub struct Window {
+    /// From this time on.
+    pub from: Option<Moment>,
+    /// Before this time.
+    pub to: Option<Moment>,
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GalleryError {
+    /// What the database says.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A document that is none of this program's.
+    #[error("an analysis cannot be read: {0}")]
+    Document(#[from] serde_json::Error),
+}
+
+/// The picture as SVG; empty where there is nothing to draw, or a document is missing that it is drawn of.
 ///
 /// # Errors
-/// What is none of these documents.
-pub fn from_allan(picture: Picture, allan: &str, noise: Option<&str>) -> Result<String, serde_json::Error> {
+/// [`GalleryError`]: what the database says, or a document that is no document.
+pub fn svg(
+    reader: &Reader,
+    capture: &str,
+    picture: Picture,
+    window: Window,
+    documents: &Documents,
+) -> Result<String, GalleryError> {
+    let noise = documents.noise.as_deref();
+    Ok(match picture {
+        Picture::Timeseries(channel) => samples::course(reader, capture, channel, window)?,
+        Picture::Gaps => samples::gaps(reader, capture)?,
+        Picture::Psd(triad) => samples::density(reader, capture, triad, &plot::lines(noise)?)?,
+        Picture::Histogram(channel) => match &documents.statistics {
+            Some(statistics) => histogram(channel, statistics)?,
+            None => String::new(),
+        },
+        Picture::Hourly(channel) => match noise {
+            Some(noise) => plot::hourly(channel.name(), channel.unit(), noise)?,
+            None => String::new(),
+        },
+        Picture::Allan(_) | Picture::AllanOfOne(_) => match &documents.allan {
+            Some(allan) => deviation(picture, allan, noise)?,
+            None => String::new(),
+        },
+    })
+}
+
+/// Of `vn100d-allan-1` and, where it is there, `vn100d-noise-1`; empty where the document lacks the channels.
+fn deviation(picture: Picture, allan: &str, noise: Option<&str>) -> Result<String, serde_json::Error> {
     let of = Deviations::read(allan, noise)?;
     let channels = picture.channels();
     let names: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
@@ -111,11 +234,8 @@ pub fn from_allan(picture: Picture, allan: &str, noise: Option<&str>) -> Result<
     Ok(of.svg(&title, &names))
 }
 
-/// A picture of a channel in `vn100d-statistics-1`; empty where the document lacks it.
-///
-/// # Errors
-/// What is no such document.
-pub fn from_statistics(channel: Channel, statistics: &str) -> Result<String, serde_json::Error> {
+/// Of a channel in `vn100d-statistics-1`; empty where the document lacks it.
+fn histogram(channel: Channel, statistics: &str) -> Result<String, serde_json::Error> {
     let document: Value = serde_json::from_str(statistics)?;
     match document["channels"].get(channel.name()) {
         Some(of) => plot::histogram(channel.name(), &of.to_string()),
@@ -134,9 +254,10 @@ mod tests {
         for picture in all {
             assert_eq!(Picture::from_name(&picture.name()), Some(picture));
         }
-        for wrong in ["", "gaps-x", "psd-attitude", "allan-yaw", "timeseries-", "histogram-gyro", "psd"] {
+        for wrong in ["", "gaps-x", "psd-attitude", "allan-yaw", "timeseries-", "histogram-gyro", "hourly-gyro", "psd"]
+        {
             assert_eq!(Picture::from_name(wrong), None, "{wrong}");
         }
-        assert_eq!(Picture::all(&[Channel::GyroX]).len(), 6);
+        assert_eq!(Picture::all(&[Channel::GyroX]).len(), 7);
     }
 }

@@ -1,9 +1,9 @@
 //! Pictures that are drawn of the samples and gaps themselves.
 
-use super::Picture;
+use super::Window;
 use crate::export::samples::Bucket;
 use crate::noise::welch::Welch;
-use crate::plot::{Course, Density, Gap, Gaps};
+use crate::plot::{Course, Density, Gap, Gaps, NamedLine};
 use crate::sample::{Channel, Triad};
 use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError};
 
@@ -16,40 +16,18 @@ const APART: f64 = 0.02;
 /// Gaps that are drawn at most: the longest lists are of minutes of trouble.
 const GAPS_MAX: usize = 2000;
 
-/// A picture of a capture's samples or gaps; None where it is drawn of an analysis. Empty where there is nothing to draw.
-///
-/// # Errors
-/// What the database says.
-pub fn from_samples(reader: &Reader, capture: &str, picture: Picture) -> Result<Option<String>, StoreError> {
+/// The picture of where samples are missing.
+pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError> {
     let mut range = SampleRange::read(reader, capture, None, None)?;
-    Ok(match picture {
-        Picture::Timeseries(channel) => Some(course(reader, &mut range, channel)?),
-        Picture::Psd(triad) => Some(density(reader, &range, triad)?),
-        Picture::Gaps => {
-            let (gaps, length_s) = (gaps(reader, &range)?, length_s(reader, &mut range)?);
-            Some(Gaps { length_s, samples: range.samples(), gaps }.svg())
-        }
-        Picture::Histogram(_) | Picture::Allan(_) | Picture::AllanOfOne(_) => None,
-    })
+    let (gaps, [_, length_s]) = (all_gaps(reader, &range)?, range.ends_s(reader)?);
+    Ok(Gaps { length_s, samples: range.samples(), gaps }.svg())
 }
 
-fn seconds(range: &SampleRange, time_ns: i64) -> f64 {
-    (time_ns - range.axis.origin_ns()) as f64 / 1e9
-}
-
-/// Time of the last sample, s since the first.
-fn length_s(reader: &Reader, range: &mut SampleRange) -> Result<f64, StoreError> {
-    let Some(last) = range.to_seq.checked_sub(1) else { return Ok(0.0) };
-    let chunk = reader.read_samples(range.capture.id, last, 1, &[])?;
-    let times = range.axis.times(reader, &chunk)?;
-    Ok(times.last().map_or(0.0, |time_ns| seconds(range, *time_ns)))
-}
-
-fn gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {
+fn all_gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {
     let mut all: Vec<Gap> = Vec::new();
     let mut cursor = None;
     let of = |row: GapRow| Gap {
-        within_s: [row.from.0, row.to.0].map(|ns| seconds(range, ns)),
+        within_s: [row.from.0, row.to.0].map(|utc_ns| (utc_ns - range.axis.origin_ns()) as f64 / 1e9),
         missing: row.missing,
         cause: row.cause.name().to_owned(),
     };
@@ -63,13 +41,15 @@ fn gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {
     }
 }
 
-fn course(reader: &Reader, range: &mut SampleRange, channel: Channel) -> Result<String, StoreError> {
+/// The picture of a channel over time.
+pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: Window) -> Result<String, StoreError> {
+    let range = &mut SampleRange::read(reader, capture, window.from, window.to)?;
     let mut bucket = Bucket::new(range.samples().div_ceil(STRETCHES).max(1), 1);
     let mut points: Vec<(f64, f64, f64)> = Vec::new();
-    let mut take = |range: &SampleRange, bucket: &mut Bucket| {
+    let mut take = |bucket: &mut Bucket| {
         if let Some((time_ns, values)) = bucket.row() {
             let ends: Vec<f64> = values.collect();
-            points.push((seconds(range, time_ns), ends[0], ends[1]));
+            points.push((time_ns as f64 / 1e9, ends[0], ends[1]));
         }
     };
     let mut next_seq = range.from_seq;
@@ -83,19 +63,21 @@ fn course(reader: &Reader, range: &mut SampleRange, channel: Channel) -> Result<
         let values = chunk.columns.first().map(Vec::as_slice).unwrap_or_default();
         for (time_ns, value) in times.into_iter().zip(values) {
             if bucket.take(time_ns, std::iter::once(*value)) {
-                take(range, &mut bucket);
+                take(&mut bucket);
             }
         }
         next_seq = chunk.next_seq();
     }
-    take(range, &mut bucket);
-    let gaps = gaps(reader, range)?;
+    take(&mut bucket);
+    let gaps = all_gaps(reader, range)?;
     let told = |gap: Gap| (gap.within_s, format!("{} missing, {}", gap.missing, gap.cause));
     let gaps = gaps.into_iter().map(told).collect();
     Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
 }
 
-fn density(reader: &Reader, range: &SampleRange, triad: Triad) -> Result<String, StoreError> {
+/// The picture of a triad's power spectra, with `lines` of its channels by name.
+pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[NamedLine]) -> Result<String, StoreError> {
+    let range = &SampleRange::read(reader, capture, None, None)?;
     let Some(rate_hz) = range.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0) else { return Ok(String::new()) };
     let there = |channel: &Channel| range.capture.channels.contains(channel);
     let channels: Vec<Channel> = triad.channels().into_iter().filter(there).collect();
@@ -130,5 +112,5 @@ fn density(reader: &Reader, range: &SampleRange, triad: Triad) -> Result<String,
     }
     let title = format!("Power spectrum, {}", triad.name());
     let unit = triad.channels()[0].unit();
-    Ok(Density { title: &title, unit, frequency_hz, channels: drawn, lines: Vec::new() }.svg())
+    Ok(Density { title: &title, unit, frequency_hz, channels: drawn, lines }.svg())
 }

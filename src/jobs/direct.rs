@@ -1,14 +1,16 @@
 //! Direct: what jobs compute, at once, for whoever waits for it: no queue, no checkpoints.
 
 use super::curves::Curves;
+use super::distribution::Distribution;
 use super::fold::Pass;
 use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobParameters, Plan, SampleSource};
+use super::{JobError, JobParameters, Plan, SampleSource, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator};
+use crate::store::Reader;
 
 /// The noise parameters of a plan's samples, on two threads; memory is bounded as a job's is.
 ///
@@ -36,6 +38,26 @@ pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) 
     take_all(source, &mut curves)?;
     let (plan, estimator, curves) = curves.finish();
     Ok(report::curves(&plan, estimator, curves, &Extent::of_plan(source, &plan)?))
+}
+
+/// Moments, histogram and a test for normality of every channel of a capture.
+///
+/// # Errors
+/// What the database says.
+pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, JobError> {
+    let row = reader.capture(capture_id)?;
+    let mut distribution = Distribution::new(row.channels);
+    let mut next_seq = 0;
+    while next_seq < row.samples {
+        let limit = CHUNK.min(usize::try_from(row.samples - next_seq).unwrap_or(CHUNK));
+        let chunk = reader.read_chunk(capture_id, next_seq, limit, distribution.channels())?;
+        if chunk.is_empty() {
+            break;
+        }
+        distribution.take(&chunk);
+        next_seq = chunk.next_seq();
+    }
+    Ok(report::statistics(distribution.statistics(), Extent::read(reader, capture_id, row.samples)?))
 }
 
 /// Hands all samples over, pass by pass.

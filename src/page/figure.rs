@@ -4,11 +4,17 @@ pub(super) use crate::plot::number::plain;
 use crate::plot::number::rounded;
 
 /// A number with as many digits as its interval tells apart, and the interval.
-pub(super) fn with_interval(value: f64, [low, high]: [f64; 2]) -> String {
+pub(super) fn with_interval(value: f64, ends: [f64; 2]) -> String {
+    let (value, interval) = parted(value, ends);
+    format!("{value} ({interval})")
+}
+
+/// The number and its interval, each by itself.
+pub(super) fn parted(value: f64, [low, high]: [f64; 2]) -> (String, String) {
     let (size, width) = (value.abs().max(low.abs()).max(high.abs()), (high - low).abs());
     let digits = if width > 0.0 && size > 0.0 { ((size / width).log10().ceil() as i64 + 2).clamp(3, 9) } else { 6 };
     let digits = usize::try_from(digits).unwrap_or(4);
-    format!("{} ({} to {})", rounded(value, digits), rounded(low, digits), rounded(high, digits))
+    (rounded(value, digits), format!("{} to {}", rounded(low, digits), rounded(high, digits)))
 }
 
 /// A share in percent; small differences from 0 and 100 are none of a reader's.
@@ -21,6 +27,36 @@ pub(super) fn second(time_s: f64) -> String {
     if time_s.is_finite() { format!("{time_s:.0}") } else { "–".to_owned() }
 }
 
+/// A span of time as a person says it: 5 h, 2 h 14 min, 90 s.
+pub(super) fn span(time_s: f64) -> String {
+    if !time_s.is_finite() || time_s < 0.0 {
+        return "–".to_owned();
+    }
+    let whole = time_s.round() as u64;
+    let parts = [(whole / 86_400, "d"), (whole / 3600 % 24, "h"), (whole / 60 % 60, "min"), (whole % 60, "s")];
+    let first = parts.iter().position(|(count, _)| *count > 0).unwrap_or(3);
+    // Two neighbours are enough: nobody plans a night by the second.
+    let told = parts[first..].iter().take(2).filter(|(count, _)| *count > 0);
+    let told: Vec<String> = told.map(|(count, unit)| format!("{count} {unit}")).collect();
+    if told.is_empty() { "0 s".to_owned() } else { told.join(" ") }
+}
+
+/// A number of bytes as a person says it.
+pub(super) fn size(bytes: f64) -> String {
+    match bytes {
+        few if few < 1e6 => format!("{:.0} kB", few / 1e3),
+        some if some < 1e9 => format!("{:.0} MB", some / 1e6),
+        many if many < 1e12 => format!("{} GB", rounded(many / 1e9, 3)),
+        huge => format!("{} TB", rounded(huge / 1e12, 3)),
+    }
+}
+
+/// RFC 3339 as a person reads it: `2026-11-23 21:04:05`.
+pub(super) fn clock(rfc3339: &str) -> String {
+    let to_the_second = rfc3339.split(['.', 'Z', '+']).next().unwrap_or(rfc3339);
+    to_the_second.replacen('T', " ", 1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -31,5 +67,19 @@ mod tests {
         assert_eq!(with_interval(1.9557e-3, [1.8976e-3, 2.0137e-3]), "0.001956 (0.001898 to 0.002014)");
         assert_eq!(with_interval(2.0, [2.0, 2.0]), "2 (2 to 2)");
         assert_eq!(percent(0.994), "99 %");
+    }
+
+    #[test]
+    fn spans_sizes_and_times_are_short() {
+        let spans =
+            [(0.2, "0 s"), (90.0, "1 min 30 s"), (18_000.0, "5 h"), (8_040.0, "2 h 14 min"), (90_061.0, "1 d 1 h")];
+        for (time_s, told) in spans {
+            assert_eq!(span(time_s), told);
+        }
+        assert_eq!(
+            (size(2.5e9), size(12e6), span(f64::NAN)),
+            ("2.5 GB".to_owned(), "12 MB".to_owned(), "–".to_owned())
+        );
+        assert_eq!(clock("2026-11-23T21:04:05.123Z"), "2026-11-23 21:04:05");
     }
 }

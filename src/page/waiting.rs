@@ -1,6 +1,6 @@
 //! Waiting: the page of a job that is not done, or has no result.
 
-use super::{escaped, framed};
+use super::{Kind, escaped, framed};
 
 /// A page that says what a job is doing and asks again, or why it has no result. `state` is the job's, `progress` 0–1.
 #[must_use]
@@ -17,7 +17,7 @@ pub fn waiting(title: &str, state: &str, progress: f64, error: Option<&str>) -> 
     let title = escaped(title);
     framed(
         &title,
-        (!ended).then_some(2),
+        if ended { Kind::Served } else { Kind::Renewed(2) },
         &format!("<p class=\"soft\">{title}: {}</p><h1>{sentence}</h1>{bar}", escaped(state)),
     )
 }

@@ -20,6 +20,8 @@ const LABELS: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     log: bool,
+    /// Whether its values mean something.
+    bare: bool,
     /// Values, or their common logarithms.
     from: f64,
     to: f64,
@@ -31,19 +33,24 @@ impl Axis {
         let (low, high) = ends(values)?;
         // A flat curve gets some room around it.
         let room = (ROOM * (high - low)).max(1e-3 * high.abs()).max(f64::MIN_POSITIVE);
-        Some(Self { log: false, from: low - room, to: high + room })
+        Some(Self { log: false, bare: false, from: low - room, to: high + room })
     }
 
     /// A straight one between just these.
     pub(super) fn between(from: f64, to: f64) -> Self {
-        Self { log: false, from, to: if to > from { to } else { from + 1.0 } }
+        Self { log: false, bare: false, from, to: if to > from { to } else { from + 1.0 } }
     }
 
     /// A logarithmic one of the values above 0; None where there is none.
     pub(super) fn logarithmic(values: impl Iterator<Item = f64>) -> Option<Self> {
         let (low, high) = ends(values.filter(|value| *value > 0.0).map(f64::log10))?;
         let room = (DECADES_MIN - (high - low)).max(ROOM_DECADES);
-        Some(Self { log: true, from: low - room, to: high + room })
+        Some(Self { log: true, bare: false, from: low - room, to: high + room })
+    }
+
+    /// One without values, lines and labels: everything goes from its one end to the other.
+    pub(super) fn bare() -> Self {
+        Self { log: false, bare: true, from: 0.0, to: 1.0 }
     }
 
     /// Where a value is, 0 to 1; beyond the ends it is at them.
@@ -54,6 +61,9 @@ impl Axis {
 
     /// Values with a line of their own, and their labels.
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
+        if self.bare {
+            return Vec::new();
+        }
         if !self.log {
             let rough = (self.to - self.from) / LINES;
             let decade = 10f64.powf(rough.log10().floor());
@@ -99,6 +109,7 @@ mod tests {
         assert!((flat.share(3.0) - 0.5).abs() < 1e-9 && !flat.ticks().is_empty());
         assert_eq!(Axis::straight([f64::INFINITY].into_iter()), None);
         assert!(Axis::between(2.0, 2.0).share(2.0) == 0.0);
+        assert!(Axis::bare().ticks().is_empty());
     }
 
     #[test]

@@ -3,6 +3,11 @@
 use super::axis::Axis;
 use super::deviation::class;
 use super::drawing::{Drawing, Frame};
+use super::lines::{NamedLine, joined};
+use super::number::rounded;
+
+/// Lines that have their frequency beside them: the strongest.
+const LABELS: usize = 10;
 
 /// Amplitude densities of channels of one unit over the same frequencies.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -16,8 +21,8 @@ pub struct Density<'a> {
     pub frequency_hz: Vec<f64>,
     /// Per channel its name and the root of its one-sided power density, U/√Hz.
     pub channels: Vec<(&'a str, Vec<f64>)>,
-    /// Frequencies of lines with what they are, Hz.
-    pub lines: Vec<(f64, String)>,
+    /// Lines that were found; those of other channels are left out.
+    pub lines: &'a [NamedLine],
 }
 
 impl Density<'_> {
@@ -30,8 +35,14 @@ impl Density<'_> {
         let y = format!("density in {}/√Hz", self.unit);
         let frame = Frame { title: self.title, x: "frequency in Hz", y: &y, height: 340.0 };
         let mut drawing = Drawing::new(frame, across, up);
-        for (frequency_hz, what) in &self.lines {
+        let names: Vec<&str> = self.channels.iter().map(|(name, _)| *name).collect();
+        let mut lines = joined(self.lines, &names, self.unit);
+        lines.sort_by(|a, b| b.1.total_cmp(&a.1));
+        for (place, (frequency_hz, _, what)) in lines.iter().enumerate() {
             drawing.stretch("mark", [*frequency_hz; 2], Some(what));
+            if place < LABELS {
+                drawing.beside(*frequency_hz, &format!("{} Hz", rounded(*frequency_hz, 3)));
+            }
         }
         let mut key = Vec::new();
         for (name, values) in &self.channels {
@@ -51,12 +62,23 @@ mod tests {
     #[test]
     fn each_channel_has_a_curve_and_each_line_a_mark() {
         let channels = vec![("gyro_x", vec![1e-3, 1e-4]), ("gyro_y", vec![0.0, 2e-4])];
-        let lines = vec![(11.4, "11.4 Hz".to_owned())];
-        let of =
-            Density { title: "Power spectrum, gyro", unit: "rad/s", frequency_hz: vec![0.1, 20.0], channels, lines };
+        let line = |channel: &str| NamedLine {
+            channel: channel.to_owned(),
+            frequency_hz: 11.4,
+            amplitude: 1e-3,
+            broad: false,
+            may_be_mains_hz: Vec::new(),
+        };
+        let (title, lines) = ("Power spectrum, gyro", [line("gyro_x"), line("accel_x")]);
+        let of = Density { title, unit: "rad/s", frequency_hz: vec![0.1, 20.0], channels, lines: &lines };
         let svg = of.svg();
         assert_eq!((svg.matches("class=\"line x").count(), svg.matches("class=\"mark\"").count()), (2, 1), "{svg}");
-        assert!(svg.contains("density in rad/s/√Hz") && svg.contains("<title>11.4 Hz</title>") && !svg.contains("NaN"));
+        assert!(
+            svg.contains("density in rad/s/√Hz")
+                && svg.contains("<title>11.4 Hz on gyro_x: amplitude 0.001 rad/s</title>")
+                && svg.contains(">11.4 Hz</text>")
+                && !svg.contains("NaN")
+        );
         assert_eq!(Density::default().svg(), "");
     }
 }

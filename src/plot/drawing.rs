@@ -39,14 +39,8 @@ impl Drawing {
     pub(super) fn new(frame: Frame<'_>, x: Axis, y: Axis) -> Self {
         let height = frame.height;
         let (left, right, top, bottom) = (MARGIN[0], WIDTH - MARGIN[1], MARGIN[2], height - MARGIN[3]);
-        let title = escaped(&shortened(frame.title));
-        let mut own = Self { out: String::new(), x, y, bottom };
+        let mut own = Self { out: escaped_title(frame.title, WIDTH, height, left), x, y, bottom };
         let out = &mut own.out;
-        let _ = write!(
-            out,
-            "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">\
-             <text class=\"title\" x=\"{left}\" y=\"19\">{title}</text>"
-        );
         for (value, label) in x.ticks() {
             let at = left + x.share(value) * (right - left);
             let _ = write!(
@@ -140,6 +134,17 @@ impl Drawing {
         );
     }
 
+    /// A word upright beside a place of the x axis, from the bottom up.
+    pub(super) fn beside(&mut self, x: f64, text: &str) {
+        let ((at, _), y) = (self.at(x, 0.0), self.bottom - 6.0);
+        let at = at - 5.0;
+        let _ = write!(
+            self.out,
+            "<text class=\"beside\" x=\"{at:.1}\" y=\"{y}\" transform=\"rotate(-90 {at:.1} {y})\">{}</text>",
+            escaped(text)
+        );
+    }
+
     /// Lines under the title's right end that say which curve is which.
     pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
         let right = WIDTH - MARGIN[1];
@@ -161,6 +166,15 @@ impl Drawing {
         self.out.push_str("</svg>");
         self.out
     }
+}
+
+/// The beginning of a picture: its size, and its title from `left` on.
+pub(super) fn escaped_title(title: &str, width: f64, height: f64, left: f64) -> String {
+    let title = escaped(&shortened(title));
+    format!(
+        "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\
+         <text class=\"title\" x=\"{left}\" y=\"19\">{title}</text>"
+    )
 }
 
 fn shortened(text: &str) -> String {

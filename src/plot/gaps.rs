@@ -52,7 +52,7 @@ impl Gaps {
         let frame = Frame { title: &title, x: &x, y: "", height: 130.0 };
         // One surface from the bottom up: there are no values.
         let across = Axis::between(0.0, self.length_s / unit_s);
-        let mut drawing = Drawing::new(frame, across, Axis::between(f64::MIN_POSITIVE, f64::MIN_POSITIVE));
+        let mut drawing = Drawing::new(frame, across, Axis::bare());
         drawing.stretch("there", [0.0, self.length_s / unit_s], None);
         for gap in &self.gaps {
             let told = format!("{} missing, {}", gap.missing, gap.cause);

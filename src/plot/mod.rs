@@ -10,18 +10,27 @@ mod density;
 mod deviation;
 mod drawing;
 mod gaps;
+mod heat;
 mod histogram;
+mod hourly;
 pub mod json;
+mod lines;
 pub mod number;
+pub mod raster;
 mod residuals;
+mod spark;
 mod spectra;
 
 pub use course::Course;
 pub use density::Density;
 pub use deviation::Deviations;
 pub use gaps::{Gap, Gaps};
+pub use heat::heat;
 pub use histogram::histogram;
+pub use hourly::hourly;
+pub use lines::{NamedLine, lines};
 pub use residuals::Residuals;
+pub use spark::spark;
 pub use spectra::Spectra;
 
 const STYLE: &str = include_str!("style.css");

@@ -11,13 +11,13 @@ pub struct Spectra {
     channel: String,
     unit: String,
     #[serde(deserialize_with = "numbers")]
-    frequency_hz: Vec<f64>,
+    pub(super) frequency_hz: Vec<f64>,
     #[serde(deserialize_with = "numbers")]
-    real: Vec<f64>,
+    pub(super) real: Vec<f64>,
     #[serde(default, deserialize_with = "numbers_or_none")]
-    before: Option<Vec<f64>>,
+    pub(super) before: Option<Vec<f64>>,
     #[serde(default, deserialize_with = "numbers_or_none")]
-    after: Option<Vec<f64>>,
+    pub(super) after: Option<Vec<f64>>,
 }
 
 impl Spectra {

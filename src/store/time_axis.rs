@@ -71,6 +71,21 @@ impl SampleRange {
     pub fn samples(&self) -> u64 {
         self.to_seq - self.from_seq
     }
+
+    /// When its first and its last sample were taken, s since the capture's first one; both 0 where it has none.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn ends_s(&mut self, reader: &Reader) -> Result<[f64; 2], StoreError> {
+        if self.samples() == 0 {
+            return Ok([0.0; 2]);
+        }
+        let mut at_s = |seq| {
+            let (segment, device_ns, host_utc_ns) = reader.sample_clocks(self.capture.id, seq)?;
+            Ok::<_, StoreError>(self.axis.time_ns(reader, segment, seq, device_ns, host_utc_ns)? as f64 / 1e9)
+        };
+        Ok([at_s(self.from_seq)?, at_s(self.to_seq - 1)?])
+    }
 }
 
 /// When each sample was taken: by the sensor's clock within each of its epochs, by the rate where the sensor sends no

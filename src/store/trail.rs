@@ -6,6 +6,7 @@ use super::{Page, PageRequest, Reader, StoreError, UtcNs};
 use crate::sample::{Channel, GapCause, Timebase};
 use rusqlite::{OptionalExtension, Row, params};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// A segment as the interfaces show it.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
@@ -191,6 +192,18 @@ impl Reader {
         let gap = |row: &Row<'_>| Ok((row.get::<_, i64>(0)? as u64, row.get::<_, i64>(1)? as u64));
         let gaps: Vec<(u64, u64)> = statement.query_map([capture_id], gap)?.collect::<Result<_, _>>()?;
         Ok(Missing::of(gaps))
+    }
+
+    /// Samples missing by the cause of their gaps.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn missing_by_cause(&self, capture_id: i64) -> Result<BTreeMap<String, u64>, StoreError> {
+        let sql = "SELECT cause, sum(missing) FROM gap WHERE capture_id = ?1 GROUP BY cause";
+        let mut statement = self.connection.prepare_cached(sql)?;
+        let entry = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, i64>(1)?.max(0) as u64));
+        let causes: Result<_, _> = statement.query_map([capture_id], entry)?.collect();
+        Ok(causes?)
     }
 
     /// A capture's gaps in the order they were recorded.

@@ -49,6 +49,8 @@ fn every_plot_of_a_capture_is_drawn_and_what_is_not_there_is_said() {
     assert!(histogram.contains("normal (p = ") && histogram.matches("class=\"bar\"").count() > 10, "{histogram}");
     let psd = drawn("psd-gyro");
     assert!(psd.contains("density in rad/s/√Hz") && curves(&psd, "z") == 2, "{psd}");
+    // Time counts from the first sample.
+    assert!(series.contains(">2</text>") && series.contains(">8</text>"), "{series}");
     assert!(drawn("gaps").contains("24000 samples, none missing"));
     for (name, said) in
         [("gap", "allan-&lt;"), ("timeseries-mag_x", "no channel mag_x"), ("psd-accel", "no channel accel_x")]

@@ -12,7 +12,7 @@ use crate::control::{
     CaptureControl, CaptureRequest, Command, ControlError, ImportError, ImportReport, ImportRequest, Importer,
 };
 use crate::jobs::{Jobs, JobsOptions, Live};
-use crate::observe::{Metrics, Status};
+use crate::observe::{Metrics, SharedRecent, Status};
 use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
 use std::net::SocketAddr;
@@ -79,6 +79,8 @@ impl World {
             jobs: jobs.clone(),
             live: Arc::new(setting.live),
             metrics: Arc::clone(&metrics),
+            recent: SharedRecent::default(),
+            clock: Arc::new(crate::clock::SystemClock),
             token: setting.token,
             loopback: true,
             importer: Arc::new(NoImports),

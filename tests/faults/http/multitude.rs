@@ -338,6 +338,8 @@ impl Inside {
             jobs: jobs.clone(),
             live: Arc::new(vn100d::jobs::Live::new()),
             metrics: Arc::new(vn100d::observe::Metrics::default()),
+            recent: vn100d::observe::SharedRecent::default(),
+            clock: Arc::new(vn100d::clock::SystemClock),
             token: None,
             loopback: true,
             importer: Arc::new(NoImports),

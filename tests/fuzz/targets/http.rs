@@ -58,6 +58,8 @@ impl World {
             jobs,
             live: Arc::new(Live::new()),
             metrics: Arc::new(Metrics::default()),
+            recent: vn100d::observe::SharedRecent::default(),
+            clock: Arc::new(vn100d::clock::SystemClock),
             token: None,
             // The Host header is not checked: nearly every mutated request would end there.
             loopback: false,

@@ -1,0 +1,82 @@
+//! Facts: what a capture's page says beside its pictures, from the database, as the interfaces' documents.
+
+use super::Picture;
+use crate::noise::NoiseReport;
+use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// Samples below which a spectrum has too few bins to be one.
+const SPECTRUM_MIN: u64 = 256;
+
+/// JSON documents of a capture.
+#[derive(Debug, Clone)]
+#[expect(clippy::exhaustive_structs, reason = "data")]
+pub struct Facts {
+    /// Its row.
+    pub row: CaptureRow,
+    /// The row with its accounting, as `GET /v1/captures/{id}` answers it.
+    pub capture: String,
+    /// Its gaps (the first thousand), a list.
+    pub gaps: String,
+    /// Its events (the first thousand), a list.
+    pub events: String,
+}
+
+impl Facts {
+    /// Reads them.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn read(reader: &Reader, id: i64) -> Result<Self, StoreError> {
+        let row = reader.capture(id)?;
+        let gaps: Page<GapRow> = reader.gaps(id, &PageRequest::first())?;
+        let events: Page<EventRow> = reader.events(id, &PageRequest::first())?;
+        let mut capture = json(&row);
+        capture["accounting"] = json(&reader.accounting(id)?);
+        Ok(Self {
+            row,
+            capture: capture.to_string(),
+            gaps: json(&gaps.rows).to_string(),
+            events: json(&events.rows).to_string(),
+        })
+    }
+
+    /// The pictures that can be drawn of it: `statistics` and `noise` are there or not, and tell which channels they have.
+    #[must_use]
+    pub fn pictures(&self, statistics: bool, noise: Option<&NoiseReport>) -> Vec<Picture> {
+        let row = &self.row;
+        let there = |picture: &Picture| match picture {
+            Picture::Gaps => row.samples > 1,
+            Picture::Timeseries(_) => row.samples > 1,
+            Picture::Histogram(_) => statistics && row.samples > 1,
+            Picture::Psd(_) => row.samples >= SPECTRUM_MIN && noise.is_some(),
+            Picture::Allan(triad) => {
+                noise.is_some_and(|noise| triad.channels().iter().any(|channel| noise.channels.contains_key(channel)))
+            }
+            Picture::AllanOfOne(channel) => noise.is_some_and(|noise| noise.channels.contains_key(channel)),
+            Picture::Hourly(channel) => {
+                noise.and_then(|noise| noise.disturbances.get(channel)).is_some_and(|found| found.dynamic.is_some())
+            }
+        };
+        let whole = |picture: &Picture| picture.channels().iter().all(|channel| row.channels.contains(channel));
+        Picture::all(&row.channels).into_iter().filter(there).filter(whole).collect()
+    }
+}
+
+/// Samples missing by cause, a JSON object; of nothing an empty one.
+///
+/// # Errors
+/// What the database says.
+pub fn causes(reader: &Reader, capture: Option<i64>) -> Result<String, StoreError> {
+    let causes = match capture {
+        Some(id) => reader.missing_by_cause(id)?,
+        None => BTreeMap::new(),
+    };
+    Ok(json(&causes).to_string())
+}
+
+/// What the store's own rows cannot fail at: they are numbers and texts.
+fn json(rows: &impl serde::Serialize) -> Value {
+    serde_json::to_value(rows).unwrap_or_default()
+}

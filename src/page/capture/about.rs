@@ -1,0 +1,43 @@
+//! What made the data: the sensor, its configuration, and the program.
+
+use super::{Capture, escaped};
+use serde_json::Value;
+use std::fmt::Write as _;
+
+/// The table.
+pub(super) fn section(out: &mut String, of: &Capture) {
+    *out += "<h2>What made it</h2><div class=\"wide\"><table>";
+    row(out, "source", &of.source);
+    row(out, "software", &of.software);
+    row(out, "channels", &of.channels.join(", "));
+    for part in [&of.sensor, &of.configuration] {
+        for (key, value) in part.as_object().into_iter().flatten() {
+            match value {
+                Value::Null => {}
+                // The program has a row of its own.
+                _ if key == "software" => {}
+                Value::Object(_) | Value::Array(_) => nested(out, key, value),
+                Value::String(text) => row(out, &key.replace('_', " "), text),
+                other => row(out, &key.replace('_', " "), &other.to_string()),
+            }
+        }
+    }
+    *out += "</table></div>";
+}
+
+fn row(out: &mut String, name: &str, value: &str) {
+    // Writing to a text cannot fail.
+    let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escaped(name), escaped(value));
+}
+
+/// What has parts, as it is stored.
+fn nested(out: &mut String, key: &str, value: &Value) {
+    let text = serde_json::to_string_pretty(value).unwrap_or_default();
+    let _ = write!(
+        out,
+        "<tr><th scope=\"row\">{}</th><td><details><summary>{} lines</summary><pre tabindex=\"0\">{}</pre></details></td></tr>",
+        escaped(&key.replace('_', " ")),
+        text.lines().count(),
+        escaped(&text)
+    );
+}

@@ -1,0 +1,414 @@
+//! The page of a capture: what it got, the numbers, the pictures, what happened, and what made it.
+
+mod about;
+mod noise;
+mod statistics;
+
+use super::figure::{clock, percent, span};
+use super::{Kind, escaped, framed};
+use serde::Deserialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// A picture on the page.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_enums, reason = "the two ways to have a picture")]
+pub enum Figure {
+    /// Fetched from there, where it comes into sight; `told` is for those who do not see it.
+    Linked {
+        /// What it shows.
+        told: String,
+        /// Where it is.
+        address: String,
+        /// Its height in units of which it is 560 wide.
+        height: u32,
+    },
+    /// Part of the file: `<svg>…</svg>`.
+    Drawn(String),
+}
+
+/// All that is known of a capture. Documents are JSON texts.
+#[derive(Debug, Clone, Copy)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct CaptureView<'a> {
+    /// `GET /v1/captures/{id}`.
+    pub capture: &'a str,
+    /// `vn100d-statistics-1`.
+    pub statistics: Option<&'a str>,
+    /// `vn100d-noise-1`, with its comparison with a datasheet.
+    pub noise: Option<&'a str>,
+    /// What is being computed, or why something is not there: sentences.
+    pub remarks: &'a [String],
+    /// Whether something is being computed that the page will show.
+    pub waits: bool,
+    /// Gaps, a list.
+    pub gaps: &'a str,
+    /// Events, a list.
+    pub events: &'a str,
+    /// Diagnoses, a list.
+    pub diagnoses: &'a str,
+    /// Pictures by name, such as `allan-gyro`; those that are missing are not shown.
+    pub figures: &'a BTreeMap<String, Figure>,
+    /// Whether it is a page of the daemon, with links to the rest, and if so whether wishes need a token.
+    pub served: Option<bool>,
+    /// Pages of its diagnoses, for a file that has them in it: title and what stands in their bodies.
+    pub enclosed: &'a [String],
+}
+
+/// The parts of a capture that are shown.
+#[derive(Debug, Deserialize)]
+struct Capture {
+    id: i64,
+    name: String,
+    state: String,
+    source: String,
+    started_at: Option<String>,
+    ended_at: Option<String>,
+    #[serde(default)]
+    duration_s: f64,
+    planned_duration_s: Option<f64>,
+    #[serde(default)]
+    samples: u64,
+    #[serde(default)]
+    missing: u64,
+    #[serde(default)]
+    gaps: u64,
+    #[serde(default)]
+    segments: u64,
+    rate_hz: Option<f64>,
+    #[serde(default)]
+    pinned: bool,
+    #[serde(default)]
+    software: String,
+    #[serde(default)]
+    channels: Vec<String>,
+    #[serde(default)]
+    rejected: BTreeMap<String, u64>,
+    #[serde(default)]
+    sensor: Value,
+    #[serde(default)]
+    configuration: Value,
+    #[serde(default)]
+    accounting: Option<Accounting>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Accounting {
+    holds: bool,
+    #[serde(default)]
+    violations: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Gap {
+    from: String,
+    to: String,
+    missing: u64,
+    #[serde(default)]
+    missing_exact: bool,
+    cause: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Event {
+    at: String,
+    kind: String,
+    message: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Diagnosis {
+    id: i64,
+    state: String,
+    summary: Option<String>,
+}
+
+/// Gaps and events that are listed; the interface has them all.
+const LISTED: usize = 50;
+/// Triads and the letters of their axes.
+const TRIADS: [&str; 3] = ["gyro", "accel", "mag"];
+
+/// The page.
+///
+/// # Errors
+/// What is missing in a text that is none of these documents.
+pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
+    let of: Capture = serde_json::from_str(view.capture)?;
+    let mut out = String::new();
+    head(&mut out, &of, view);
+    gaps(&mut out, &of, serde_json::from_str(view.gaps)?, view);
+    if let Some(document) = view.noise {
+        noise::section(&mut out, document, view)?;
+    }
+    spectra(&mut out, view);
+    if let Some(document) = view.statistics {
+        statistics::section(&mut out, document)?;
+    }
+    courses(&mut out, &of, view);
+    diagnoses(&mut out, serde_json::from_str(view.diagnoses)?, view);
+    events(&mut out, serde_json::from_str(view.events)?);
+    about::section(&mut out, &of);
+    foot(&mut out, &of, view);
+    let kind = match view.served {
+        None => Kind::File,
+        Some(_) if view.waits => Kind::Renewed(3),
+        // What runs grows: those who look will want to see it, but a page with forms may not vanish under them.
+        Some(_) => Kind::Served,
+    };
+    Ok(framed(&of.name, kind, &out))
+}
+
+/// The picture of that name, where it is there.
+fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
+    // Writing to a text cannot fail.
+    match view.figures.get(name) {
+        None => return false,
+        Some(Figure::Drawn(svg)) => {
+            let _ = write!(out, "<figure>{svg}</figure>");
+        }
+        Some(Figure::Linked { told, address, height }) => {
+            let (told, address) = (escaped(told), escaped(address));
+            let _ = write!(
+                out,
+                "<figure><img src=\"{address}\" alt=\"{told}\" width=\"560\" height=\"{height}\" loading=\"lazy\"></figure>"
+            );
+        }
+    }
+    true
+}
+
+fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
+    let begun = of.started_at.as_deref().map_or_else(|| "not begun".to_owned(), clock);
+    let ended = of.ended_at.as_deref().map_or_else(|| "now".to_owned(), clock);
+    let sensor = ["model", "serial_number"].map(|key| of.sensor[key].as_str().unwrap_or_default());
+    let sensor = sensor.join(" ").trim().to_owned();
+    let _ = write!(
+        out,
+        "<p class=\"soft\">capture {}, {} from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
+        of.id,
+        escaped(&of.state.replace('_', " ")),
+        escaped(if sensor.is_empty() { &of.source } else { &sensor }),
+        if of.pinned { ", kept from deletion" } else { "" },
+        escaped(&of.name),
+        escaped(&sentence(of))
+    );
+    let _ = write!(out, "<p class=\"soft\">{} to {} UTC</p>", escaped(&begun), escaped(&ended));
+    if let Some(accounting) = &of.accounting
+        && !accounting.holds
+    {
+        *out += "<p class=\"alarm\">The accounting does not agree:</p><ul>";
+        for violation in &accounting.violations {
+            let _ = write!(out, "<li>{}</li>", escaped(violation));
+        }
+        *out += "</ul>";
+    }
+    for remark in view.remarks {
+        let _ = write!(out, "<p class=\"remark\">{}</p>", escaped(remark));
+    }
+    if let Some(token) = view.served {
+        wishes(out, of, token);
+    }
+}
+
+/// What it got, in one sentence.
+fn sentence(of: &Capture) -> String {
+    let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz", super::figure::plain(rate)));
+    let planned = match of.planned_duration_s {
+        Some(planned) if planned - of.duration_s > 1.0 => format!(" of {} wanted", span(planned)),
+        _ => String::new(),
+    };
+    let missing = match (of.missing, of.gaps) {
+        (0, _) => "none missing".to_owned(),
+        (missing, gaps) => {
+            let share = missing as f64 / (missing + of.samples).max(1) as f64;
+            let share = if share < 0.005 { "less than 1 %".to_owned() } else { percent(share) };
+            format!("{missing} missing ({share}) in {gaps} {}", if gaps == 1 { "gap" } else { "gaps" })
+        }
+    };
+    format!("{}{planned}{rate}: {} samples, {missing}", span(of.duration_s), of.samples)
+}
+
+/// What may be asked for on the page; those without scripts have curl.
+fn wishes(out: &mut String, of: &Capture, token: bool) {
+    let open = matches!(of.state.as_str(), "capturing" | "waiting");
+    let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");
+    if open {
+        let _ = write!(
+            out,
+            "<form data-post=\"/v1/captures/{}/stop\" data-ask=\"Stop this capture?\"><button>stop</button></form>",
+            of.id
+        );
+    } else {
+        let _ = write!(
+            out,
+            "<form data-post=\"/v1/captures/{0}/pin\" data-json=\"{{&quot;pinned&quot;:{1}}}\"><button>{2}</button></form>\
+             <form data-post=\"/v1/captures/{0}/diagnoses\" data-then=\"/diagnoses/\" class=\"models\">\
+             <label>compare with the simulator <select name=\"sim\" data-models></select></label><button>diagnose</button></form>",
+            of.id,
+            !of.pinned,
+            if of.pinned { "keep no longer" } else { "keep from deletion" }
+        );
+    }
+    *out += &super::dashboard::token(token);
+    *out += "<p class=\"said\" role=\"status\"></p></section>";
+}
+
+fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) {
+    *out += "<h2>Samples and gaps</h2>";
+    figure(out, view, "gaps");
+    if of.samples + of.missing > 0 && gaps.is_empty() {
+        let _ = write!(
+            out,
+            "<p>No sample is missing, in {} {}.</p>",
+            of.segments,
+            if of.segments == 1 { "segment" } else { "segments" }
+        );
+    }
+    if !gaps.is_empty() {
+        let mut causes: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
+        for gap in &gaps {
+            let (count, missing) = causes.entry(&gap.cause).or_default();
+            *count += 1;
+            *missing += gap.missing;
+        }
+        let by_cause = causes.iter().map(|(cause, (count, missing))| {
+            let gaps = if *count == 1 { "gap" } else { "gaps" };
+            format!("{}: {missing} in {count} {gaps}", escaped(&cause.replace('_', " ")))
+        });
+        let by_cause: Vec<String> = by_cause.collect();
+        let _ = write!(
+            out,
+            "<p>{}</p><details><summary>the list</summary><div class=\"wide\"><table><tr><th scope=\"col\">from (UTC)</th>\
+             <th scope=\"col\">to</th><th scope=\"col\" class=\"number\">missing</th><th scope=\"col\">cause</th></tr>",
+            by_cause.join("; ")
+        );
+        for gap in gaps.iter().take(LISTED) {
+            let _ = write!(
+                out,
+                "<tr><td>{}</td><td>{}</td><td class=\"number\">{}{}</td><td>{}</td></tr>",
+                escaped(&clock(&gap.from)),
+                escaped(&clock(&gap.to)),
+                if gap.missing_exact { "" } else { "about " },
+                gap.missing,
+                escaped(&gap.cause.replace('_', " "))
+            );
+        }
+        *out += "</table></div>";
+        if gaps.len() > LISTED {
+            let _ = write!(out, "<p class=\"soft\">… and {} more</p>", gaps.len() - LISTED);
+        }
+        *out += "</details>";
+    }
+    if !of.rejected.is_empty() {
+        let all: Vec<String> = of
+            .rejected
+            .iter()
+            .map(|(cause, count)| format!("{count} ({})", escaped(&cause.replace('_', " "))))
+            .collect();
+        let _ = write!(out, "<p>Arrived and not taken: {}.</p>", all.join(", "));
+    }
+}
+
+fn spectra(out: &mut String, view: &CaptureView<'_>) {
+    let names: Vec<String> = TRIADS.iter().map(|triad| format!("psd-{triad}")).collect();
+    if !names.iter().any(|name| view.figures.contains_key(name)) {
+        return;
+    }
+    *out += "<h2>Power spectrum</h2><div class=\"figures\">";
+    for name in &names {
+        figure(out, view, name);
+    }
+    *out += "</div>";
+}
+
+fn courses(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
+    let there = |channel: &&String| {
+        view.figures.contains_key(&format!("timeseries-{channel}"))
+            || view.figures.contains_key(&format!("histogram-{channel}"))
+    };
+    let channels: Vec<&String> = of.channels.iter().filter(there).collect();
+    if channels.is_empty() {
+        return;
+    }
+    *out += "<h2>Channel by channel</h2>";
+    // The temperature explains the others.
+    let mut channels = channels;
+    channels.sort_by_key(|channel| channel.as_str() != "temperature");
+    for (place, channel) in channels.into_iter().enumerate() {
+        let name = escaped(channel);
+        // A file is printed: what is closed on paper is lost.
+        let open = if view.served.is_none() || place == 0 { " open" } else { "" };
+        let _ = write!(out, "<details{open}><summary>{name}</summary><div class=\"figures\">");
+        figure(out, view, &format!("timeseries-{channel}"));
+        figure(out, view, &format!("histogram-{channel}"));
+        *out += "</div>";
+        if view.served.is_some() {
+            let _ = write!(out, "<p><a href=\"/captures/{}/series/{name}\">look closer at {name}</a></p>", of.id);
+        }
+        *out += "</details>";
+    }
+}
+
+fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>) {
+    if diagnoses.is_empty() && view.enclosed.is_empty() {
+        return;
+    }
+    *out += "<h2>Compared with a simulator</h2>";
+    if view.enclosed.is_empty() {
+        *out += "<ul>";
+        for one in &diagnoses {
+            let told = one.summary.as_deref().unwrap_or(&one.state);
+            let _ = match view.served {
+                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", one.id, escaped(told)),
+                None => write!(out, "<li>{}</li>", escaped(told)),
+            };
+        }
+        *out += "</ul>";
+    }
+    for own in view.enclosed {
+        let _ = write!(out, "<section class=\"enclosed\">{own}</section>");
+    }
+}
+
+fn events(out: &mut String, events: Vec<Event>) {
+    if events.is_empty() {
+        return;
+    }
+    *out += "<h2>What happened</h2><div class=\"wide\"><table><tr><th scope=\"col\">when (UTC)</th><th scope=\"col\">what</th></tr>";
+    for event in events.iter().take(LISTED) {
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td title=\"{}\">{}</td></tr>",
+            escaped(&clock(&event.at)),
+            escaped(&event.kind),
+            escaped(&event.message)
+        );
+    }
+    *out += "</table></div>";
+    if events.len() > LISTED {
+        let _ = write!(out, "<p class=\"soft\">… and {} more</p>", events.len() - LISTED);
+    }
+}
+
+fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
+    if view.served.is_none() {
+        let _ = write!(out, "<footer>{}</footer>", escaped(&of.software));
+        return;
+    }
+    let links = [
+        ("JSON", ""),
+        ("noise", "/noise"),
+        ("Allan deviation", "/allan"),
+        ("statistics", "/statistics"),
+        ("gaps", "/gaps"),
+        ("segments", "/segments"),
+        ("samples as CSV", "/samples?format=csv"),
+        ("for Kalibr", "/noise?format=kalibr"),
+    ];
+    let links = links.map(|(label, path)| format!("<a href=\"/v1/captures/{}{path}\">{label}</a>", of.id));
+    let _ = write!(out, "<footer>{} · {}</footer>", escaped(&of.software), links.join(" · "));
+}
+
+#[cfg(test)]
+mod tests;

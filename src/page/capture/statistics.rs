@@ -1,0 +1,76 @@
+//! Statistics: one row per channel.
+
+use super::escaped;
+use crate::page::figure::plain;
+use crate::plot::number::rounded;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+#[derive(Debug, Deserialize)]
+struct Statistics {
+    #[serde(default)]
+    channels: BTreeMap<String, Moments>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Moments {
+    unit: String,
+    mean: Option<f64>,
+    std: Option<f64>,
+    min: Option<f64>,
+    max: Option<f64>,
+    skewness: Option<f64>,
+    kurtosis: Option<f64>,
+    normality: Option<Normality>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Normality {
+    p_value: f64,
+    verdict: String,
+}
+
+/// Channels as the sensor's manual lists them.
+const ORDER: [&str; 5] = ["yaw", "pitch", "roll", "gyro", "accel"];
+
+/// The table of `vn100d-statistics-1`.
+pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json::Error> {
+    let of: Statistics = serde_json::from_str(document)?;
+    if of.channels.is_empty() {
+        return Ok(());
+    }
+    *out += "<h2>Statistics</h2><p class=\"soft\">Kurtosis is that in excess of a normal distribution's.</p><div class=\"wide\"><table>\
+             <tr><th scope=\"col\">channel</th><th scope=\"col\">unit</th>";
+    for name in ["mean", "std", "min", "max", "skewness", "kurtosis"] {
+        // Writing to a text cannot fail.
+        let _ = write!(out, "<th scope=\"col\" class=\"number\">{name}</th>");
+    }
+    *out += "<th scope=\"col\">normal?</th></tr>";
+    let place = |name: &str| ORDER.iter().position(|prefix| name.starts_with(prefix)).unwrap_or(ORDER.len());
+    let mut channels: Vec<(&String, &Moments)> = of.channels.iter().collect();
+    channels.sort_by_key(|(name, _)| place(name));
+    for (name, own) in channels {
+        let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td>", escaped(name), escaped(&own.unit));
+        // A level of 9.8 with noise of a thousandth has its digits.
+        let digits = |value: f64| rounded(value, 6);
+        let cells = [
+            own.mean.map(digits),
+            own.std.map(plain),
+            own.min.map(digits),
+            own.max.map(digits),
+            own.skewness.map(|value| rounded(value, 2)),
+            own.kurtosis.map(|value| rounded(value, 2)),
+        ];
+        for cell in cells {
+            let _ = write!(out, "<td class=\"number\">{}</td>", cell.unwrap_or_else(|| "–".to_owned()));
+        }
+        let normal = own.normality.as_ref().map_or_else(
+            || "–".to_owned(),
+            |test| format!("{} (p = {})", escaped(&test.verdict.replace('_', " ")), rounded(test.p_value, 2)),
+        );
+        let _ = write!(out, "<td>{normal}</td></tr>");
+    }
+    *out += "</table></div>";
+    Ok(())
+}

@@ -1,0 +1,97 @@
+use super::*;
+use serde_json::json;
+
+fn row() -> String {
+    json!({"id": 7, "name": "<script>alert(1)", "state": "complete", "source": "/dev/ttyUSB0", "started_at": "2026-11-23T20:00:00.5Z",
+        "ended_at": "2026-11-24T01:00:00Z", "duration_s": 18_000.0, "planned_duration_s": 18_000.0, "samples": 719_990, "missing": 10,
+        "gaps": 1, "segments": 2, "rate_hz": 40.0, "pinned": false, "software": "vn100d 1", "channels": ["gyro_x", "temperature"],
+        "rejected": {"checksum": 3}, "sensor": {"model": "VN-100T", "serial_number": "<42>"},
+        "configuration": {"baud": 115_200, "filter_window": {"gyro": "<4>"}},
+        "accounting": {"holds": false, "violations": ["7 < 8"]}})
+    .to_string()
+}
+
+const GAPS: &str = r#"[{"from": "2026-11-23T21:00:00Z", "to": "2026-11-23T21:00:00.25Z", "missing": 10, "missing_exact": true,
+    "cause": "host_stall"}]"#;
+const EVENTS: &str = r#"[{"at": "2026-11-23T20:00:00Z", "kind": "connected", "message": "<b>connected"}]"#;
+
+fn noise() -> String {
+    let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});
+    let k = json!({"value": null, "upper_limit95": 1.5e-6, "unit": "rad/s/√s"});
+    let density = json!({"measured": 1e-4, "datasheet": 6e-5, "printed": "0.0035 °/s/√Hz", "predicted": 1.1e-4, "ratio": 1.6,
+        "unit": "rad/s/√Hz", "verdict": "explained_by_sampling"});
+    let bias = json!({"allan_minimum": 9e-5, "tau_s": 100.0, "datasheet": 2e-5, "printed": "5 °/h", "ratio": 4.0, "unit": "rad/s",
+        "verdict": "worse"});
+    json!({"channels": {"gyro_x": {"N": n, "K": k, "flags": [{"kind": "misfit", "note": "a <note>"}]}},
+        "datasheet": {"name": "VN-100", "source": "User manual.", "channels": {"gyro_x": {"noise_density": density,
+        "bias_stability": bias}}}})
+    .to_string()
+}
+
+fn statistics() -> String {
+    json!({"channels": {"gyro_x": {"unit": "rad/s", "mean": 1e-3, "std": 2e-3, "min": -0.01, "max": 0.01, "skewness": 0.01,
+        "kurtosis": -0.02, "normality": {"p_value": 0.3, "verdict": "normal"}}}})
+    .to_string()
+}
+
+fn shown(served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
+    let (row, noise, statistics) = (row(), noise(), statistics());
+    capture(&CaptureView {
+        capture: &row,
+        statistics: Some(&statistics),
+        noise: Some(&noise),
+        remarks: &["the Allan deviation is <being> computed".to_owned()],
+        waits: false,
+        gaps: GAPS,
+        events: EVENTS,
+        diagnoses: r#"[{"id": 9, "state": "done", "summary": "a <tone> is missing"}]"#,
+        figures,
+        served,
+        enclosed: &[],
+    })
+    .unwrap()
+}
+
+#[test]
+fn everything_that_is_known_is_told_and_nothing_is_markup() {
+    let linked = |name: &str| {
+        let address = format!("/v1/captures/7/plots/{name}.svg");
+        (name.to_owned(), Figure::Linked { told: "<told>".to_owned(), address, height: 280 })
+    };
+    let figures =
+        ["gaps", "allan-gyro", "hourly-gyro_x", "psd-gyro", "timeseries-temperature", "histogram-gyro_x"].map(linked);
+    let page = shown(Some(true), &BTreeMap::from(figures));
+    for told in [
+        "5 h at 40 Hz: 719990 samples, 10 missing (less than 1 %) in 1 gap",
+        "2026-11-23 20:00:00 to 2026-11-24 01:00:00 UTC",
+        "7 &lt; 8",
+        "host stall: 10 in 1 gap",
+        "1·10⁻⁴&nbsp;rad/s/√Hz <span class=\"interval\">9·10⁻⁵ to 1.1·10⁻⁴</span>",
+        "0.344&nbsp;deg/√h <span class=\"interval\">0.309 to 0.378</span>",
+        "below 1.5·10⁻⁶ rad/s/√s",
+        "explained by sampling",
+        "<span class=\"bad\">worse</span>",
+        "normal (p = 0.3)",
+        "a &lt;tone&gt; is missing",
+        "&lt;4&gt;",
+        "VN-100T &lt;42&gt;",
+        "href=\"/captures/7/series/gyro_x\"",
+        "class=\"token\"",
+    ] {
+        assert!(page.contains(told), "{told}: {page}");
+    }
+    assert_eq!(page.matches("<img ").count(), 6, "{page}");
+    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<42>", "<being>"] {
+        assert!(!page.contains(markup), "{markup}");
+    }
+}
+
+#[test]
+fn a_file_has_its_pictures_in_it_and_nothing_from_elsewhere() {
+    let figures = BTreeMap::from([("allan-gyro".to_owned(), Figure::Drawn("<svg id=\"own\"></svg>".to_owned()))]);
+    let page = shown(None, &figures);
+    assert!(page.contains("<figure><svg id=\"own\"></svg></figure>"), "{page}");
+    for foreign in ["<script", "<img", "href=\"/", "<form", "http-equiv"] {
+        assert!(!page.contains(foreign), "{foreign}: {page}");
+    }
+}
