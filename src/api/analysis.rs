@@ -240,8 +240,8 @@ async fn document<T: Serialize + Send + 'static>(
 
 /// What a picture is drawn of.
 pub(super) enum Drawn {
-    /// The analysis' JSON.
-    Document(String),
+    /// The analysis' JSON, and the result that it is of, which never changes; none of a capture that runs.
+    Document(String, Option<i64>),
     /// It is being worked on: the answer that says so.
     Later(Response),
 }
@@ -261,9 +261,9 @@ pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result
                 };
                 document.map_err(JobError::from)
             };
-            Drawn::Document(state.read_heavy(so_far).await?)
+            Drawn::Document(state.read_heavy(so_far).await?, None)
         }
-        Found::Result(result) => Drawn::Document(result.body),
+        Found::Result(result) => Drawn::Document(result.body, Some(result.id)),
         Found::Job(row) => Drawn::Later(unfinished(row)?),
         Found::Nothing(id) => Drawn::Later(unfinished(jobs::submit_wish(state, kind, id, Value::Null).await?)?),
     })

@@ -181,8 +181,7 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
                 ("the capture", format!("/captures/{}", job.capture)),
                 ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
             ];
-            let drawn = pages::Pictures { spectra: document.spectra.get(), residuals: document.residuals() };
-            let page = pages::diagnosis(document.report.get(), drawn, &links);
+            let page = pages::diagnosis(document.report.get(), &result.body, &links);
             page.map_err(JobError::from)?
         }
         None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),

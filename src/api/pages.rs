@@ -107,7 +107,7 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
     let mut remarks = Vec::new();
     let mut waits = false;
     let mut document = async |kind: JobKind| match analysis::drawn(&state, kind, &id).await {
-        Ok(Drawn::Document(document)) => Some(document),
+        Ok(Drawn::Document(document, _)) => Some(document),
         Ok(Drawn::Later(_)) => {
             waits = true;
             remarks.push(under_way(kind, &jobs));

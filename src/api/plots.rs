@@ -6,7 +6,7 @@ use super::extract::{P2, Q};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::samples;
 use super::state::ApiState;
-use crate::gallery::{self, Documents, GalleryError, Picture, Window};
+use crate::gallery::{self, Documents, GalleryError, Needs, Picture, Window};
 use crate::jobs::{JobError, JobKind};
 use crate::plot;
 use crate::store::SOFTWARE;
@@ -64,43 +64,25 @@ pub(super) async fn plot(
     let name = capture.clone();
     let row = state.read(move |reader| reader.capture(reader.resolve(&name)?)).await?;
     let open = row.state.is_open();
-    let tag = format!(
-        "\"{}-{}-{}-{}-{}\"",
-        row.id,
-        conditional::plain(&file),
-        row.samples,
-        conditional::plain(&format!("{:?}", (window.from, window.to))),
-        conditional::plain(SOFTWARE)
-    );
-    if !open && conditional::is_known(&headers, &tag) {
-        return Ok(conditional::answer(&headers, &tag, ()));
-    }
     if let Some(lacking) = picture.channels().into_iter().find(|channel| !row.channels.contains(channel)) {
         let message = format!("the capture has no channel {}", lacking.name());
         return Err(ApiError::new(ProblemType::NotFound, message));
     }
     let id = row.id.to_string();
-    let needs = picture.needs();
-    let mut documents = Documents::default();
-    if needs.statistics {
-        match analysis::drawn(&state, JobKind::Statistics, &id).await? {
-            Drawn::Document(statistics) => documents.statistics = Some(statistics),
-            Drawn::Later(answer) => return Ok(answer),
-        }
-    }
-    if needs.allan {
-        match analysis::drawn(&state, JobKind::Allan, &id).await? {
-            Drawn::Document(allan) => documents.allan = Some(allan),
-            Drawn::Later(answer) => return Ok(answer),
-        }
-    }
-    if needs.noise {
-        match analysis::drawn(&state, JobKind::Noise, &id).await {
-            Ok(Drawn::Document(noise)) => documents.noise = Some(noise),
-            Ok(Drawn::Later(answer)) => return Ok(answer),
-            // Lines that there will never be are left out.
-            Err(_) => {}
-        }
+    let (documents, results) = match material(&state, picture.needs(), &id).await? {
+        Material::There(documents, results) => (documents, results),
+        Material::Later(answer) => return Ok(answer),
+    };
+    // An analysis may be done again: what is drawn of it is another picture then.
+    let tag = format!(
+        "\"{id}-{}-{}-{}-{}\"",
+        conditional::plain(&file),
+        row.samples,
+        conditional::plain(&format!("{:?} {results:?}", (window.from, window.to))),
+        conditional::plain(SOFTWARE)
+    );
+    if !open && conditional::is_known(&headers, &tag) {
+        return Ok(conditional::answer(&headers, &tag, ()));
     }
     let image = state
         .read_heavy(move |reader, _| {
@@ -133,6 +115,37 @@ pub(super) async fn plot(
         true => ([(header::CACHE_CONTROL, "no-store")], image).into_response(),
         false => conditional::answer(&headers, &tag, image),
     })
+}
+
+/// What a picture is drawn of.
+enum Material {
+    /// Documents, and the results that they are of.
+    There(Documents, Vec<Option<i64>>),
+    /// One is being worked on: the answer that says so.
+    Later(Response),
+}
+
+async fn material(state: &ApiState, needs: Needs, id: &str) -> Result<Material, ApiError> {
+    let mut documents = Documents::default();
+    let mut results = Vec::new();
+    let wanted = [
+        (needs.statistics, JobKind::Statistics, &mut documents.statistics),
+        (needs.allan, JobKind::Allan, &mut documents.allan),
+        (needs.noise, JobKind::Noise, &mut documents.noise),
+    ];
+    for (_, kind, document) in wanted.into_iter().filter(|(wanted, ..)| *wanted) {
+        match analysis::drawn(state, kind, id).await {
+            Ok(Drawn::Document(text, result)) => {
+                *document = Some(text);
+                results.push(result);
+            }
+            Ok(Drawn::Later(answer)) => return Ok(Material::Later(answer)),
+            // Lines that there will never be are left out; those that there may be in a moment are not.
+            Err(error) if kind == JobKind::Noise && error.kind() == ProblemType::AnalysisFailed => results.push(None),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(Material::There(documents, results))
 }
 
 /// What a picture is sent as.

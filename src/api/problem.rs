@@ -163,6 +163,12 @@ pub struct ApiError {
 }
 
 impl ApiError {
+    /// Of which type it is.
+    #[must_use]
+    pub fn kind(&self) -> ProblemType {
+        self.kind
+    }
+
     /// An error of this type. `detail` is for whoever asked.
     #[must_use]
     pub fn new(kind: ProblemType, detail: impl Into<String>) -> Self {

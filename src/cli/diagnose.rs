@@ -4,7 +4,7 @@ use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
 use crate::diagnosis::report::{Cause, Driver, Place};
-use crate::diagnosis::{self, Diagnosis, DiagnosisError, Options, Reference, Verdict};
+use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference, Verdict};
 use crate::jobs::{TwoThreads, gridded};
 use crate::motion::file::Rows;
 use crate::page;
@@ -53,10 +53,9 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         write(output, &(serde_json::to_string_pretty(&outcome.augmented)? + "\n"))?;
     }
     if let Some(output) = html {
-        let spectra = diagnosis::spectra(&gridded.recording, &sim, &outcome.augmented);
-        let (report, spectra) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&spectra)?);
-        let residuals = serde_json::to_string(&outcome.residuals)?;
-        write(output, &page::diagnosis(&report, page::Pictures { spectra: &spectra, residuals: &residuals }, &[])?)?;
+        let drawings = Drawings::new(&gridded.recording, &sim, &outcome);
+        let (report, drawings) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&drawings)?);
+        write(output, &page::diagnosis(&report, &drawings, &[])?)?;
     }
     if context.json {
         print_json(&outcome.diagnosis)?

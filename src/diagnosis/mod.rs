@@ -15,6 +15,7 @@ mod compose;
 pub mod course;
 pub mod diagnose;
 mod discrepancy;
+mod drawings;
 pub mod error;
 pub mod evidence;
 pub mod explanation;
@@ -42,18 +43,17 @@ pub mod search;
 mod sentence;
 pub mod series;
 pub mod shared;
-pub mod spectra;
 pub mod spread;
 pub mod tiles;
 pub mod transform;
 pub mod translate;
 
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
+pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
 pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
-pub use spectra::{ChannelSpectra, spectra};
 
 /// The effects that can be found in a record at rest: the contract's, on channels.
 #[must_use]

@@ -20,7 +20,8 @@ const GAPS_MAX: usize = 2000;
 pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError> {
     let mut range = SampleRange::read(reader, capture, None, None)?;
     let (gaps, [_, length_s]) = (all_gaps(reader, &range)?, range.ends_s(reader)?);
-    Ok(Gaps { length_s, samples: range.samples(), gaps }.svg())
+    let causes = reader.missing_by_cause(range.capture.id)?;
+    Ok(Gaps { length_s, samples: range.samples(), count: range.capture.gaps, causes, gaps }.svg())
 }
 
 fn all_gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {

@@ -7,7 +7,7 @@
 use super::plan::Plan;
 use super::runner::Outcome;
 use super::{Gridded, JobError, JobKind, fitted, gridded};
-use crate::diagnosis::{self, ChannelSpectra, Diagnosis, Options, Reference, Residuals, Workers};
+use crate::diagnosis::{self, Diagnosis, Drawings, Options, Reference, Workers};
 use crate::motion::file::Rows;
 use crate::motion::{Course, Kind, Site};
 use crate::sample::Channel;
@@ -147,27 +147,15 @@ pub struct DiagnosisDocument<'a> {
     /// The corrected model, `vn100d-sensor-model-1`.
     #[serde(borrow)]
     pub model: &'a RawValue,
-    /// Spectra for its page.
-    #[serde(borrow)]
-    pub spectra: &'a RawValue,
-    /// Residuals of a motion for its page; results of earlier versions have none.
-    #[serde(borrow, default)]
-    residuals: Option<&'a RawValue>,
 }
 
 impl<'a> DiagnosisDocument<'a> {
-    /// Takes a result's text apart.
+    /// Takes a result's text apart; what its page is drawn of stands beside these, and the page takes it out by itself.
     ///
     /// # Errors
     /// [`JobError::Json`] where it is none.
     pub fn read(body: &'a str) -> Result<Self, JobError> {
         Ok(serde_json::from_str(body)?)
-    }
-
-    /// Residuals of a motion, a list.
-    #[must_use]
-    pub fn residuals(&self) -> &'a str {
-        self.residuals.map_or("[]", RawValue::get)
     }
 }
 
@@ -176,8 +164,8 @@ impl<'a> DiagnosisDocument<'a> {
 struct Written<'a> {
     report: &'a Diagnosis,
     model: &'a SensorModel,
-    spectra: &'a [ChannelSpectra],
-    residuals: &'a [Residuals],
+    #[serde(flatten)]
+    drawings: Drawings<'a>,
 }
 
 /// What the thread and its worker tell each other.
@@ -313,9 +301,8 @@ fn document_of(
     let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     let Gridded { recording, .. } = gridded;
-    let spectra = diagnosis::spectra(&recording, &sim, &outcome.augmented);
-    let diagnosis::Outcome { diagnosis: report, augmented: model, residuals } = &outcome;
-    let written = Written { report, model, spectra: &spectra, residuals };
+    let drawings = Drawings::new(&recording, &sim, &outcome);
+    let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, drawings };
     Ok(serde_json::to_string(&written)?)
 }
 

@@ -84,7 +84,7 @@ impl Recent {
                 let [low, high] = bucket.ends[channel as usize];
                 ((now - bucket.number) as f64 * bucket_s, low, high)
             };
-            Some(Trace { channel, points: own().map(point).collect(), last: own().last()?.last[channel as usize] })
+            Some(Trace { channel, points: own().map(point).collect(), last: own().next_back()?.last[channel as usize] })
         };
         there.iter().filter_map(of).collect()
     }

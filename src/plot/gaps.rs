@@ -25,7 +25,11 @@ pub struct Gaps {
     pub length_s: f64,
     /// Its samples.
     pub samples: u64,
-    /// Its gaps.
+    /// How many gaps it has.
+    pub count: u64,
+    /// How many samples are missing, by cause.
+    pub causes: BTreeMap<String, u64>,
+    /// Its gaps, or the first of very many.
     pub gaps: Vec<Gap>,
 }
 
@@ -33,17 +37,17 @@ impl Gaps {
     /// The picture, which says how many are missing and why.
     #[must_use]
     pub fn svg(&self) -> String {
-        let missing: u64 = self.gaps.iter().map(|gap| gap.missing).sum();
-        let title = match (self.gaps.len(), missing) {
+        let missing: u64 = self.causes.values().sum();
+        let drawn = match self.gaps.len() {
+            all if all as u64 >= self.count => String::new(),
+            first => format!("; the first {first} are drawn"),
+        };
+        let title = match (self.count, missing) {
             (0, _) => format!("{} samples, none missing", self.samples),
             (1, missing) => format!("{} samples, {missing} missing in one gap", self.samples),
-            (gaps, missing) => format!("{} samples, {missing} missing in {gaps} gaps", self.samples),
+            (gaps, missing) => format!("{} samples, {missing} missing in {gaps} gaps{drawn}", self.samples),
         };
-        let mut causes: BTreeMap<&str, u64> = BTreeMap::new();
-        for gap in &self.gaps {
-            *causes.entry(gap.cause.as_str()).or_default() += gap.missing;
-        }
-        let causes: Vec<String> = causes.iter().map(|(cause, missing)| format!("{cause}: {missing}")).collect();
+        let causes: Vec<String> = self.causes.iter().map(|(cause, missing)| format!("{cause}: {missing}")).collect();
         let (unit_s, unit) = told(self.length_s);
         let x = match causes.is_empty() {
             true => format!("time in {unit}"),
@@ -71,14 +75,18 @@ mod tests {
         let gap =
             |from: f64, missing, cause: &str| Gap { within_s: [from, from + 0.1], missing, cause: cause.to_owned() };
         let gaps = vec![gap(10.0, 4, "host_stall"), gap(60.0, 2, "unplugged"), gap(90.0, 3, "unplugged")];
-        let svg = Gaps { length_s: 18_000.0, samples: 720_000, gaps }.svg();
+        let causes = BTreeMap::from([("host_stall".to_owned(), 4), ("unplugged".to_owned(), 5)]);
+        let of = Gaps { length_s: 18_000.0, samples: 720_000, count: 3, causes, gaps };
+        let svg = of.svg();
         assert!(
             svg.contains("720000 samples, 9 missing in 3 gaps") && svg.contains("host_stall: 4, unplugged: 5"),
             "{svg}"
         );
         assert_eq!(svg.matches("class=\"gap\"").count(), 3);
         assert!(svg.contains("width=\"4.0\"") && !svg.contains("NaN") && !svg.contains("inf"));
-        let none = Gaps { length_s: 0.0, samples: 0, gaps: vec![] }.svg();
+        let many = Gaps { count: 5000, ..of }.svg();
+        assert!(many.contains("9 missing in 5000 gaps; the first 3 are drawn"), "{many}");
+        let none = Gaps { length_s: 0.0, samples: 0, count: 0, causes: BTreeMap::new(), gaps: vec![] }.svg();
         assert!(none.contains("none missing") && !none.contains("NaN"));
     }
 }

@@ -13,26 +13,29 @@ const WIDTH: f64 = 560.0;
 const LEFT: f64 = 84.0;
 const RIGHT: f64 = 14.0;
 const ROW: f64 = 22.0;
-/// A density that is off by this much has the full colour, dB.
+/// A power that is off by this much has the full colour, dB.
 const FULL_DB: f64 = 10.0;
-/// Differences below this are no colour, dB: spectra are estimates.
-const NONE_DB: f64 = 0.3;
+/// A band whose Whittle discrepancy is smaller than this many nats may be chance: of a true model it is ½χ² with one degree of
+/// freedom, beyond 6 in one of 1900 bands.
+const CHANCE_NATS: f64 = 6.0;
+/// Where nobody tells how many coefficients a bin has: differences below this are no colour, dB.
+const NONE_DB: f64 = 0.5;
 
-/// Both maps, one above the other; empty where no channel's model is known.
+/// The maps, before and after; none where no channel's model is known.
 #[must_use]
-pub fn heat(spectra: &[Spectra]) -> String {
+pub fn heat(spectra: &[Spectra]) -> Vec<String> {
     let known: Vec<&Spectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
     let ends = known.iter().flat_map(|of| &of.frequency_hz).filter(|hz| **hz > 0.0 && hz.is_finite());
     let (low, high) = ends.fold((f64::INFINITY, 0.0f64), |(low, high), hz| (low.min(*hz), high.max(*hz)));
     if !(low.is_finite() && high > low) {
-        return String::new();
+        return Vec::new();
     }
     let scale = Scale { low: low.ln(), step: (high / low).ln() / BANDS as f64 };
-    let mut out = map("the model as it is", &known, &scale, |of| of.before.as_deref());
+    let mut maps = vec![map("the model as it is", &known, &scale, |of| Some((of.before.as_deref()?, of.scatter[0])))];
     if known.iter().any(|of| of.after.is_some()) {
-        out += &map("the corrected model", &known, &scale, |of| of.after.as_deref().or(of.before.as_deref()));
+        maps.push(map("the corrected model", &known, &scale, |of| Some((of.after.as_deref()?, of.scatter[1]))));
     }
-    out
+    maps
 }
 
 /// Where a frequency lies.
@@ -45,7 +48,7 @@ impl Scale {
     fn band(&self, hz: f64) -> usize {
         (((hz.ln() - self.low) / self.step) as usize).min(BANDS - 1)
     }
-    fn from_hz(&self, band: usize) -> f64 {
+    fn begin_hz(&self, band: usize) -> f64 {
         (self.low + self.step * band as f64).exp()
     }
 }
@@ -54,10 +57,10 @@ fn map<'a>(
     what: &str,
     channels: &[&'a Spectra],
     scale: &Scale,
-    model: impl Fn(&'a Spectra) -> Option<&'a [f64]>,
+    model: impl Fn(&'a Spectra) -> Option<(&'a [f64], f64)>,
 ) -> String {
     let (top, height) = (30.0, 30.0 + ROW * channels.len() as f64 + 46.0);
-    let title = format!("Recording over {what}, by channel and frequency");
+    let title = format!("Recording over {what}");
     let mut out = escaped_title(&title, WIDTH, height, LEFT);
     let width = (WIDTH - LEFT - RIGHT) / BANDS as f64;
     for (row, of) in channels.iter().enumerate() {
@@ -71,18 +74,20 @@ fn map<'a>(
             escaped(of.channel())
         );
         let Some(model) = model(of) else { continue };
-        for (band, db) in differences(of, model, scale).into_iter().enumerate() {
+        for (band, difference) in differences(of, model, scale).into_iter().enumerate() {
             let x = LEFT + width * band as f64;
-            let Some(db) = db else { continue };
-            let strength = if db.abs() < NONE_DB { 0.0 } else { (db.abs() / FULL_DB).min(1.0) };
+            let Some(Difference { db, sure }) = difference else { continue };
+            // The least that is seen beside nothing.
+            let strength = if sure { (db.abs() / FULL_DB).clamp(0.1, 1.0) } else { 0.0 };
             let class = if db > 0.0 { "louder" } else { "quieter" };
             let told = format!(
-                "{}, {} to {} Hz: {}{} dB",
+                "{}, {} to {} Hz: {}{} dB{}",
                 of.channel(),
-                rounded(scale.from_hz(band), 2),
-                rounded(scale.from_hz(band + 1), 2),
+                rounded(scale.begin_hz(band), 2),
+                rounded(scale.begin_hz(band + 1), 2),
                 if db > 0.0 { "+" } else { "" },
-                rounded(db, 2)
+                rounded(db, 2),
+                if sure { "" } else { ", within chance" }
             );
             let _ = write!(
                 out,
@@ -102,30 +107,47 @@ fn map<'a>(
             "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"{anchor}\">{}</text>",
             LEFT + width * band as f64,
             bottom + 16.0,
-            rounded(scale.from_hz(band), 2)
+            rounded(scale.begin_hz(band), 2)
         );
     }
     let _ = write!(
         out,
-        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frequency in Hz; orange: louder than the model, blue: quieter, full at {FULL_DB} dB\
-         </text></svg>",
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frequency in Hz; orange louder, blue quieter, full at {FULL_DB} dB</text></svg>",
         0.5 * (LEFT + WIDTH - RIGHT),
         bottom + 36.0
     );
     out
 }
 
-/// The recording's power over the model's in each band, dB; None where there is no frequency or no power.
-fn differences(of: &Spectra, model: &[f64], scale: &Scale) -> [Option<f64>; BANDS] {
+/// The recording's power over the model's in a band.
+#[derive(Debug, Clone, Copy)]
+struct Difference {
+    db: f64,
+    /// Beyond chance.
+    sure: bool,
+}
+
+/// Band by band: the mean of the ratios of the bins' powers, weighted by their coefficients, as the likelihood weighs them
+/// (Whittle 1953). None where there is no frequency or no power.
+fn differences(of: &Spectra, (model, scatter): (&[f64], f64), scale: &Scale) -> [Option<Difference>; BANDS] {
     let mut sums = [[0.0f64; 2]; BANDS];
-    for ((hz, real), model) in of.frequency_hz.iter().zip(&of.real).zip(model) {
+    for (bin, ((hz, real), model)) in of.frequency_hz.iter().zip(&of.real).zip(model).enumerate() {
         if *hz > 0.0 && real.is_finite() && model.is_finite() && *model > 0.0 {
-            let [sum, own] = &mut sums[scale.band(*hz)];
-            *sum += real * real;
-            *own += model * model;
+            let weight = of.coefficients.get(bin).copied().unwrap_or(1.0);
+            let [ratios, weights] = &mut sums[scale.band(*hz)];
+            *ratios += weight * (real / model).powi(2);
+            *weights += weight;
         }
     }
-    sums.map(|[real, own]| (real > 0.0 && own > 0.0).then(|| 10.0 * (real / own).log10()))
+    sums.map(|[ratios, weights]| {
+        let ratio = ratios / weights;
+        (ratio > 0.0 && ratio.is_finite()).then(|| {
+            let db = 10.0 * ratio.log10();
+            let nats = 0.5 * weights / scatter.max(1.0) * (ratio - 1.0 - ratio.ln());
+            let sure = if of.coefficients.is_empty() { db.abs() > NONE_DB } else { nats > CHANCE_NATS };
+            Difference { db, sure }
+        })
+    })
 }
 
 #[cfg(test)]
@@ -141,12 +163,28 @@ mod tests {
             serde_json::from_value(json!({"channel": "<x>", "unit": "rad/s", "frequency_hz": hz, "real": real,
             "before": vec![1.0; 200], "after": real}))
             .unwrap();
-        let svg = heat(&[of]);
-        let (before, after) = svg.split_once("</svg>").unwrap();
+        let maps = heat(&[of]);
+        let [before, after] = maps.as_slice() else { panic!("{maps:?}") };
         let strong = |part: &str| part.matches("class=\"cell louder\"").count();
-        assert!(strong(before) >= 1 && strong(after) == 0, "{svg}");
+        assert!(strong(before) >= 1 && strong(after) == 0, "{maps:?}");
         assert!(before.contains("fill-opacity=\"1.00\"") && !after.contains("fill-opacity=\"1.00\""));
-        assert!(!svg.contains("<x>") && !svg.contains("NaN"));
-        assert_eq!(heat(&[]), "");
+        assert!(!before.contains("<x>") && !before.contains("NaN"));
+        assert!(heat(&[]).is_empty());
+    }
+
+    #[test]
+    fn what_chance_makes_has_no_colour() {
+        // 3 dB more in every bin: with six coefficients in the whole band chance does that, with six hundred it does not.
+        let map = |coefficients: f64| {
+            let of = json!({"channel": "x", "unit": "rad/s", "frequency_hz": [0.1, 10.0], "real": [1.41, 1.41],
+                "coefficients": [coefficients, coefficients], "before": [1.0, 1.0], "after": null});
+            heat(&[serde_json::from_value(of).unwrap()]).concat()
+        };
+        assert!(map(6.0).contains("within chance") && map(6.0).contains("fill-opacity=\"0.00\""), "{}", map(6.0));
+        assert!(
+            !map(600.0).contains("within chance") && map(600.0).contains("fill-opacity=\"0.30\""),
+            "{}",
+            map(600.0)
+        );
     }
 }

@@ -5,6 +5,7 @@
 //! becomes markup, nothing that is not finite is drawn, every axis has its unit.
 
 mod axis;
+mod closing;
 mod course;
 mod density;
 mod deviation;
@@ -20,7 +21,9 @@ pub mod raster;
 mod residuals;
 mod spark;
 mod spectra;
+mod timeline;
 
+pub use closing::{Bar, closing};
 pub use course::Course;
 pub use density::Density;
 pub use deviation::Deviations;
@@ -32,6 +35,7 @@ pub use lines::{NamedLine, lines};
 pub use residuals::Residuals;
 pub use spark::spark;
 pub use spectra::Spectra;
+pub use timeline::Timeline;
 
 const STYLE: &str = include_str!("style.css");
 

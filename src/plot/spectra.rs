@@ -12,12 +12,22 @@ pub struct Spectra {
     unit: String,
     #[serde(deserialize_with = "numbers")]
     pub(super) frequency_hz: Vec<f64>,
+    /// Coefficients in each bin; results of earlier versions do not tell.
+    #[serde(default)]
+    pub(super) coefficients: Vec<f64>,
     #[serde(deserialize_with = "numbers")]
     pub(super) real: Vec<f64>,
     #[serde(default, deserialize_with = "numbers_or_none")]
     pub(super) before: Option<Vec<f64>>,
     #[serde(default, deserialize_with = "numbers_or_none")]
     pub(super) after: Option<Vec<f64>>,
+    /// By how much the variance of record over model exceeds that of normal noise over what is known, before and after.
+    #[serde(default = "usual")]
+    pub(super) scatter: [f64; 2],
+}
+
+fn usual() -> [f64; 2] {
+    [1.0; 2]
 }
 
 impl Spectra {
@@ -71,9 +81,11 @@ mod tests {
             channel: "<z>".to_owned(),
             unit: "m/s²".to_owned(),
             frequency_hz: vec![0.01, 1.0, 20.0],
+            coefficients: vec![],
             real: vec![1.0, 2e-3, 0.0],
             before: None,
             after: Some(vec![1.1, 2e-3, 2e-3]),
+            scatter: usual(),
         };
         let svg = of.svg(&[[11.0, 12.0]]);
         assert_eq!(svg.matches("<path class=\"line").count(), 2);

@@ -1,0 +1,89 @@
+//! What is drawn: the heat map, the course of a motion, the time, the spectra.
+
+use super::super::escaped;
+use super::{Report, named};
+use crate::plot::{self, Residuals, Spectra, Timeline};
+use serde::Deserialize;
+use std::fmt::Write as _;
+
+/// The parts of [`crate::diagnosis::Drawings`] that are shown; results of earlier versions have fewer.
+#[derive(Debug, Deserialize)]
+pub(super) struct Drawn {
+    #[serde(default)]
+    spectra: Vec<Spectra>,
+    #[serde(default)]
+    timelines: Vec<Timeline>,
+    #[serde(default)]
+    residuals: Vec<Residuals>,
+}
+
+pub(super) fn heat(out: &mut String, drawn: &Drawn) {
+    let maps = plot::heat(&drawn.spectra);
+    // The spectra of a record of a motion are the motion's.
+    if !maps.is_empty() && drawn.residuals.is_empty() {
+        // Writing to a text cannot fail.
+        let _ = write!(
+            out,
+            "<h2>Where in frequency</h2><p class=\"soft\">Coloured is what chance does not make. Where a spectrum is not the \
+             model's parameters alone, one of a simulation is taken.</p><div class=\"figures\"><figure>{}</figure></div>",
+            maps.join("</figure><figure>")
+        );
+    }
+}
+
+pub(super) fn timelines(out: &mut String, drawn: &Drawn) {
+    let of = drawn.timelines.iter().flat_map(|of| [of.level(), of.spread()]);
+    let drawn: Vec<String> = of.filter(|svg| !svg.is_empty()).collect();
+    if drawn.is_empty() {
+        return;
+    }
+    *out += "<h2>In time</h2><p class=\"soft\"><span class=\"key real\"></span>recording\
+             <span class=\"key before\"></span>a simulation of the model as it is<span class=\"key after\"></span>one of the \
+             corrected model, with the same noise. How noise wanders is chance, in the recording as in a simulation; what both \
+             show at the same time is not.</p>";
+    let _ = write!(out, "<div class=\"figures\"><figure>{}</figure></div>", drawn.join("</figure><figure>"));
+}
+
+pub(super) fn motion(out: &mut String, report: &Report, drawn: &Drawn) {
+    let residuals = &drawn.residuals;
+    if residuals.is_empty() {
+        return;
+    }
+    *out += "<h2>Beyond the motion</h2><p class=\"soft\">The recording less what a simulator shows of the motion, means: \
+             <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. Rate and \
+             specific force are those of the reference.</p>";
+    named_first(out, report, residuals.iter().map(|of| (of.channel(), of.svg())));
+}
+
+pub(super) fn spectra(out: &mut String, report: &Report, drawn: &Drawn) {
+    let spectra = &drawn.spectra;
+    if spectra.is_empty() {
+        return;
+    }
+    *out += "<h2>Spectra</h2><p class=\"soft\"><span class=\"key real\"></span>recording\
+             <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. \
+             White noise stands at its N. Where a spectrum is not the model's parameters alone, one of a simulation is drawn.</p>";
+    let picture = |of: &'_ Spectra| {
+        // What a motion drives is in no band of its own.
+        let places = report.r#where.iter().filter(|place| place.channel == of.channel() && place.at.is_none());
+        let bands: Vec<[f64; 2]> = places.map(|place| place.band_hz).collect();
+        of.svg(&bands)
+    };
+    named_first(out, report, spectra.iter().map(|of| (of.channel(), picture(of))));
+}
+
+/// Pictures of channels with a finding, then the others, which wait to be asked for.
+fn named_first<'a>(out: &mut String, report: &Report, pictures: impl Iterator<Item = (&'a str, String)>) {
+    let (found, others): (Vec<_>, Vec<_>) = pictures.partition(|(channel, _)| named(report, channel));
+    let all = |of: &[(&str, String)]| {
+        let figures: String = of.iter().map(|(_, svg)| format!("<figure>{svg}</figure>")).collect();
+        format!("<div class=\"figures\">{figures}</div>")
+    };
+    *out += &all(&found);
+    if !others.is_empty() {
+        let mut names: Vec<String> = others.iter().map(|(channel, _)| escaped(channel)).collect();
+        names.dedup();
+        let names = names.join(", ");
+        let _ = write!(out, "<details><summary>without a finding: {names}</summary>{}</details>", all(&others));
+    }
+}

@@ -1,0 +1,170 @@
+//! What was found: effects that the model lacks with their evidence, what was weighed, what is off, and where.
+
+use super::super::escaped;
+use super::super::figure::{percent, plain, second, with_interval};
+use super::{Cause, Driver, Parameter, Report};
+use crate::sample::Channel;
+use serde::Deserialize as _;
+use serde_json::Value;
+use std::fmt::Write as _;
+
+/// Entries of a list that are shown of one cause on one channel.
+const ENTRIES: usize = 6;
+/// Characters of a parameter that is no number.
+const LONGEST: usize = 60;
+
+pub(super) fn causes(out: &mut String, report: &Report) {
+    if report.causes.is_empty() {
+        return;
+    }
+    *out += "<h2>What the model lacks</h2><div class=\"wide\"><table><tr><th>effect</th><th>on</th>\
+             <th>parameters, with 95&nbsp;% intervals</th><th class=\"number\">sure</th><th class=\"number\">closes</th></tr>";
+    for cause in &report.causes {
+        // Never more sure than it is.
+        let sure = percent((100.0 * cause.confidence).floor() / 100.0);
+        let _ = write!(
+            out,
+            "<tr><td><b>{}</b></td><td>{}</td><td>{}</td><td class=\"number\">{sure}</td><td class=\"number\">{}</td></tr>",
+            escaped(&cause.effect.replace('_', " ")),
+            escaped(&cause.channels.join(", ")),
+            parameters(cause),
+            cause.closes.map_or_else(|| "–".to_owned(), percent),
+        );
+    }
+    *out += "</table></div><ul>";
+    for sentence in report.causes.iter().flat_map(|cause| &cause.evidence) {
+        let _ = write!(out, "<li class=\"soft\">{}</li>", escaped(sentence));
+    }
+    *out += "</ul>";
+}
+
+/// A cause's parameters, channel by channel, in a list.
+fn parameters(cause: &Cause) -> String {
+    let mut out = String::from("<ul>");
+    for (place, value) in &cause.parameters {
+        let entries = entries(value);
+        let known = cause.uncertainty.get(place).map(self::entries).unwrap_or_default();
+        let of = if cause.parameters.len() > 1 { format!("{}: ", escaped(place)) } else { String::new() };
+        for (index, entry) in entries.iter().take(ENTRIES).enumerate() {
+            let intervals = known.get(index).copied();
+            let told = entry.as_object().into_iter().flatten().map(|(key, value)| {
+                let unit = Channel::from_name(place).map(|channel| unit(key, channel)).unwrap_or_default();
+                format!("<code>{}</code> {}{unit}", escaped(key), figure(value, intervals.and_then(|of| of.get(key))))
+            });
+            let told: Vec<String> = told.collect();
+            let _ = write!(out, "<li>{of}{}</li>", told.join(", "));
+        }
+        if entries.len() > ENTRIES {
+            let _ = write!(out, "<li>{of}and {} more</li>", entries.len() - ENTRIES);
+        }
+    }
+    out + "</ul>"
+}
+
+/// One or a list of several.
+fn entries(value: &Value) -> Vec<&Value> {
+    match value {
+        Value::Array(list) => list.iter().collect(),
+        one => vec![one],
+    }
+}
+
+fn figure(value: &Value, interval: Option<&Value>) -> String {
+    let ends = interval.and_then(|of| <[f64; 2]>::deserialize(of).ok());
+    match (value.as_f64(), ends) {
+        (Some(value), Some(ends)) => with_interval(value, ends),
+        (Some(value), None) => plain(value),
+        (None, _) => {
+            let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            let short: String = text.chars().take(LONGEST).collect();
+            escaped(&if short.len() < text.len() { format!("{short}…") } else { short })
+        }
+    }
+}
+
+/// The unit of an effect's parameter that follows the channel's; that of others is in their name.
+fn unit(parameter: &str, channel: Channel) -> String {
+    let unit = channel.unit();
+    match parameter {
+        "amplitude" | "sigma" | "size" | "step" | "low" | "high" => format!(" {unit}"),
+        "per_c" => format!(" {unit} per °C"),
+        "R" => format!(" {unit} per s"),
+        _ => String::new(),
+    }
+}
+
+pub(super) fn off(out: &mut String, parameters: &[Parameter]) {
+    if parameters.is_empty() {
+        return;
+    }
+    *out += "<h2>Parameters that are off</h2><div class=\"wide\"><table><tr><th>channel</th><th>parameter</th>\
+             <th class=\"number\">model</th><th class=\"number\">recording</th><th class=\"number\">ratio</th></tr>";
+    for of in parameters {
+        let found = of.ci95.map_or_else(|| plain(of.capture), |ends| with_interval(of.capture, ends));
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{found}</td><td class=\"number\">{}</td></tr>",
+            escaped(&of.channel),
+            escaped(&of.parameter),
+            plain(of.model),
+            of.ratio.map_or_else(|| "–".to_owned(), plain)
+        );
+    }
+    *out += "</table></div>";
+}
+
+pub(super) fn places(out: &mut String, report: &Report) {
+    if report.r#where.is_empty() {
+        return;
+    }
+    let heading = if report.verdict == "unknown_effect" { "Where something remains" } else { "Where the gap lies" };
+    let _ = write!(
+        out,
+        "<h2>{heading}</h2><div class=\"wide\"><table><tr><th>channel</th><th>band in Hz, or motion</th><th>time in s</th>\
+         <th class=\"number\">share</th><th>the recording is</th></tr>"
+    );
+    for of in &report.r#where {
+        let [from_hz, to_hz] = of.band_hz.map(plain);
+        let band = of.at.as_ref().map_or_else(|| format!("{from_hz} to {to_hz}"), driver);
+        let warm = of
+            .temperature_c
+            .map_or_else(String::new, |[low, high]| format!(", at {} to {} °C", plain(low), plain(high)));
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
+            escaped(&of.channel),
+            band,
+            second(of.from_s),
+            second(of.to_s),
+            percent(of.share),
+            escaped(of.sign.trim_start_matches("real "))
+        );
+    }
+    *out += "</table></div>";
+}
+
+/// What the motion does where a gap lies that it drives.
+fn driver(of: &Driver) -> String {
+    let Driver { quantity, axis, unit, range, pose } = of;
+    let [from, to] = range.map(plain);
+    match pose {
+        Some(pose) => escaped(pose),
+        None => format!("{} {} {from} to {to} {}", escaped(quantity), escaped(axis), escaped(unit)),
+    }
+}
+
+pub(super) fn alternatives(out: &mut String, report: &Report) {
+    if !report.alternatives.is_empty() {
+        *out += "<h2>What was weighed and not named</h2><ul>";
+        for of in &report.alternatives {
+            let _ = write!(
+                out,
+                "<li>{} on {}: {}</li>",
+                escaped(&of.effect.replace('_', " ")),
+                escaped(&of.channels.join(", ")),
+                escaped(&of.why_not)
+            );
+        }
+        *out += "</ul>";
+    }
+}

@@ -1,0 +1,64 @@
+//! How large the gap is: in all, and channel by channel down to what a true model shows.
+
+use super::super::escaped;
+use super::super::figure::{percent, plain};
+use super::{Discrepancy, Report};
+use crate::plot::{Bar, closing};
+use std::fmt::Write as _;
+
+/// The bars' scale over what a true model shows, at least.
+const SCALE: f64 = 20.0;
+
+/// A bar of a length between 0 and 1, one of at least a hair's breadth.
+fn bar(share: f64, class: &str) -> String {
+    // Of what is no number the breadth of a hair.
+    let width = if share.is_finite() { (100.0 * share).clamp(0.3, 100.0) } else { 0.3 };
+    format!(
+        "<svg viewBox=\"0 0 100 10\" preserveAspectRatio=\"none\" aria-hidden=\"true\">\
+         <rect class=\"fill-{class}\" width=\"{width:.2}\" height=\"10\"/></svg>"
+    )
+}
+
+pub(super) fn section(out: &mut String, gap: &Discrepancy) {
+    let rows = [
+        ("the model as it is", gap.before, "before"),
+        ("its parameters corrected", gap.after_parameters, "parameters"),
+        ("with what was found", gap.after, "after"),
+        ("a true model shows", gap.floor, "floor"),
+    ];
+    // Where there is no gap the bars are short: the scale reaches to so many times what a true model shows, at least.
+    let least = SCALE * gap.floor.max(f64::MIN_POSITIVE);
+    let most = rows.iter().map(|(_, value, _)| *value).fold(least, f64::max);
+    let _ = write!(out, "<h2>The gap, in {}</h2><div class=\"bars\">", escaped(&gap.unit));
+    for (name, value, class) in rows {
+        let _ =
+            write!(out, "<span>{name}</span>{}<span class=\"value\">{}</span>", bar(value / most, class), plain(value));
+    }
+    *out += "</div>";
+    if let Some(closed) = gap.closed {
+        let interval = gap
+            .closed_ci95
+            .map_or_else(String::new, |[low, high]| format!(" (95 % interval {} to {})", percent(low), percent(high)));
+        let _ = write!(out, "<p>{} of the gap is closed{interval}.</p>", percent(closed));
+    }
+    let chance = gap
+        .p_value_after
+        .map_or_else(String::new, |p| format!(" Chance that a true model leaves as much: {}.", plain(p)));
+    let _ = write!(out, "<p class=\"soft\">Measured on the {}.{chance}</p>", escaped(&gap.measured_on));
+}
+
+/// One bar per channel.
+pub(super) fn by_channel(out: &mut String, report: &Report) {
+    let bars = report.per_channel.iter();
+    let bars: Vec<Bar<'_>> =
+        bars.map(|(channel, gap)| Bar { channel, before: gap.before, after: gap.after, floor: gap.floor }).collect();
+    let picture = closing(&bars, &report.discrepancy.unit);
+    if !picture.is_empty() {
+        let _ = write!(
+            out,
+            "<h2>By channel</h2><p class=\"soft\"><span class=\"key closed\"></span>closed by what was found\
+             <span class=\"key after\"></span>what remains, down to the floor: what a true model shows.</p>\
+             <figure class=\"single\">{picture}</figure>"
+        );
+    }
+}

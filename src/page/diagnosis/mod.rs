@@ -1,0 +1,216 @@
+//! The page of a diagnosis: the sentence, how large the gap is and what closes it, where it lies, what the model lacks.
+
+mod drawn;
+mod findings;
+mod gap;
+#[cfg(test)]
+mod tests;
+
+use super::{Kind, escaped, framed};
+use drawn::Drawn;
+use serde::Deserialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// Where the same is to be had by a program; label and address.
+pub type Links<'a> = &'a [(&'a str, String)];
+
+/// The parts of `vn100d-diagnosis-1` that are shown.
+#[derive(Debug, Deserialize)]
+struct Report {
+    verdict: String,
+    summary: String,
+    discrepancy: Discrepancy,
+    #[serde(default)]
+    r#where: Vec<Place>,
+    #[serde(default)]
+    parameters: Vec<Parameter>,
+    #[serde(default)]
+    causes: Vec<Cause>,
+    #[serde(default)]
+    alternatives: Vec<Alternative>,
+    #[serde(default)]
+    per_channel: BTreeMap<String, Gap>,
+    #[serde(default)]
+    notes: Vec<String>,
+    #[serde(default)]
+    software: String,
+    #[serde(default)]
+    inputs: BTreeMap<String, String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Discrepancy {
+    unit: String,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    before: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    after_parameters: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    after: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    floor: f64,
+    p_value_after: Option<f64>,
+    closed: Option<f64>,
+    closed_ci95: Option<[f64; 2]>,
+    #[serde(default)]
+    measured_on: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Place {
+    channel: String,
+    #[serde(deserialize_with = "crate::plot::json::pair")]
+    band_hz: [f64; 2],
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    from_s: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    to_s: f64,
+    temperature_c: Option<[f64; 2]>,
+    at: Option<Driver>,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    share: f64,
+    sign: String,
+}
+
+/// Where in a motion's range a gap lies.
+#[derive(Debug, Deserialize)]
+struct Driver {
+    quantity: String,
+    axis: String,
+    unit: String,
+    #[serde(deserialize_with = "crate::plot::json::pair")]
+    range: [f64; 2],
+    pose: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Parameter {
+    channel: String,
+    parameter: String,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    model: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    capture: f64,
+    ratio: Option<f64>,
+    ci95: Option<[f64; 2]>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Cause {
+    effect: String,
+    channels: Vec<String>,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    confidence: f64,
+    closes: Option<f64>,
+    #[serde(default)]
+    parameters: BTreeMap<String, Value>,
+    #[serde(default)]
+    uncertainty: BTreeMap<String, Value>,
+    #[serde(default)]
+    evidence: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Alternative {
+    effect: String,
+    channels: Vec<String>,
+    why_not: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Gap {
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    before: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    after: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    floor: f64,
+}
+
+/// The page of a diagnosis: `report` is the document `vn100d-diagnosis-1`, `drawings` an object with what is drawn of it
+/// ([`crate::diagnosis::Drawings`]) among its keys, as the daemon's results have them.
+///
+/// # Errors
+/// What is missing in a text that is no such document.
+pub fn diagnosis(report: &str, drawings: &str, links: Links<'_>) -> Result<String, serde_json::Error> {
+    let report: Report = serde_json::from_str(report)?;
+    let drawn: Drawn = serde_json::from_str(drawings)?;
+    let body = body(&report, &drawn, links);
+    let kind = if links.is_empty() { Kind::File } else { Kind::Served };
+    Ok(framed(&format!("Diagnosis: {}", report.summary), kind, &body))
+}
+
+/// The same as a part of another page.
+///
+/// # Errors
+/// What is missing in a text that is no such document.
+pub fn diagnosis_part(report: &str, drawings: &str) -> Result<String, serde_json::Error> {
+    Ok(body(&serde_json::from_str(report)?, &serde_json::from_str(drawings)?, &[]))
+}
+
+fn body(report: &Report, drawn: &Drawn, links: Links<'_>) -> String {
+    let mut out = String::new();
+    head(&mut out, report);
+    gap::section(&mut out, &report.discrepancy);
+    gap::by_channel(&mut out, report);
+    findings::causes(&mut out, report);
+    findings::alternatives(&mut out, report);
+    findings::off(&mut out, &report.parameters);
+    drawn::heat(&mut out, drawn);
+    findings::places(&mut out, report);
+    drawn::motion(&mut out, report, drawn);
+    drawn::timelines(&mut out, drawn);
+    drawn::spectra(&mut out, report, drawn);
+    notes(&mut out, report);
+    foot(&mut out, report, links);
+    out
+}
+
+fn head(out: &mut String, report: &Report) {
+    let verdict = match report.verdict.as_str() {
+        "no_gap" => "no gap",
+        "parameters" => "parameters off",
+        "effects" => "the model lacks an effect",
+        "unknown_effect" => "something unknown remains",
+        other => other,
+    };
+    let input = |key: &str| report.inputs.get(key).map_or("?", String::as_str);
+    // Writing to a text cannot fail.
+    let _ = write!(
+        out,
+        "<p class=\"soft\">{} against the simulator {}</p><h1>{}</h1><p><span class=\"verdict {}\">{}</span></p>",
+        escaped(input("real")),
+        escaped(input("sim")),
+        escaped(&report.summary),
+        escaped(&report.verdict),
+        escaped(verdict)
+    );
+}
+
+/// Whether anything was found on a channel.
+fn named(report: &Report, channel: &str) -> bool {
+    report.r#where.iter().any(|of| of.channel == channel)
+        || report.parameters.iter().any(|of| of.channel == channel)
+        || report.causes.iter().any(|of| of.channels.iter().any(|own| own == channel))
+}
+
+fn notes(out: &mut String, report: &Report) {
+    if !report.notes.is_empty() {
+        *out += "<h2>To know</h2><ul>";
+        for note in &report.notes {
+            let _ = write!(out, "<li>{}</li>", escaped(note));
+        }
+        *out += "</ul>";
+    }
+}
+
+fn foot(out: &mut String, report: &Report, links: Links<'_>) {
+    let links: Vec<String> = links
+        .iter()
+        .map(|(label, address)| format!("<a href=\"{}\">{}</a>", escaped(address), escaped(label)))
+        .collect();
+    let links = if links.is_empty() { String::new() } else { format!(" · {}", links.join(" · ")) };
+    let _ = write!(out, "<footer>{}{links}</footer>", escaped(&report.software));
+}

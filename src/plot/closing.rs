@@ -1,0 +1,112 @@
+//! Closing: one bar per channel, from the gap as it was down to what a true model shows, and what of it was closed.
+
+use super::drawing::escaped_title;
+use super::escaped;
+use super::number::{plain, rounded};
+use std::fmt::Write as _;
+
+/// The picture's width in its own units, room for names and numbers, the height of a row.
+const WIDTH: f64 = 560.0;
+const LEFT: f64 = 84.0;
+const RIGHT: f64 = 166.0;
+const TOP: f64 = 34.0;
+const ROW: f64 = 26.0;
+/// The scale reaches to so many times the floor at least: where there is no gap the bars are short.
+const LEAST: f64 = 100.0;
+
+/// One channel's gap, in whatever unit.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Bar<'a> {
+    /// The channel.
+    pub channel: &'a str,
+    /// As the model came.
+    pub before: f64,
+    /// With what was found.
+    pub after: f64,
+    /// What a true model shows.
+    pub floor: f64,
+}
+
+/// The picture, on a logarithmic scale in times each channel's own floor; empty where there is no bar to draw.
+#[must_use]
+pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
+    let drawn: Vec<&Bar<'_>> = bars.iter().filter(|bar| bar.floor > 0.0 && bar.before.is_finite()).collect();
+    if drawn.is_empty() {
+        return String::new();
+    }
+    let most = drawn.iter().flat_map(|bar| [bar.before / bar.floor, bar.after / bar.floor]);
+    let decades = most.filter(|times| times.is_finite()).fold(LEAST, f64::max).log10().ceil();
+    let length = WIDTH - LEFT - RIGHT;
+    // At the floor and below it there is no bar.
+    let at = |times: f64| LEFT + length * (times.max(1.0).log10() / decades).min(1.0);
+    let bottom = TOP + ROW * drawn.len() as f64;
+    let mut out = escaped_title("The gap by channel", WIDTH, bottom + 46.0, LEFT);
+    let step = (decades / 6.0).ceil().max(1.0) as usize;
+    for decade in (0..=decades as usize).step_by(step) {
+        let (x, label) = (
+            LEFT + length * decade as f64 / decades,
+            match decade {
+                0 => "floor".to_owned(),
+                decade => plain(10f64.powi(i32::try_from(decade).unwrap_or(0))) + "×",
+            },
+        );
+        // Writing to a text cannot fail.
+        let _ = write!(
+            out,
+            "<line class=\"grid\" x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{TOP}\" y2=\"{bottom}\"/>\
+             <text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\">{label}</text>",
+            bottom + 18.0
+        );
+    }
+    for (row, bar) in drawn.iter().enumerate() {
+        let y = TOP + ROW * row as f64;
+        let [before, after] = [bar.before, bar.after].map(|value| at(value / bar.floor));
+        let _ = write!(
+            out,
+            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>\
+             <rect class=\"left\" x=\"{LEFT}\" y=\"{}\" width=\"{:.1}\" height=\"16\"/>\
+             <rect class=\"closed\" x=\"{after:.1}\" y=\"{}\" width=\"{:.1}\" height=\"16\"/>\
+             <text x=\"{}\" y=\"{}\">{} → {}</text>",
+            LEFT - 7.0,
+            y + 17.0,
+            escaped(bar.channel),
+            y + 4.0,
+            (after - LEFT).max(1.0),
+            y + 4.0,
+            (before - after).max(0.0),
+            WIDTH - RIGHT + 8.0,
+            y + 17.0,
+            rounded(bar.before, 2),
+            rounded(bar.after, 2),
+        );
+    }
+    let _ = write!(
+        out,
+        "<text x=\"{LEFT}\" y=\"{}\">{} over a true model's, before → after</text></svg>",
+        bottom + 38.0,
+        escaped(unit)
+    );
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_reaches_from_what_is_left_to_what_was_there() {
+        let bar = |channel, before, after| Bar { channel, before, after, floor: 1e-6 };
+        let bars = [bar("<z>", 1e-2, 1e-6), bar("gyro_x", 1e-6, -1e-7), bar("gyro_y", 1e-5, 1e-3)];
+        let svg = closing(&bars, "nats/sample");
+        assert_eq!((svg.matches("class=\"closed\"").count(), svg.matches("class=\"left\"").count()), (3, 3));
+        // Four decades over 310 units: the first is closed whole, the second was never there.
+        assert!(
+            svg.contains("x=\"84.0\" y=\"38\" width=\"310.0\"") && svg.contains("x=\"84.0\" y=\"64\" width=\"0.0\"")
+        );
+        assert!(svg.contains("floor") && svg.contains("nats/sample") && !svg.contains("<z>") && !svg.contains("NaN"));
+        assert_eq!(closing(&[Bar { floor: 0.0, ..bar("x", 1.0, 1.0) }], "nats"), "");
+        let unknown = closing(&[bar("x", 1e-3, f64::NAN)], "nats");
+        assert!(unknown.contains("→ –") && !unknown.contains("NaN"), "{unknown}");
+    }
+}
