@@ -124,6 +124,7 @@ fn listen(args: &DemoArgs) -> anyhow::Result<SocketAddr> {
 async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationToken) -> anyhow::Result<Outcome> {
     let base = format!("http://{}", handle.address);
     say(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
+    say(&format!("Open {base}/ in a browser to see it move."))?;
     let begun = Instant::now();
     let bar = bar("{bar:40} {percent} %  {msg}", args.duration.as_secs());
     let mut status = handle.status.clone();
@@ -163,7 +164,7 @@ async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationTo
     }
     let tries = ["status", "captures/latest", "captures/latest/noise", "captures/latest/allan", "diagnoses/latest"];
     let tries: String = tries.iter().map(|path| format!("\n  curl {base}/v1/{path}")).collect();
-    say(&format!("\nTry:{tries}\nand in a browser {base}/diagnoses/latest"))?;
+    say(&format!("\nTry:{tries}\nand in a browser {base}/, {base}/captures/latest and {base}/diagnoses/latest"))?;
     if !args.once {
         say("\nServing until Ctrl-C.")?;
         stop.cancelled().await;
