@@ -178,7 +178,8 @@ struct DiagnosisEntry {
 /// What is missing in a text that is none of these documents.
 pub fn dashboard(view: &DashboardView<'_>) -> Result<String, serde_json::Error> {
     let live = live(view)?;
-    let mut out = format!("<div id=\"live\">{live}</div>");
+    // What is heard in time to be of use is announced, as is that nothing is heard.
+    let mut out = format!("<p id=\"lost\" class=\"alarm\" role=\"alert\"></p><div id=\"live\">{live}</div>");
     wishes(&mut out, view);
     out += "<footer><a href=\"/v1/status\">status as JSON</a> · <a href=\"/v1/captures\">captures</a> · \
             <a href=\"/v1/jobs\">jobs</a> · <a href=\"/v1/diagnoses\">diagnoses</a> · <a href=\"/v1/models\">models</a> · \
@@ -223,7 +224,7 @@ fn state(out: &mut String, status: &Status, causes: Option<BTreeMap<String, u64>
         (None, false) => "idle",
     };
     // Writing to a text cannot fail.
-    let _ = write!(out, "<section id=\"state\"><h1 class=\"{class}\" role=\"status\">{}</h1>", escaped(&sentence));
+    let _ = write!(out, "<section id=\"state\"><h1 class=\"{class}\" aria-live=\"polite\">{}</h1>", escaped(&sentence));
     if let Some(hint) = &sensor.hint {
         let _ = write!(out, "<p class=\"alarm\">{}</p>", escaped(hint));
     }
@@ -459,7 +460,7 @@ mod tests {
     fn a_capture_that_runs_is_told_with_what_is_missing_and_why() {
         let page = shown(&status("streaming", running()), Some(STORED));
         for told in [
-            "<h1 class=\"good\" role=\"status\">Recording &lt;script&gt;.</h1>",
+            "<h1 class=\"good\" aria-live=\"polite\">Recording &lt;script&gt;.</h1>",
             "1 h of 5 h, 4 h to go",
             "10 missing in 2 gaps: 2 host stall, 8 unplugged",
             "2.5 GB free, enough for 10 d at this rate",
@@ -477,7 +478,7 @@ mod tests {
     fn trouble_is_the_first_thing_that_is_read() {
         let idle = shown(&status("absent", json!(null)), Some(STORED));
         assert!(
-            idle.contains("<h1 class=\"alarm\" role=\"status\">Nothing is recorded; the sensor is absent.</h1>"),
+            idle.contains("<h1 class=\"alarm\" aria-live=\"polite\">Nothing is recorded; the sensor is absent.</h1>"),
             "{idle}"
         );
         let cut = shown(&status("stalled", running()), None);

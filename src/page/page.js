@@ -14,35 +14,34 @@ function headers() {
   return token ? { Authorization: `Bearer ${token}` } : {};
 }
 
-// The live part: the server writes it, and only what has changed is put in place.
+// Makes a part of the page what it is now, and touches only what has changed: the focus and a selection stay where they
+// are, and a heading that says the same is not heard twice.
+function become(old, fresh) {
+  if (old.nodeName !== fresh.nodeName) return old.replaceWith(document.importNode(fresh, true));
+  if (old.nodeType === Node.TEXT_NODE) {
+    if (old.data !== fresh.data) old.data = fresh.data;
+    return;
+  }
+  for (const { name } of [...old.attributes]) if (!fresh.hasAttribute(name)) old.removeAttribute(name);
+  for (const { name, value } of fresh.attributes) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+  within(old, fresh);
+}
+
+function within(old, fresh) {
+  const [had, has] = [[...old.childNodes], [...fresh.childNodes]];
+  has.forEach((node, place) => {
+    if (place < had.length) become(had[place], node);
+    else old.append(document.importNode(node, true));
+  });
+  for (const gone of had.slice(has.length)) gone.remove();
+}
+
+// The live part: the server writes it.
 async function renew() {
   const answer = await fetch("/?part=live", { cache: "no-store" });
   if (!answer.ok) return;
   const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
-  const sections = [...fresh.body.children];
-  const names = new Set(sections.map((section) => section.id));
-  for (const old of [...live.children]) if (!names.has(old.id)) old.remove();
-  let before = null;
-  for (const section of sections) {
-    const old = document.getElementById(section.id);
-    if (!old) {
-      const own = document.importNode(section, true);
-      if (before) before.after(own);
-      else live.prepend(own);
-      before = own;
-    } else {
-      // A heading that says the same is left alone, so that nobody hears it twice.
-      const [heading, said] = [section.querySelector("[role=status]"), old.querySelector("[role=status]")];
-      if (heading && said && heading.outerHTML === said.outerHTML) {
-        while (said.nextSibling) said.nextSibling.remove();
-        let next;
-        while ((next = heading.nextSibling)) said.parentNode.append(document.adoptNode(next));
-      } else if (old.innerHTML !== section.innerHTML) {
-        old.innerHTML = section.innerHTML;
-      }
-      before = old;
-    }
-  }
+  within(live, fresh.body);
 }
 
 function showForms(capture) {
@@ -52,12 +51,16 @@ function showForms(capture) {
   }
 }
 
+// What is shown is old where the daemon is not heard any more, however good it sounds.
+const lost = document.getElementById("lost");
+
 if (live) {
   let busy = false;
   const source = new EventSource("/v1/events/stream");
   source.addEventListener("status", async (event) => {
     showForms(JSON.parse(event.data).capture);
     document.body.classList.remove("lost");
+    lost.textContent = "";
     if (busy || document.hidden) return;
     busy = true;
     try {
@@ -68,8 +71,35 @@ if (live) {
       busy = false;
     }
   });
-  source.addEventListener("error", () => document.body.classList.add("lost"));
+  source.addEventListener("error", () => {
+    if (document.body.classList.contains("lost")) return;
+    document.body.classList.add("lost");
+    const at = new Date().toISOString().slice(0, 19).replace("T", " ");
+    lost.textContent = `The daemon is not heard since ${at} UTC; what follows is from before.`;
+  });
   addEventListener("pagehide", () => source.close());
+}
+
+// Sends a wish; the daemon's answer, or why there is none.
+async function wish(form) {
+  const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
+  for (const [name, value] of new FormData(form)) {
+    if (value === "") continue;
+    body[name] = name === "start_at" ? new Date(value).toISOString() : value;
+  }
+  const path = form.dataset.post.replace("{id}", form.dataset.id ?? "");
+  const empty = Object.keys(body).length === 0;
+  try {
+    const answer = await fetch(path, {
+      method: "POST",
+      headers: empty ? headers() : { ...headers(), "Content-Type": "application/json" },
+      body: empty ? undefined : JSON.stringify(body),
+    });
+    const told = await answer.json().catch(() => ({}));
+    return answer.ok ? told : { refused: told.detail ?? `The daemon answered ${answer.status}.` };
+  } catch {
+    return { refused: "The daemon is not reached: whether it has heard this is not known." };
+  }
 }
 
 // Wishes: forms that are sent as JSON.
@@ -80,31 +110,13 @@ for (const section of document.querySelectorAll(".wishes")) {
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       if (form.dataset.ask && !confirm(form.dataset.ask)) return;
-      const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
-      for (const [name, value] of new FormData(form)) {
-        if (value === "") continue;
-        body[name] = name === "start_at" ? new Date(value).toISOString() : value;
-      }
-      const path = form.dataset.post.replace("{id}", form.dataset.id ?? "");
-      const empty = Object.keys(body).length === 0;
-      const answer = await fetch(path, {
-        method: "POST",
-        headers: empty ? headers() : { ...headers(), "Content-Type": "application/json" },
-        body: empty ? undefined : JSON.stringify(body),
-      });
-      const told = await answer.json().catch(() => ({}));
-      if (!answer.ok) {
-        said.textContent = told.detail ?? `The daemon answered ${answer.status}.`;
-        said.classList.add("alarm");
-      } else if (form.dataset.then) {
-        location.assign(form.dataset.then + told.id);
-      } else if (live) {
-        said.classList.remove("alarm");
-        said.textContent = "Done.";
-        renew();
-      } else {
-        location.reload();
-      }
+      const told = await wish(form);
+      said.classList.toggle("alarm", "refused" in told);
+      if (told.refused) said.textContent = told.refused;
+      else if (form.dataset.then) location.assign(form.dataset.then + told.id);
+      else if (live) said.textContent = "Done.";
+      else location.reload();
+      // What has changed is told by the next status, soon.
     });
   }
 }
