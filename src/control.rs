@@ -40,6 +40,12 @@ pub enum ControlError {
         /// The name asked for.
         name: String,
     },
+    /// The name cannot be one.
+    #[error("{reason}")]
+    NameRefused {
+        /// Why.
+        reason: String,
+    },
     /// The database did not take it.
     #[error("the database did not take the request: {reason}")]
     Store {

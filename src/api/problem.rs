@@ -294,6 +294,7 @@ impl From<ControlError> for ApiError {
             ControlError::Busy { .. } | ControlError::NotRunning { .. } | ControlError::NameTaken { .. } => {
                 Self::new(ProblemType::Conflict, detail)
             }
+            ControlError::NameRefused { .. } => Self::bad_request(detail),
             ControlError::Store { .. } | ControlError::Stopping => Self::unavailable(detail, 5),
         }
     }
@@ -394,6 +395,7 @@ mod tests {
         assert_eq!(status(StoreError::NoSuchCapture { asked: "x".to_owned() }), 404);
         assert_eq!(status(StoreError::NameTaken { name: "x".to_owned() }), 409);
         assert_eq!(status(StoreError::BadCursor { found: "x".to_owned() }), 400);
+        assert_eq!(ApiError::from(ControlError::NameRefused { reason: "x".to_owned() }).status().as_u16(), 400);
         assert_eq!(status(StoreError::Closed), 503);
         assert_eq!(status(StoreError::Unknown { column: "x", found: "y".to_owned() }), 500);
     }

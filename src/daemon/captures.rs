@@ -254,6 +254,7 @@ fn is_storage(error: &StoreError) -> bool {
 fn refused(error: StoreError) -> ControlError {
     match error {
         StoreError::NameTaken { name } => ControlError::NameTaken { name },
+        other @ StoreError::NameRefused { .. } => ControlError::NameRefused { reason: other.to_string() },
         other => ControlError::Store { reason: other.to_string() },
     }
 }
