@@ -392,8 +392,8 @@ fn diagnoses(out: &mut String, diagnoses: Vec<DiagnosisEntry>) {
     }
     *out += "<section id=\"diagnoses\"><h2>Simulator compared</h2><ul>";
     for of in &diagnoses {
-        let told = of.summary.as_deref().unwrap_or(&of.state);
-        let _ = write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", of.id, escaped(told));
+        let told = of.summary.clone().unwrap_or_else(|| format!("diagnosis {}: {}", of.id, of.state));
+        let _ = write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", of.id, escaped(&told));
     }
     *out += "</ul></section>";
 }
@@ -405,7 +405,7 @@ fn wishes(out: &mut String, view: &DashboardView<'_>) {
         out,
         "<form data-post=\"/v1/captures\" data-when=\"idle\"><label>name <input name=\"name\" maxlength=\"100\" placeholder=\"date and time\"></label>\
          <label>duration <input name=\"duration\" value=\"{}\" size=\"6\" required></label>\
-         <label>begin at <input name=\"start_at\" type=\"datetime-local\"></label><button>start</button></form>",
+         <label>begin at, by this clock <input name=\"start_at\" type=\"datetime-local\"></label><button>start</button></form>",
         escaped(view.duration)
     );
     *out += "<form data-post=\"/v1/captures/{id}/stop\" data-when=\"running\" data-ask=\"Stop the capture?\" hidden><button>stop</button></form>";

@@ -39,6 +39,11 @@ enum Kind {
     Live(u32),
 }
 
+/// Begins what may be wider than the window: it scrolls by itself, by keys as well, and says what it is.
+fn wide(label: &str) -> String {
+    format!("<div class=\"wide\" role=\"group\" tabindex=\"0\" aria-label=\"{label}\">")
+}
+
 /// The whole file around what is to be seen.
 fn framed(title: &str, kind: Kind, body: &str) -> String {
     let again = |s: u32| format!("<meta http-equiv=\"refresh\" content=\"{s}\">");

@@ -12,9 +12,13 @@ pub fn waiting(title: &str, state: &str, progress: f64, error: Option<&str>) -> 
         ("running", None) => format!("{:.0} % done", 100.0 * progress),
         (other, None) => escaped(other),
     };
-    let bar =
-        if ended { String::new() } else { format!("<progress value=\"{}\"></progress>", progress.clamp(0.0, 1.0)) };
     let title = escaped(title);
+    let bar = match ended {
+        true => String::new(),
+        false => {
+            format!("<progress value=\"{}\" aria-label=\"progress of {title}\"></progress>", progress.clamp(0.0, 1.0))
+        }
+    };
     framed(
         &title,
         if ended { Kind::Served } else { Kind::Renewed(2) },

@@ -1,12 +1,14 @@
 //! What made the data: the sensor, its configuration, and the program.
 
-use super::{Capture, escaped};
+use super::{Capture, escaped, wide};
 use serde_json::Value;
 use std::fmt::Write as _;
 
 /// The table.
 pub(super) fn section(out: &mut String, of: &Capture) {
-    *out += "<h2>What made it</h2><div class=\"wide\"><table>";
+    *out += "<h2>What made it</h2>";
+    *out += &wide("what made it");
+    *out += "<table>";
     row(out, "source", &of.source);
     row(out, "software", &of.software);
     row(out, "channels", &of.channels.join(", "));
@@ -14,8 +16,9 @@ pub(super) fn section(out: &mut String, of: &Capture) {
         for (key, value) in part.as_object().into_iter().flatten() {
             match value {
                 Value::Null => {}
-                // The program has a row of its own.
+                // The program has a row of its own, and the configuration repeats what the sensor is.
                 _ if key == "software" => {}
+                _ if part == &of.configuration && of.sensor.get(key) == Some(value) => {}
                 Value::Object(_) | Value::Array(_) => nested(out, key, value),
                 Value::String(text) => row(out, &key.replace('_', " "), text),
                 other => row(out, &key.replace('_', " "), &other.to_string()),

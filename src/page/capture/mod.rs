@@ -5,7 +5,7 @@ mod noise;
 mod statistics;
 
 use super::figure::{clock, percent, span};
-use super::{Kind, escaped, framed};
+use super::{Kind, escaped, framed, wide};
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -185,7 +185,7 @@ fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     let sensor = sensor.join(" ").trim().to_owned();
     let _ = write!(
         out,
-        "<p class=\"soft\">capture {}, {} from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
+        "<p class=\"soft\">capture {}, {}, from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
         of.id,
         escaped(&of.state.replace('_', " ")),
         escaped(if sensor.is_empty() { &of.source } else { &sensor }),
@@ -279,9 +279,10 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) 
         let by_cause: Vec<String> = by_cause.collect();
         let _ = write!(
             out,
-            "<p>{}</p><details><summary>the list</summary><div class=\"wide\"><table><tr><th scope=\"col\">from (UTC)</th>\
+            "<p>{}</p><details><summary>the list</summary>{}<table><tr><th scope=\"col\">from (UTC)</th>\
              <th scope=\"col\">to</th><th scope=\"col\" class=\"number\">missing</th><th scope=\"col\">cause</th></tr>",
-            by_cause.join("; ")
+            by_cause.join("; "),
+            wide("gaps")
         );
         for gap in gaps.iter().take(LISTED) {
             let _ = write!(
@@ -358,10 +359,10 @@ fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>
     if view.enclosed.is_empty() {
         *out += "<ul>";
         for one in &diagnoses {
-            let told = one.summary.as_deref().unwrap_or(&one.state);
+            let told = one.summary.clone().unwrap_or_else(|| format!("diagnosis {}: {}", one.id, one.state));
             let _ = match view.served {
-                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", one.id, escaped(told)),
-                None => write!(out, "<li>{}</li>", escaped(told)),
+                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", one.id, escaped(&told)),
+                None => write!(out, "<li>{}</li>", escaped(&told)),
             };
         }
         *out += "</ul>";
@@ -375,7 +376,9 @@ fn events(out: &mut String, events: Vec<Event>) {
     if events.is_empty() {
         return;
     }
-    *out += "<h2>What happened</h2><div class=\"wide\"><table><tr><th scope=\"col\">when (UTC)</th><th scope=\"col\">what</th></tr>";
+    *out += "<h2>What happened</h2>";
+    *out += &wide("events");
+    *out += "<table><tr><th scope=\"col\">when (UTC)</th><th scope=\"col\">what</th></tr>";
     for event in events.iter().take(LISTED) {
         let _ = write!(
             out,

@@ -1,6 +1,6 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
-use super::{CaptureView, TRIADS, escaped, figure};
+use super::{CaptureView, TRIADS, escaped, figure, wide};
 use crate::page::figure::{parted, plain};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -126,18 +126,25 @@ pub(super) fn section(out: &mut String, document: &str, view: &CaptureView<'_>) 
 fn parameters(out: &mut String, channels: &BTreeMap<String, Parameters>) {
     *out += "<h2>Noise parameters</h2><p class=\"soft\">With 95 % intervals. N: angle or velocity random walk; B: bias instability \
              (coefficient of the flicker noise); K: rate random walk. Where the data does not support a value, what it is below \
-             with 95 % confidence.</p><div class=\"wide\"><table><tr><th scope=\"col\">channel</th><th scope=\"col\">N</th>\
-             <th scope=\"col\">B</th><th scope=\"col\">K</th><th scope=\"col\">more</th></tr>";
+             with 95 % confidence.</p>";
+    *out += &wide("noise parameters");
+    *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">N</th>\
+             <th scope=\"col\">B</th><th scope=\"col\">K</th></tr>";
     for (name, of) in channels {
+        // What else there is to say takes a line below: a column of its own would lie out of sight.
+        let more = more(of);
+        let (class, rows) = if more.is_empty() { ("", 1) } else { (" class=\"noted\"", 2) };
         let _ = write!(
             out,
-            "<tr><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            "<tr{class}><th scope=\"row\" rowspan=\"{rows}\">{}</th><td>{}</td><td>{}</td><td>{}</td></tr>",
             escaped(name),
             cell(of.n.as_ref()),
             cell(of.b.as_ref()),
             cell(of.k.as_ref()),
-            more(of)
         );
+        if !more.is_empty() {
+            let _ = write!(out, "<tr><td colspan=\"3\">{more}</td></tr>");
+        }
     }
     *out += "</table></div>";
 }
@@ -190,12 +197,13 @@ fn datasheet(out: &mut String, sheet: &Sheet) {
     let _ = write!(
         out,
         "<h2>Beside the datasheet of the {}</h2><p class=\"soft\">{}. Expected is the datasheet's density as it shows at this output \
-         rate and filter.</p><div class=\"wide\"><table><tr><th scope=\"col\">channel</th><th scope=\"col\">figure</th>\
+         rate and filter.</p>{}<table><tr><th scope=\"col\">channel</th><th scope=\"col\">figure</th>\
          <th scope=\"col\" class=\"number\">measured</th><th scope=\"col\" class=\"number\">datasheet</th>\
          <th scope=\"col\" class=\"number\">expected</th><th scope=\"col\">unit</th><th scope=\"col\" class=\"number\">ratio</th>\
          <th scope=\"col\">verdict</th></tr>",
         escaped(&sheet.name),
-        escaped(sheet.source.trim_end_matches('.'))
+        escaped(sheet.source.trim_end_matches('.')),
+        wide("beside the datasheet")
     );
     let mut row = |channel: &str,
                    figure: &str,

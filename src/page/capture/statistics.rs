@@ -1,6 +1,6 @@
 //! Statistics: one row per channel.
 
-use super::escaped;
+use super::{escaped, wide};
 use crate::page::figure::plain;
 use crate::plot::number::rounded;
 use serde::Deserialize;
@@ -40,8 +40,9 @@ pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json
     if of.channels.is_empty() {
         return Ok(());
     }
-    *out += "<h2>Statistics</h2><p class=\"soft\">Kurtosis is that in excess of a normal distribution's.</p><div class=\"wide\"><table>\
-             <tr><th scope=\"col\">channel</th><th scope=\"col\">unit</th>";
+    *out += "<h2>Statistics</h2><p class=\"soft\">Kurtosis is that in excess of a normal distribution's.</p>";
+    *out += &wide("statistics");
+    *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">unit</th>";
     for name in ["mean", "std", "min", "max", "skewness", "kurtosis"] {
         // Writing to a text cannot fail.
         let _ = write!(out, "<th scope=\"col\" class=\"number\">{name}</th>");
