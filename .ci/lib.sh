@@ -9,7 +9,7 @@ export VN100D_SKIPPED
 
 # Package by package what the tests call; root on Debian installs what is missing.
 tools="strace:strace udevadm:udev setpriv:util-linux sqlite3:sqlite3 systemd-analyze:systemd systemd-sysusers:systemd lintian:lintian
-  dpkg-shlibdeps:dpkg-dev mandoc:mandoc man:man-db xz:xz-utils"
+  dpkg-shlibdeps:dpkg-dev mandoc:mandoc man:man-db xz:xz-utils node:nodejs npm:npm chromium:chromium"
 
 install_tools() {
   local missing=() entry
@@ -25,6 +25,8 @@ install_tools() {
     fi
     # Python's readers of what is exported, in a virtual environment under target.
     step python3 tests/peers/exports.py --install
+    # The browser's driver and the rules of accessibility, under target as well.
+    step node tests/browser/pages.mjs --install
     # From here on a test that cannot find its tool fails.
     export VN100D_REQUIRE_TOOLS=1
   elif [ "${#missing[@]}" -gt 0 ]; then
