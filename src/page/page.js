@@ -84,8 +84,16 @@ if (live) {
 async function wish(form) {
   const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
   for (const [name, value] of new FormData(form)) {
-    if (value === "") continue;
-    body[name] = name === "start_at" ? new Date(value).toISOString() : value;
+    if (value === "" || value.size === 0) continue;
+    if (value instanceof File) {
+      try {
+        body[name] = JSON.parse(await value.text());
+      } catch {
+        return { refused: `${value.name} is no JSON: choose a sensor model's file.` };
+      }
+    } else {
+      body[name] = name === "start_at" ? new Date(value).toISOString() : value;
+    }
   }
   const path = form.dataset.post.replace("{id}", form.dataset.id ?? "");
   const empty = Object.keys(body).length === 0;
@@ -126,7 +134,10 @@ for (const select of document.querySelectorAll("select[data-models]")) {
   fetch("/v1/models").then(async (answer) => {
     const { models = [] } = answer.ok ? await answer.json() : {};
     for (const model of models) select.append(new Option(model.name ? `${model.id} (${model.name})` : model.id, model.id));
-    if (models.length === 0) select.closest("form").hidden = true;
+    if (models.length === 0) {
+      select.disabled = true;
+      select.closest("label").hidden = true;
+    }
   });
 }
 

@@ -244,7 +244,8 @@ fn wishes(out: &mut String, of: &Capture, token: bool) {
             out,
             "<form data-post=\"/v1/captures/{0}/pin\" data-json=\"{{&quot;pinned&quot;:{1}}}\"><button>{2}</button></form>\
              <form data-post=\"/v1/captures/{0}/diagnoses\" data-then=\"/diagnoses/\" class=\"models\">\
-             <label>compare with the simulator <select name=\"sim\" data-models></select></label><button>diagnose</button></form>",
+             <label>compare with the simulator <select name=\"sim\" data-models></select></label>\
+             <label>or with a model's file <input name=\"sim\" type=\"file\" accept=\".json\"></label><button>diagnose</button></form>",
             of.id,
             !of.pinned,
             if of.pinned { "keep no longer" } else { "keep from deletion" }

@@ -1,7 +1,7 @@
 //! What was found: effects that the model lacks with their evidence, what was weighed, what is off, and where.
 
-use super::super::escaped;
 use super::super::figure::{percent, plain, second, with_interval};
+use super::super::{escaped, wide};
 use super::{Cause, Driver, Parameter, Report};
 use crate::sample::Channel;
 use serde::Deserialize as _;
@@ -17,8 +17,10 @@ pub(super) fn causes(out: &mut String, report: &Report) {
     if report.causes.is_empty() {
         return;
     }
-    *out += "<h2>What the model lacks</h2><div class=\"wide\"><table><tr><th>effect</th><th>on</th>\
-             <th>parameters, with 95&nbsp;% intervals</th><th class=\"number\">sure</th><th class=\"number\">closes</th></tr>";
+    *out += "<h2>What the model lacks</h2>";
+    *out += &wide("what the model lacks");
+    *out += "<table><tr><th scope=\"col\">effect</th><th scope=\"col\">on</th>\
+             <th scope=\"col\">parameters, with 95&nbsp;% intervals</th><th scope=\"col\" class=\"number\">sure</th><th scope=\"col\" class=\"number\">closes</th></tr>";
     for cause in &report.causes {
         // Never more sure than it is.
         let sure = percent((100.0 * cause.confidence).floor() / 100.0);
@@ -97,8 +99,10 @@ pub(super) fn off(out: &mut String, parameters: &[Parameter]) {
     if parameters.is_empty() {
         return;
     }
-    *out += "<h2>Parameters that are off</h2><div class=\"wide\"><table><tr><th>channel</th><th>parameter</th>\
-             <th class=\"number\">model</th><th class=\"number\">recording</th><th class=\"number\">ratio</th></tr>";
+    *out += "<h2>Parameters that are off</h2>";
+    *out += &wide("parameters that are off");
+    *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">parameter</th>\
+             <th scope=\"col\" class=\"number\">model</th><th scope=\"col\" class=\"number\">recording</th><th scope=\"col\" class=\"number\">ratio</th></tr>";
     for of in parameters {
         let found = of.ci95.map_or_else(|| plain(of.capture), |ends| with_interval(of.capture, ends));
         let _ = write!(
@@ -120,8 +124,9 @@ pub(super) fn places(out: &mut String, report: &Report) {
     let heading = if report.verdict == "unknown_effect" { "Where something remains" } else { "Where the gap lies" };
     let _ = write!(
         out,
-        "<h2>{heading}</h2><div class=\"wide\"><table><tr><th>channel</th><th>band in Hz, or motion</th><th>time in s</th>\
-         <th class=\"number\">share</th><th>the recording is</th></tr>"
+        "<h2>{heading}</h2>{}<table><tr><th scope=\"col\">channel</th><th scope=\"col\">band in Hz, or motion</th><th scope=\"col\">time in s</th>\
+         <th scope=\"col\" class=\"number\">share</th><th scope=\"col\">the recording is</th></tr>",
+        wide("where the gap lies")
     );
     for of in &report.r#where {
         let [from_hz, to_hz] = of.band_hz.map(plain);
