@@ -9,7 +9,6 @@ use super::problem::{ApiError, ProblemType};
 use super::samples;
 use super::state::ApiState;
 use super::status::StatusBody;
-use crate::datasheet::{Datasheet, compare_report};
 use crate::gallery::{Facts, Picture};
 use crate::jobs::{JobError, JobKind};
 use crate::noise::NoiseReport;
@@ -25,8 +24,6 @@ use serde::Deserialize;
 /// Nothing from elsewhere, and no script but the daemon's own file.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; \
                       img-src 'self' data:; form-action 'none'; base-uri 'none'; frame-ancestors 'none'";
-/// The datasheet that sensors are compared with.
-const DATASHEET: &str = "vn-100";
 
 /// Which part of the first page is wanted.
 #[derive(Debug, Deserialize)]
@@ -114,7 +111,7 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
             None
         }
         Err(error) => {
-            remarks.push(format!("There is no {}: {error}.", said(kind)));
+            remarks.push(format!("There is no {}: {error}.", kind.gives()));
             None
         }
     };
@@ -122,7 +119,7 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
     let noise = document(JobKind::Noise).await;
     let allan = document(JobKind::Allan).await;
     let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose().map_err(JobError::from)?;
-    let report = report.filter(|_| allan.is_some()).map(|report| compared(report, &facts));
+    let report = report.filter(|_| allan.is_some()).map(|report| facts.compared(report));
     let noise = report.as_ref().map(serde_json::to_string).transpose().map_err(JobError::from)?;
     let pictures = facts.pictures(statistics.is_some(), report.as_ref());
     let figures = pictures.into_iter().map(|picture| (picture.name(), linked(&id, picture))).collect();
@@ -147,37 +144,17 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
     Ok(html(page.map_err(JobError::from)?))
 }
 
-/// The report with the datasheet beside it, unless it is known to be of another maker's sensor.
-fn compared(mut report: NoiseReport, facts: &Facts) -> NoiseReport {
-    let model = facts.row.sensor["model"].as_str().unwrap_or_default();
-    let sheet = Datasheet::named(DATASHEET).ok().filter(|_| model.is_empty() || model.starts_with("VN-100"));
-    if let Some(sheet) = sheet {
-        let windows = serde_json::from_value(facts.row.configuration["filter_window"].clone()).ok();
-        report.datasheet = serde_json::to_value(compare_report(&sheet, &report, windows)).ok();
-    }
-    report
-}
-
 fn linked(id: &str, picture: Picture) -> Figure {
     let address = format!("/v1/captures/{id}/plots/{}.svg", picture.name());
     Figure::Linked { told: picture.told(), address, height: picture.height() }
-}
-
-/// What a kind of analysis is called.
-fn said(kind: JobKind) -> &'static str {
-    match kind {
-        JobKind::Statistics => "table of statistics",
-        JobKind::Noise => "table of noise parameters",
-        _ => "Allan deviation",
-    }
 }
 
 /// How far a job is.
 fn under_way(kind: JobKind, jobs: &[JobRow]) -> String {
     let running = jobs.iter().find(|job| job.kind == kind.name() && job.state == JobState::Running);
     match running {
-        Some(job) => format!("The {} is being computed: {:.0} %.", said(kind), 100.0 * job.progress),
-        None => format!("The {} waits for its turn.", said(kind)),
+        Some(job) => format!("The {} is being computed: {:.0} %.", kind.gives(), 100.0 * job.progress),
+        None => format!("The {} waits for its turn.", kind.gives()),
     }
 }
 

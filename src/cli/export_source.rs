@@ -4,7 +4,7 @@ use super::Context;
 use crate::clock::{Clock as _, SystemClock};
 use crate::export::samples::{About, Rows, Tally};
 use crate::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
-use crate::sample::{Channel, DiscardCause, Gap, Record, Sample};
+use crate::sample::{Channel, Gap, Record, Sample};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use std::path::Path;
 
@@ -80,12 +80,10 @@ impl Source {
             software: capture.software.clone(),
             writer: SOFTWARE.to_owned(),
         };
-        // What was sent before the capture began is no loss of its samples.
-        let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
         Ok(Self {
             about,
             samples: range.samples(),
-            rejected: capture.rejected.iter().any(|(cause, count)| *count > 0 && !apart.contains(&cause.as_str())),
+            rejected: capture.has_rejected(),
             held: Held::Capture { reader: Box::new(reader), range: Box::new(range) },
         })
     }

@@ -1,6 +1,7 @@
 //! Facts: what a capture's page says beside its pictures, from the database, as the interfaces' documents.
 
 use super::Picture;
+use crate::datasheet::{Datasheet, compare_report};
 use crate::noise::NoiseReport;
 use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
 use serde_json::Value;
@@ -8,6 +9,8 @@ use std::collections::BTreeMap;
 
 /// Samples below which a spectrum has too few bins to be one.
 const SPECTRUM_MIN: u64 = 256;
+/// The datasheet that sensors are compared with, and how the models that it is of begin.
+const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 
 /// JSON documents of a capture.
 #[derive(Debug, Clone)]
@@ -40,6 +43,19 @@ impl Facts {
             gaps: json(&gaps.rows).to_string(),
             events: json(&events.rows).to_string(),
         })
+    }
+
+    /// The report with the datasheet beside it, unless it is known to be of another maker's sensor.
+    #[must_use]
+    pub fn compared(&self, mut report: NoiseReport) -> NoiseReport {
+        let model = self.row.sensor["model"].as_str().unwrap_or_default();
+        let (sheet, family) = DATASHEET;
+        let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family));
+        if let Some(sheet) = sheet {
+            let windows = serde_json::from_value(self.row.configuration["filter_window"].clone()).ok();
+            report.datasheet = serde_json::to_value(compare_report(&sheet, &report, windows)).ok();
+        }
+        report
     }
 
     /// The pictures that can be drawn of it: `statistics` and `noise` are there or not, and tell which channels they have.

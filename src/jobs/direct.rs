@@ -7,10 +7,12 @@ use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobParameters, Plan, SampleSource, StatisticsReport};
+use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator};
-use crate::store::Reader;
+use crate::sample::Channel;
+use crate::store::{CaptureRow, JobState, Reader};
+use serde_json::Value;
 
 /// The noise parameters of a plan's samples, on two threads; memory is bounded as a job's is.
 ///
@@ -58,6 +60,35 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
         next_seq = chunk.next_seq();
     }
     Ok(report::statistics(distribution.statistics(), Extent::read(reader, capture_id, row.samples)?))
+}
+
+/// What a job of one of the usual kinds gives, over the samples that `capture` says it has: as it is stored, where this version
+/// of the program has finished such a job, else computed at once and kept nowhere.
+///
+/// # Errors
+/// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual; what the database says.
+pub fn document(reader: &Reader, capture: &CaptureRow, kind: JobKind) -> Result<String, JobError> {
+    let parameters = kind.parameters(&Value::Null)?;
+    if !capture.state.is_open() {
+        let usual = serde_json::to_value(&parameters)?;
+        let jobs = reader.jobs_over(capture.id, kind.name(), capture.samples)?;
+        let finished = jobs.into_iter().find(|job| job.state == JobState::Done && !job.stale && job.params == usual);
+        let result = finished.and_then(|job| job.result_id).map(|id| reader.result(id)).transpose()?.flatten();
+        if let Some(result) = result {
+            return Ok(result.body);
+        }
+    }
+    let plan = || Plan::read(reader, capture.id, capture.samples, &Channel::ANALYSED);
+    let text = match kind {
+        JobKind::Statistics => serde_json::to_string(&statistics(reader, capture.id)?),
+        JobKind::Noise => serde_json::to_string(&noise(reader, plan()?)?),
+        JobKind::Allan => serde_json::to_string(&allan(reader, plan()?, &parameters)?),
+        JobKind::Diagnosis => {
+            let reason = "it needs a simulator to compare with".to_owned();
+            return Err(JobError::Parameters { kind: kind.name(), reason });
+        }
+    };
+    Ok(text?)
 }
 
 /// Hands all samples over, pass by pass.

@@ -36,6 +36,17 @@ impl JobKind {
         }
     }
 
+    /// What it gives, in words.
+    #[must_use]
+    pub fn gives(self) -> &'static str {
+        match self {
+            Self::Allan => "Allan deviation",
+            Self::Noise => "table of noise parameters",
+            Self::Statistics => "table of statistics",
+            Self::Diagnosis => "diagnosis",
+        }
+    }
+
     /// The kind of that name.
     ///
     /// # Errors

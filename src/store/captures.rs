@@ -2,7 +2,7 @@
 
 use super::insert::timebase_from_name;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
-use crate::sample::{Channel, Timebase};
+use crate::sample::{Channel, DiscardCause, Timebase};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
 use serde::{Deserialize, Serialize};
@@ -198,6 +198,16 @@ pub struct CaptureRow {
     pub configuration: serde_json::Value,
     /// What made it.
     pub software: String,
+}
+
+impl CaptureRow {
+    /// Whether anything of it was rejected on the way in. What arrived before it began or after it ended is no loss of its
+    /// samples.
+    #[must_use]
+    pub fn has_rejected(&self) -> bool {
+        let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
+        self.rejected.iter().any(|(cause, count)| *count > 0 && !apart.contains(&cause.as_str()))
+    }
 }
 
 /// Which captures a list holds.

@@ -26,7 +26,7 @@ const MAY_USE: [(&str, &[&str]); 30] = [
     ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
     ("page", &["plot", "sample"]),
     ("plot", &[]),
-    ("gallery", &["store", "plot", "export", "noise", "sample"]),
+    ("gallery", &["store", "plot", "datasheet", "export", "noise", "sample"]),
     (
         "jobs",
         &["store", "diagnosis", "model_fit", "motion", "noise", "simulator", "sample", "clock", "observe", "units"],
