@@ -13,7 +13,7 @@ mod waiting;
 
 pub use capture::{CaptureView, Figure, capture};
 pub use dashboard::{DashboardView, Minute, Stored, dashboard, live};
-pub use diagnosis::{Links, diagnosis, diagnosis_part};
+pub use diagnosis::{Links, diagnosis, diagnosis_body};
 pub use series::{SeriesView, series};
 pub use waiting::waiting;
 

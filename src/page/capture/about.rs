@@ -1,11 +1,11 @@
 //! What made the data: the sensor, its configuration, and the program.
 
-use super::{Capture, escaped, wide};
+use super::{Capture, CaptureView, escaped, opened, wide};
 use serde_json::Value;
 use std::fmt::Write as _;
 
 /// The table.
-pub(super) fn section(out: &mut String, of: &Capture) {
+pub(super) fn section(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     *out += "<h2>What made it</h2>";
     *out += &wide("what made it");
     *out += "<table>";
@@ -16,10 +16,11 @@ pub(super) fn section(out: &mut String, of: &Capture) {
         for (key, value) in part.as_object().into_iter().flatten() {
             match value {
                 Value::Null => {}
-                // The program has a row of its own, and the configuration repeats what the sensor is.
+                // What the sensor said of itself is told once.
+                _ if std::ptr::eq(part, &of.configuration) && of.sensor.get(key) == Some(value) => {}
+                // The program has a row of its own.
                 _ if key == "software" => {}
-                _ if part == &of.configuration && of.sensor.get(key) == Some(value) => {}
-                Value::Object(_) | Value::Array(_) => nested(out, key, value),
+                Value::Object(_) | Value::Array(_) => nested(out, key, value, opened(view)),
                 Value::String(text) => row(out, &key.replace('_', " "), text),
                 other => row(out, &key.replace('_', " "), &other.to_string()),
             }
@@ -34,11 +35,11 @@ fn row(out: &mut String, name: &str, value: &str) {
 }
 
 /// What has parts, as it is stored.
-fn nested(out: &mut String, key: &str, value: &Value) {
+fn nested(out: &mut String, key: &str, value: &Value, open: &str) {
     let text = serde_json::to_string_pretty(value).unwrap_or_default();
     let _ = write!(
         out,
-        "<tr><th scope=\"row\">{}</th><td><details><summary>{} lines</summary><pre tabindex=\"0\">{}</pre></details></td></tr>",
+        "<tr><th scope=\"row\">{}</th><td><details{open}><summary>{} lines</summary><pre tabindex=\"0\">{}</pre></details></td></tr>",
         escaped(&key.replace('_', " ")),
         text.lines().count(),
         escaped(&text)

@@ -46,20 +46,21 @@ pub struct CaptureView<'a> {
     pub gaps: &'a str,
     /// Events, a list.
     pub events: &'a str,
-    /// Diagnoses, a list.
+    /// Diagnoses, a list; without those that are enclosed.
     pub diagnoses: &'a str,
     /// Pictures by name, such as `allan-gyro`; those that are missing are not shown.
     pub figures: &'a BTreeMap<String, Figure>,
     /// Whether it is a page of the daemon, with links to the rest, and if so whether wishes need a token.
     pub served: Option<bool>,
-    /// Pages of its diagnoses, for a file that has them in it: title and what stands in their bodies.
+    /// Its diagnoses, for a file that has them in it: what stands in the bodies of their pages ([`super::diagnosis_body`]).
     pub enclosed: &'a [String],
 }
 
 /// The parts of a capture that are shown.
 #[derive(Debug, Deserialize)]
 struct Capture {
-    id: i64,
+    /// None of a recording that is in no database.
+    id: Option<i64>,
     name: String,
     state: String,
     source: String,
@@ -77,6 +78,8 @@ struct Capture {
     #[serde(default)]
     segments: u64,
     rate_hz: Option<f64>,
+    #[serde(default)]
+    rate_assumed: bool,
     #[serde(default)]
     pinned: bool,
     #[serde(default)]
@@ -126,6 +129,8 @@ struct Diagnosis {
 
 /// Gaps and events that are listed; the interface has them all.
 const LISTED: usize = 50;
+/// Headings of a page, and what they are in a section of another one.
+const HEADINGS: [(&str, &str); 4] = [("<h2>", "<h4>"), ("</h2>", "</h4>"), ("<h1>", "<h3>"), ("</h1>", "</h3>")];
 /// Triads and the letters of their axes.
 const TRIADS: [&str; 3] = ["gyro", "accel", "mag"];
 
@@ -148,7 +153,7 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
     courses(&mut out, &of, view);
     diagnoses(&mut out, serde_json::from_str(view.diagnoses)?, view);
     events(&mut out, serde_json::from_str(view.events)?);
-    about::section(&mut out, &of);
+    about::section(&mut out, &of, view);
     foot(&mut out, &of, view);
     let kind = match view.served {
         None => Kind::File,
@@ -157,6 +162,11 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
         Some(_) => Kind::Served,
     };
     Ok(framed(&of.name, kind, &out))
+}
+
+/// How parts begin that can be closed: a file is printed, and what is closed on paper is lost.
+fn opened(view: &CaptureView<'_>) -> &'static str {
+    if view.served.is_none() { " open" } else { "" }
 }
 
 /// The picture of that name, where it is there.
@@ -180,20 +190,25 @@ fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
 
 fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     let begun = of.started_at.as_deref().map_or_else(|| "not begun".to_owned(), clock);
-    let ended = of.ended_at.as_deref().map_or_else(|| "now".to_owned(), clock);
     let sensor = ["model", "serial_number"].map(|key| of.sensor[key].as_str().unwrap_or_default());
     let sensor = sensor.join(" ").trim().to_owned();
     let _ = write!(
         out,
-        "<p class=\"soft\">capture {}, {}, from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
-        of.id,
+        "<p class=\"soft\">{}{}, from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
+        of.id.map_or_else(String::new, |id| format!("capture {id}, ")),
         escaped(&of.state.replace('_', " ")),
         escaped(if sensor.is_empty() { &of.source } else { &sensor }),
         if of.pinned { ", kept from deletion" } else { "" },
         escaped(&of.name),
         escaped(&sentence(of))
     );
-    let _ = write!(out, "<p class=\"soft\">{} to {} UTC</p>", escaped(&begun), escaped(&ended));
+    let ended = match &of.ended_at {
+        Some(ended) => format!(" to {}", clock(ended)),
+        // On paper there is no now.
+        None if is_open(of) && view.served.is_some() => " to now".to_owned(),
+        None => String::new(),
+    };
+    let _ = write!(out, "<p class=\"soft\">{}{} UTC</p>", escaped(&begun), escaped(&ended));
     if let Some(accounting) = &of.accounting
         && !accounting.holds
     {
@@ -206,14 +221,20 @@ fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     for remark in view.remarks {
         let _ = write!(out, "<p class=\"remark\">{}</p>", escaped(remark));
     }
-    if let Some(token) = view.served {
-        wishes(out, of, token);
+    if let (Some(token), Some(id)) = (view.served, of.id) {
+        wishes(out, of, id, token);
     }
+}
+
+/// Whether samples may still come.
+fn is_open(of: &Capture) -> bool {
+    matches!(of.state.as_str(), "capturing" | "waiting")
 }
 
 /// What it got, in one sentence.
 fn sentence(of: &Capture) -> String {
-    let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz", super::figure::plain(rate)));
+    let assumed = if of.rate_assumed { " (assumed)" } else { "" };
+    let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz{assumed}", super::figure::plain(rate)));
     let planned = match of.planned_duration_s {
         Some(planned) if planned - of.duration_s > 1.0 => format!(" of {} wanted", span(planned)),
         _ => String::new(),
@@ -230,23 +251,20 @@ fn sentence(of: &Capture) -> String {
 }
 
 /// What may be asked for on the page; those without scripts have curl.
-fn wishes(out: &mut String, of: &Capture, token: bool) {
-    let open = matches!(of.state.as_str(), "capturing" | "waiting");
+fn wishes(out: &mut String, of: &Capture, id: i64, token: bool) {
     let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");
-    if open {
+    if is_open(of) {
         let _ = write!(
             out,
-            "<form data-post=\"/v1/captures/{}/stop\" data-ask=\"Stop this capture?\"><button>stop</button></form>",
-            of.id
+            "<form data-post=\"/v1/captures/{id}/stop\" data-ask=\"Stop this capture?\"><button>stop</button></form>"
         );
     } else {
         let _ = write!(
             out,
-            "<form data-post=\"/v1/captures/{0}/pin\" data-json=\"{{&quot;pinned&quot;:{1}}}\"><button>{2}</button></form>\
-             <form data-post=\"/v1/captures/{0}/diagnoses\" data-then=\"/diagnoses/\" class=\"models\">\
+            "<form data-post=\"/v1/captures/{id}/pin\" data-json=\"{{&quot;pinned&quot;:{}}}\"><button>{}</button></form>\
+             <form data-post=\"/v1/captures/{id}/diagnoses\" data-then=\"/diagnoses/\" class=\"models\">\
              <label>compare with the simulator <select name=\"sim\" data-models></select></label>\
              <label>or with a model's file <input name=\"sim\" type=\"file\" accept=\".json\"></label><button>diagnose</button></form>",
-            of.id,
             !of.pinned,
             if of.pinned { "keep no longer" } else { "keep from deletion" }
         );
@@ -256,8 +274,9 @@ fn wishes(out: &mut String, of: &Capture, token: bool) {
 }
 
 fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) {
-    *out += "<h2>Samples and gaps</h2>";
+    *out += "<h2>Samples and gaps</h2><div class=\"slim\">";
     figure(out, view, "gaps");
+    *out += "</div>";
     if of.samples + of.missing > 0 && gaps.is_empty() {
         let _ = write!(
             out,
@@ -280,9 +299,10 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) 
         let by_cause: Vec<String> = by_cause.collect();
         let _ = write!(
             out,
-            "<p>{}</p><details><summary>the list</summary>{}<table><tr><th scope=\"col\">from (UTC)</th>\
+            "<p>{}</p><details{}><summary>the list</summary>{}<table><tr><th scope=\"col\">from (UTC)</th>\
              <th scope=\"col\">to</th><th scope=\"col\" class=\"number\">missing</th><th scope=\"col\">cause</th></tr>",
             by_cause.join("; "),
+            opened(view),
             wide("gaps")
         );
         for gap in gaps.iter().take(LISTED) {
@@ -339,14 +359,13 @@ fn courses(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     channels.sort_by_key(|channel| channel.as_str() != "temperature");
     for (place, channel) in channels.into_iter().enumerate() {
         let name = escaped(channel);
-        // A file is printed: what is closed on paper is lost.
-        let open = if view.served.is_none() || place == 0 { " open" } else { "" };
+        let open = if place == 0 { " open" } else { opened(view) };
         let _ = write!(out, "<details{open}><summary>{name}</summary><div class=\"figures\">");
         figure(out, view, &format!("timeseries-{channel}"));
         figure(out, view, &format!("histogram-{channel}"));
         *out += "</div>";
-        if view.served.is_some() {
-            let _ = write!(out, "<p><a href=\"/captures/{}/series/{name}\">look closer at {name}</a></p>", of.id);
+        if let Some(id) = view.served.and(of.id) {
+            let _ = write!(out, "<p><a href=\"/captures/{id}/series/{name}\">look closer at {name}</a></p>");
         }
         *out += "</details>";
     }
@@ -357,7 +376,7 @@ fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>
         return;
     }
     *out += "<h2>Compared with a simulator</h2>";
-    if view.enclosed.is_empty() {
+    if !diagnoses.is_empty() {
         *out += "<ul>";
         for one in &diagnoses {
             let told = one.summary.clone().unwrap_or_else(|| format!("diagnosis {}: {}", one.id, one.state));
@@ -369,6 +388,8 @@ fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>
         *out += "</ul>";
     }
     for own in view.enclosed {
+        // Their headings are below this page's; no text of a document has a tag.
+        let own = HEADINGS.iter().fold(own.clone(), |own, (theirs, ours)| own.replace(theirs, ours));
         let _ = write!(out, "<section class=\"enclosed\">{own}</section>");
     }
 }
@@ -396,10 +417,10 @@ fn events(out: &mut String, events: Vec<Event>) {
 }
 
 fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
-    if view.served.is_none() {
+    let Some(id) = view.served.and(of.id) else {
         let _ = write!(out, "<footer>{}</footer>", escaped(&of.software));
         return;
-    }
+    };
     let links = [
         ("JSON", ""),
         ("noise", "/noise"),
@@ -410,7 +431,7 @@ fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
         ("samples as CSV", "/samples?format=csv"),
         ("for Kalibr", "/noise?format=kalibr"),
     ];
-    let links = links.map(|(label, path)| format!("<a href=\"/v1/captures/{}{path}\">{label}</a>", of.id));
+    let links = links.map(|(label, path)| format!("<a href=\"/v1/captures/{id}{path}\">{label}</a>"));
     let _ = write!(out, "<footer>{} · {}</footer>", escaped(&of.software), links.join(" · "));
 }
 

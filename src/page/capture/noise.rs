@@ -1,6 +1,6 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
-use super::{CaptureView, TRIADS, escaped, figure, wide};
+use super::{CaptureView, TRIADS, escaped, figure, opened, wide};
 use crate::page::figure::{parted, plain};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -105,7 +105,7 @@ pub(super) fn section(out: &mut String, document: &str, view: &CaptureView<'_>) 
         if !names.iter().any(|name| view.figures.contains_key(name)) {
             continue;
         }
-        let open = if view.served.is_none() { " open" } else { "" };
+        let open = opened(view);
         // Writing to a text cannot fail.
         let _ = write!(
             out,
@@ -187,7 +187,7 @@ fn more(of: &Parameters) -> String {
         }
     }
     if let Some(GaussMarkov { sigma, tc_s }) = &of.gauss_markov {
-        all.push(format!("Gauss–Markov process: σ {}, correlation time {}", cell(Some(sigma)), cell(Some(tc_s))));
+        all.push(format!("Gauss–Markov process: σ {} correlation time {}", cell(Some(sigma)), cell(Some(tc_s))));
     }
     all.extend(of.flags.iter().map(|flag| escaped(&flag.note)));
     all.join("<br>")

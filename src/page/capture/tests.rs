@@ -91,6 +91,7 @@ fn a_file_has_its_pictures_in_it_and_nothing_from_elsewhere() {
     let figures = BTreeMap::from([("allan-gyro".to_owned(), Figure::Drawn("<svg id=\"own\"></svg>".to_owned()))]);
     let page = shown(None, &figures);
     assert!(page.contains("<figure><svg id=\"own\"></svg></figure>"), "{page}");
+    assert!(!page.contains("<details>") && page.contains("<details open>"), "what is closed on paper is lost: {page}");
     for foreign in ["<script", "<img", "href=\"/", "<form", "http-equiv"] {
         assert!(!page.contains(foreign), "{foreign}: {page}");
     }

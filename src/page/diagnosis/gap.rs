@@ -58,7 +58,7 @@ pub(super) fn by_channel(out: &mut String, report: &Report) {
             out,
             "<h2>By channel</h2><p class=\"soft\"><span class=\"key closed\"></span>closed by what was found\
              <span class=\"key after\"></span>what remains, down to the floor: what a true model shows.</p>\
-             <figure class=\"single\">{picture}</figure>"
+             <figure class=\"slim\">{picture}</figure>"
         );
     }
 }

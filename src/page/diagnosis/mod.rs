@@ -135,19 +135,19 @@ struct Gap {
 /// # Errors
 /// What is missing in a text that is no such document.
 pub fn diagnosis(report: &str, drawings: &str, links: Links<'_>) -> Result<String, serde_json::Error> {
-    let report: Report = serde_json::from_str(report)?;
-    let drawn: Drawn = serde_json::from_str(drawings)?;
-    let body = body(&report, &drawn, links);
+    let (title, body) = diagnosis_body(report, drawings, links)?;
     let kind = if links.is_empty() { Kind::File } else { Kind::Served };
-    Ok(framed(&format!("Diagnosis: {}", report.summary), kind, &body))
+    Ok(framed(&title, kind, &body))
 }
 
-/// The same as a part of another page.
+/// The title of the same page and what stands in its body, to be [enclosed](super::CaptureView::enclosed) in another one.
 ///
 /// # Errors
 /// What is missing in a text that is no such document.
-pub fn diagnosis_part(report: &str, drawings: &str) -> Result<String, serde_json::Error> {
-    Ok(body(&serde_json::from_str(report)?, &serde_json::from_str(drawings)?, &[]))
+pub fn diagnosis_body(report: &str, drawings: &str, links: Links<'_>) -> Result<(String, String), serde_json::Error> {
+    let report: Report = serde_json::from_str(report)?;
+    let body = body(&report, &serde_json::from_str(drawings)?, links);
+    Ok((format!("Diagnosis: {}", report.summary), body))
 }
 
 fn body(report: &Report, drawn: &Drawn, links: Links<'_>) -> String {
