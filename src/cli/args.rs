@@ -7,8 +7,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use std::time::Duration;
 
+mod pictures;
 mod recordings;
 
+pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ExportFormat, ImportArgs, TimeOrigin};
 
 /// Captures a VectorNav VN-100 unattended into SQLite and tells its noise parameters.
@@ -72,6 +74,10 @@ pub enum Command {
     Allan(AllanArgs),
     /// Print noise parameters N, B, K of a capture or a recording
     Noise(NoiseArgs),
+    /// Draw one plot of a capture or a recording, as SVG or PNG
+    Plot(PlotArgs),
+    /// Write one self-contained page of a capture or a recording: what a lab report has
+    Report(ReportArgs),
     /// Make samples of a sensor model: noise, effects, motion
     Simulate(SimulateArgs),
     /// Sensor models: of a capture, shown, compared, exported

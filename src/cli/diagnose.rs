@@ -50,12 +50,12 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     }
     gridded.tell(&mut outcome.diagnosis);
     if let Some(output) = augmented {
-        write(output, &(serde_json::to_string_pretty(&outcome.augmented)? + "\n"))?;
+        output.put((serde_json::to_string_pretty(&outcome.augmented)? + "\n").as_bytes())?;
     }
     if let Some(output) = html {
         let drawings = Drawings::new(&gridded.recording, &sim, &outcome);
         let (report, drawings) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&drawings)?);
-        write(output, &page::diagnosis(&report, &drawings, &[])?)?;
+        output.put(page::diagnosis(&report, &drawings, &[])?.as_bytes())?;
     }
     if context.json {
         print_json(&outcome.diagnosis)?
@@ -83,12 +83,6 @@ fn simulator(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<SensorMod
     }
     let everything = diagnosis::effect_names();
     Ok(model::fitted(context, std::slice::from_ref(&args.sim), args.rate, &everything, None)?.model)
-}
-
-fn write(output: Output, text: &str) -> anyhow::Result<()> {
-    let path = output.path().display().to_string();
-    output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
-    output.keep()
 }
 
 fn refused(error: &DiagnosisError) -> anyhow::Error {

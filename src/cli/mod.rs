@@ -21,14 +21,17 @@ mod model;
 mod noise;
 mod notify;
 mod output;
+mod plot;
 mod probe;
 mod progress;
 mod recover;
+mod report;
 mod run;
 mod sealed;
 mod show;
 mod simulate;
 mod status;
+mod subject;
 mod trial;
 mod trial_motion;
 mod trial_on;
@@ -234,6 +237,8 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Show { capture, rate } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
+        Command::Plot(args) => plot::run(&context, &args),
+        Command::Report(args) => report::run(&context, &args),
         Command::Simulate(args) => simulate::run(&context, &args),
         Command::Trial(args) => trial::run(&context, &args),
         Command::TrialPart(args) => trial::run_part(&args),

@@ -5,6 +5,7 @@ use super::{CliError, Failure};
 use crate::store::is_database;
 use anyhow::Context as _;
 use std::fs::{File, Permissions};
+use std::io::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
@@ -77,6 +78,16 @@ impl Output {
         }
     }
 
+    /// Writes all of the file and gives it its name.
+    ///
+    /// # Errors
+    /// As [`Output::keep`], and where there is no room.
+    pub(super) fn put(self, bytes: &[u8]) -> anyhow::Result<()> {
+        let written = self.file().write_all(bytes);
+        written.with_context(|| format!("{} cannot be written", self.path.display()))?;
+        self.keep()
+    }
+
     /// Gives the file its name: from here on it is there.
     ///
     /// # Errors
@@ -126,7 +137,6 @@ fn folder(path: &Path) -> &Path {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Write as _;
 
     #[test]
     fn a_file_comes_into_being_whole_and_only_where_none_is_or_force_is_said() {

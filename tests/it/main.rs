@@ -19,6 +19,7 @@ mod plots;
 mod real_recordings;
 mod recordings;
 mod replay;
+mod report;
 mod restart;
 #[path = "../world/ros2.rs"]
 mod ros2;

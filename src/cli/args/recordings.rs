@@ -99,7 +99,7 @@ fn channel_list(text: &str) -> Result<ChannelList, String> {
     Channel::list(text).map(ChannelList).map_err(|error| error.to_string())
 }
 
-fn moment(text: &str) -> Result<Moment, String> {
+pub(super) fn moment(text: &str) -> Result<Moment, String> {
     Moment::parse(text)
         .ok_or_else(|| "expected RFC 3339 such as 2026-11-21T20:00:00Z, or seconds since the first sample".to_owned())
 }

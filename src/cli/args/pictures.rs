@@ -1,0 +1,54 @@
+//! Arguments of what draws a capture: `plot`, `report`.
+
+use super::rate;
+use super::recordings::moment;
+use crate::gallery::Picture;
+use crate::store::Moment;
+use clap::Args;
+use std::path::PathBuf;
+
+/// Arguments of `plot`.
+#[derive(Debug, Args)]
+pub struct PlotArgs {
+    /// Id, name, `latest`, or the path of a recording
+    pub capture: String,
+    /// timeseries-<channel>, histogram-<channel>, allan-<triad>, allan-<channel>, hourly-<channel>, psd-<triad> or gaps, such as
+    /// allan-gyro
+    #[arg(value_name = "NAME", value_parser = picture)]
+    pub picture: Picture,
+    /// The file, which ends with .svg or .png; `-` is SVG on standard output
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Of a time series: from this time on, RFC 3339 or seconds since the first sample
+    #[arg(long, value_name = "T", value_parser = moment)]
+    pub from: Option<Moment>,
+    /// Of a time series: before this time, RFC 3339 or seconds since the first sample
+    #[arg(long, value_name = "T", value_parser = moment)]
+    pub to: Option<Moment>,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Replace the file where it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// Id, name, `latest`, or the path of a recording
+    pub capture: String,
+    /// The file, which ends with .html; `-` is standard output
+    #[arg(long, value_name = "FILE.html")]
+    pub out: PathBuf,
+    /// Rate of a recording without stamps in Hz
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Replace the file where it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+fn picture(text: &str) -> Result<Picture, String> {
+    Picture::from_name(text).ok_or_else(|| format!("there is no such plot: there are {}", Picture::forms()))
+}

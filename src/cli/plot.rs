@@ -1,0 +1,129 @@
+//! `vn100d plot`: one picture of a capture as a file.
+
+use super::args::PlotArgs;
+use super::output::Output;
+use super::subject::{Stop, Subject};
+use super::{CliError, Context, Failure, Outcome, print_json};
+use crate::gallery::{self, Documents, Picture, Window};
+use crate::jobs::{JobError, JobKind};
+use crate::plot;
+use std::io::Write as _;
+use std::path::Path;
+
+/// What a plot came to.
+#[derive(Debug, serde::Serialize)]
+struct Report<'a> {
+    plot: String,
+    /// Null for a recording.
+    capture: Option<i64>,
+    out: &'a Path,
+    bytes: usize,
+}
+
+/// What a picture is written as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    Svg,
+    Png,
+}
+
+/// Draws the picture.
+pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome> {
+    let picture = args.picture;
+    let path = Some(args.out.as_path()).filter(|path| *path != Path::new("-"));
+    let form = path.map_or(Ok(Form::Svg), form)?;
+    let window = Window { from: args.from, to: args.to };
+    if window != Window::default() && !matches!(picture, Picture::Timeseries(_)) {
+        let message = format!("--from and --to are for timeseries-<channel>, not for {}", picture.name());
+        return Err(CliError { failure: Failure::Usage, message }.into());
+    }
+    if path.is_none() && context.json {
+        let message = "--json and the plot both want standard output: name --out FILE.svg".to_owned();
+        return Err(CliError { failure: Failure::Usage, message }.into());
+    }
+    let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
+    let stop = Stop::listen()?;
+    let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
+    let subject = Subject::open(context, &args.capture, args.rate, &stop)?;
+    let image = stop.unless(image(&subject, picture, window, form))?;
+    let outcome = if subject.row.has_rejected() { Outcome::WithLoss } else { Outcome::Done };
+    let Some(output) = output else {
+        std::io::stdout().lock().write_all(&image)?;
+        return Ok(outcome);
+    };
+    output.put(&image)?;
+    let (name, bytes) = (picture.name(), image.len());
+    if context.json {
+        let capture = Some(subject.row.id).filter(|_| !subject.of_file);
+        print_json(&Report { plot: name, capture, out: &args.out, bytes })?;
+    } else {
+        writeln!(std::io::stdout(), "{}: {name} of {}, {bytes} bytes", args.out.display(), subject.row.name)?;
+    }
+    Ok(outcome)
+}
+
+/// The form that a file's name ends with.
+fn form(path: &Path) -> Result<Form, CliError> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    match ending.as_deref() {
+        Some("svg") => Ok(Form::Svg),
+        Some("png") => Ok(Form::Png),
+        _ => {
+            let message = format!("--out {}: expected a name that ends with .svg or .png", path.display());
+            Err(CliError { failure: Failure::Usage, message })
+        }
+    }
+}
+
+fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> anyhow::Result<Vec<u8>> {
+    let row = &subject.row;
+    if let Some(lacking) = subject.lacks(&picture.channels()) {
+        let there: Vec<&str> = row.channels.iter().map(|channel| channel.name()).collect();
+        let message = format!(
+            "{} needs {lacking}, which {} does not have: it has {}",
+            picture.name(),
+            row.name,
+            there.join(", ")
+        );
+        return Err(CliError { failure: Failure::Other, message }.into());
+    }
+    let needs = picture.needs();
+    let mut documents = Documents::default();
+    if needs.statistics {
+        documents.statistics = Some(subject.document(JobKind::Statistics)?);
+    }
+    if needs.allan {
+        documents.allan = Some(subject.document(JobKind::Allan)?);
+    }
+    if needs.noise {
+        documents.noise = match subject.document(JobKind::Noise) {
+            Err(error @ JobError::Store(_)) => return Err(error.into()),
+            // Lines that there will never be are left out.
+            noise => noise.ok(),
+        };
+    }
+    let svg = gallery::svg(&subject.reader, &row.id.to_string(), picture, window, &documents)?;
+    if svg.is_empty() {
+        let message = format!("{} has not enough data for {}", row.name, picture.name());
+        return Err(CliError { failure: Failure::Other, message }.into());
+    }
+    Ok(match form {
+        Form::Svg => plot::alone(&svg).into_bytes(),
+        Form::Png => plot::raster::png(&svg, plot::raster::SCALE)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_the_file_tells_what_is_written() {
+        assert_eq!(form(Path::new("a.svg")).unwrap(), Form::Svg);
+        assert_eq!(form(Path::new("/tmp/a.b.PNG")).unwrap(), Form::Png);
+        for wrong in ["a", "a.pdf", ".svg", "svg"] {
+            let refused = form(Path::new(wrong)).unwrap_err();
+            assert!(refused.failure == Failure::Usage && refused.message.contains(".svg or .png"), "{wrong}");
+        }
+    }
+}

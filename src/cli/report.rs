@@ -1,0 +1,227 @@
+//! `vn100d report`: all that is known of a capture as one page that needs nothing else, for colleagues and for paper.
+
+use super::args::ReportArgs;
+use super::output::Output;
+use super::progress::bar;
+use super::subject::{Stop, Subject};
+use super::{CliError, Context, Failure, Outcome, print_json};
+use crate::gallery::{self, Documents, Facts, Window};
+use crate::jobs::{DiagnosisDocument, JobError, JobKind};
+use crate::noise::NoiseReport;
+use crate::page::{self, CaptureView, Figure};
+use crate::store::{DiagnosisRow, PageRequest};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::path::Path;
+
+/// Diagnoses that stand in a report, the latest: each has a spectrum of every channel.
+const ENCLOSED: usize = 8;
+
+/// What a report came to.
+#[derive(Debug, serde::Serialize)]
+struct Report<'a> {
+    /// Null for a recording.
+    capture: Option<i64>,
+    name: &'a str,
+    out: &'a Path,
+    bytes: usize,
+    plots: &'a [String],
+    diagnoses: &'a [i64],
+    remarks: &'a [String],
+}
+
+/// Writes the page.
+pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcome> {
+    let path = Some(args.out.as_path()).filter(|path| *path != Path::new("-"));
+    let usage = |message| Err(CliError { failure: Failure::Usage, message }.into());
+    let ending = path.and_then(Path::extension).map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    match path {
+        Some(path) if !matches!(ending.as_deref(), Some("html" | "htm")) => {
+            return usage(format!("--out {}: expected a name that ends with .html", path.display()));
+        }
+        None if context.json => {
+            return usage("--json and the report both want standard output: name --out FILE.html".to_owned());
+        }
+        _ => {}
+    }
+    let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
+    let stop = Stop::listen()?;
+    let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
+    let subject = Subject::open(context, &args.capture, args.rate, &stop)?;
+    let made = stop.unless(Made::of(&subject, &stop))?;
+    let outcome = if subject.row.has_rejected() { Outcome::WithLoss } else { Outcome::Done };
+    let Some(output) = output else {
+        std::io::stdout().lock().write_all(made.page.as_bytes())?;
+        return Ok(outcome);
+    };
+    output.put(made.page.as_bytes())?;
+    let bytes = made.page.len();
+    if context.json {
+        print_json(&Report {
+            capture: Some(subject.row.id).filter(|_| !subject.of_file),
+            name: &subject.row.name,
+            out: &args.out,
+            bytes,
+            plots: &made.plots,
+            diagnoses: &made.diagnoses,
+            remarks: &made.remarks,
+        })?;
+    } else {
+        let (plots, diagnoses) = (counted(made.plots.len(), "plot", "plots"), made.diagnoses.len());
+        let diagnoses = counted(diagnoses, "diagnosis", "diagnoses");
+        let out = args.out.display();
+        writeln!(std::io::stdout(), "{out}: report of {}, {plots}, {diagnoses}, {bytes} bytes", subject.row.name)?;
+    }
+    Ok(outcome)
+}
+
+fn counted(count: usize, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
+}
+
+/// A page, and what is in it.
+struct Made {
+    page: String,
+    plots: Vec<String>,
+    diagnoses: Vec<i64>,
+    remarks: Vec<String>,
+}
+
+impl Made {
+    fn of(subject: &Subject, stop: &Stop) -> anyhow::Result<Self> {
+        let facts = Facts::read(&subject.reader, subject.row.id)?;
+        let mut remarks = subject.remarks.clone();
+        let bar = bar("{bar:30} {pos} of {len} · {msg}", 0);
+        let mut document = |kind: JobKind| {
+            bar.set_message(kind.gives());
+            stop.unless(match subject.document(kind) {
+                Ok(document) => Ok(Some(document)),
+                Err(error @ JobError::Store(_)) => Err(error.into()),
+                Err(error) => {
+                    remarks.push(format!("There is no {}: {error}.", kind.gives()));
+                    Ok(None)
+                }
+            })
+        };
+        let statistics = document(JobKind::Statistics)?;
+        let noise = document(JobKind::Noise)?;
+        let allan = document(JobKind::Allan)?;
+        let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose()?;
+        let report = report.filter(|_| allan.is_some()).map(|report| facts.compared(report));
+        let noise = report.as_ref().map(serde_json::to_string).transpose()?;
+        let pictures = facts.pictures(statistics.is_some(), report.as_ref());
+        let documents = Documents { statistics, allan, noise };
+        bar.set_length(pictures.len() as u64);
+        let (id, mut figures) = (subject.row.id.to_string(), BTreeMap::new());
+        for picture in pictures {
+            bar.set_message(picture.name());
+            let svg = gallery::svg(&subject.reader, &id, picture, Window::default(), &documents);
+            let svg = stop.unless(svg.map_err(anyhow::Error::from))?;
+            if !svg.is_empty() {
+                figures.insert(picture.name(), Figure::Drawn(svg));
+            }
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        if subject.row.state.is_open() {
+            remarks.push("It still runs: this is what there is so far.".to_owned());
+        }
+        let diagnosed = Diagnosed::of(subject)?;
+        let mut capture: Value = serde_json::from_str(&facts.capture)?;
+        if subject.of_file {
+            capture["id"] = Value::Null;
+        }
+        let page = page::capture(&CaptureView {
+            capture: &capture.to_string(),
+            statistics: documents.statistics.as_deref(),
+            noise: documents.noise.as_deref(),
+            remarks: &remarks,
+            waits: false,
+            gaps: &facts.gaps,
+            events: &facts.events,
+            diagnoses: &Value::Array(diagnosed.others).to_string(),
+            figures: &figures,
+            served: None,
+            enclosed: &diagnosed.enclosed,
+        })?;
+        Ok(Self { page, plots: figures.into_keys().collect(), diagnoses: diagnosed.ids, remarks })
+    }
+}
+
+/// What simulators were found to lack.
+#[derive(Default)]
+struct Diagnosed {
+    /// Which of them are enclosed.
+    ids: Vec<i64>,
+    /// What stands in their pages.
+    enclosed: Vec<String>,
+    /// The others: id, state and a sentence.
+    others: Vec<Value>,
+}
+
+impl Diagnosed {
+    fn of(subject: &Subject) -> anyhow::Result<Self> {
+        let (reader, mut own) = (&subject.reader, Self::default());
+        for DiagnosisRow { job, summary, .. } in reader.diagnoses(Some(subject.row.id), &PageRequest::first())?.rows {
+            let result = job.result_id.filter(|_| own.ids.len() < ENCLOSED);
+            match result.map(|id| reader.result(id)).transpose()?.flatten() {
+                Some(result) => {
+                    let document = DiagnosisDocument::read(&result.body)?;
+                    own.enclosed.push(page::diagnosis_body(document.report.get(), &result.body, &[])?.1);
+                    own.ids.push(job.id);
+                }
+                None => {
+                    let state = job.state.name();
+                    let why = job.error.map_or_else(String::new, |why| format!(": {why}"));
+                    let told = summary.unwrap_or_else(|| format!("diagnosis {}, {state}{why}", job.id));
+                    own.others.push(json!({ "id": job.id, "state": state, "summary": told }));
+                }
+            }
+        }
+        Ok(own)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::daemon::import::{Source, import};
+    use crate::store::{NewJob, Store, StoreOptions};
+
+    #[test]
+    fn what_a_simulator_lacks_is_enclosed_and_a_diagnosis_that_failed_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (recording, out) = (folder.path().join("few.csv"), folder.path().join("page.html"));
+        std::fs::write(&recording, "time_s,gyro_x_rad_s\n0,0.1\n0.025,0.2\n0.05,0.3\n").unwrap();
+        let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+        let imported = import(&store, &SystemClock, Source::of(&recording), None, &mut |_, _| Ok(())).unwrap();
+        let submit = |number: usize| {
+            let (kind, params) = ("diagnosis".to_owned(), json!({ "sim": number }));
+            let id = store.submit_job(NewJob { kind, capture_id: imported.end.id(), params }, u64::MAX).unwrap().0.id;
+            assert_eq!(store.claim_job().unwrap().unwrap().id, id);
+            id
+        };
+        let failed = submit(0);
+        store.fail_job(failed, "<too short>").unwrap();
+        for number in 1..=ENCLOSED + 1 {
+            let discrepancy =
+                json!({"unit": "nats/sample", "before": 1.0, "after_parameters": 1.0, "after": 1.0, "floor": 1.0});
+            let report =
+                json!({"verdict": "effects", "summary": format!("a <tone> {number}"), "discrepancy": discrepancy});
+            let body = json!({"report": report, "model": {}, "spectra": []});
+            store.finish_job(submit(number), body.to_string()).unwrap();
+        }
+        store.close().unwrap();
+        let context = Context { data_dir: Some(folder.path().to_owned()), config: None, json: false };
+        let args = ReportArgs { capture: "latest".to_owned(), out: out.clone(), rate: None, force: false };
+        assert_eq!(run(&context, &args).unwrap(), Outcome::Done);
+        let page = std::fs::read_to_string(out).unwrap();
+        assert_eq!(page.matches("class=\"enclosed\"").count(), ENCLOSED);
+        // The latest ones whole, the earliest one by its sentence.
+        assert!(page.contains("<h3>a &lt;tone&gt; 2</h3>") && page.contains("<li>a &lt;tone&gt; 1</li>"), "{page}");
+        assert!(page.contains(&format!("<li>diagnosis {failed}, failed: &lt;too short&gt;</li>")), "{page}");
+        assert_eq!(page.matches("<h1>").count(), 1);
+    }
+}

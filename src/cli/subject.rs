@@ -1,0 +1,148 @@
+//! What is drawn: a capture of the database, or a recording's file as the capture that it would become.
+
+use super::emulate::stop_on_signal;
+use super::progress::bar;
+use super::{CliError, Context, Failure};
+use crate::clock::SystemClock;
+use crate::daemon::import::{ImportError, Source, import};
+use crate::jobs::{JobError, JobKind, direct};
+use crate::recording::{KeepOn, RecordingError, Stamps};
+use crate::sample::Channel;
+use crate::store::{CaptureRow, Reader, Store, StoreOptions};
+use anyhow::Context as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// How soon a signal ends what is being read.
+const SOON: Duration = Duration::from_millis(50);
+
+/// A signal that shall end the command, so that nothing half made is left behind.
+#[derive(Debug, Clone)]
+pub(super) struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// From here on a signal ends no more than what asks.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(super) fn listen() -> anyhow::Result<Self> {
+        Ok(Self(stop_on_signal()?))
+    }
+
+    fn is_wanted(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// The result, unless a signal came: then that is why there is none.
+    ///
+    /// # Errors
+    /// The result's own; that it was stopped.
+    pub(super) fn unless<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
+        if self.is_wanted() {
+            let message = "stopped before the end: no file is kept of it".to_owned();
+            return Err(CliError { failure: Failure::Other, message }.into());
+        }
+        result
+    }
+}
+
+/// A capture to be read.
+#[derive(Debug)]
+pub(super) struct Subject {
+    /// Where it is.
+    pub reader: Reader,
+    /// What it is; of a capture that runs, as far as it is committed now.
+    pub row: CaptureRow,
+    /// Whether it is a recording's file: then nobody else knows its id.
+    pub of_file: bool,
+    /// What a page has to say of it: sentences.
+    pub remarks: Vec<String>,
+    /// The recording's database, until nobody reads it any more.
+    _folder: Option<TempDir>,
+}
+
+impl Subject {
+    /// A file where one of that name exists, else a capture. What is assumed is said on standard error.
+    ///
+    /// # Errors
+    /// What cannot be read.
+    pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>, stop: &Stop) -> anyhow::Result<Self> {
+        let subject = if Path::new(named).is_file() {
+            stop.unless(Self::of_recording(Path::new(named), rate_hz, stop))?
+        } else {
+            let reader = context.reader()?;
+            let row = reader.capture(reader.resolve(named)?)?;
+            Self { reader, row, of_file: false, remarks: Vec::new(), _folder: None }
+        };
+        if subject.row.rate_assumed {
+            let rate_hz = subject.row.rate_hz.unwrap_or_default();
+            eprintln!("note: {named} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+        }
+        subject.end_with(stop)?;
+        Ok(subject)
+    }
+
+    /// As `import` does, into a database that is taken away afterwards.
+    fn of_recording(file: &Path, rate_hz: Option<f64>, stop: &Stop) -> anyhow::Result<Self> {
+        let folder = tempfile::Builder::new().prefix("vn100d-").tempdir().context("no temporary folder can be made")?;
+        let database = folder.path().join("vn100d.db");
+        let store = Store::open(&database, StoreOptions::default())?;
+        let wanted = stop.clone();
+        let source = Source { rate_hz, keep_on: KeepOn::asking(move || !wanted.is_wanted()), ..Source::of(file) };
+        let bar = bar("{bar:40} {percent} %  {human_pos} samples read", 0);
+        let imported = import(&store, &SystemClock, source, None, &mut |written, of| {
+            bar.set_length(of);
+            bar.set_position(written);
+            let unwanted = || ImportError::from(RecordingError::Unwanted { file: file.to_owned() });
+            if stop.is_wanted() { Err(unwanted()) } else { Ok(()) }
+        })?;
+        bar.finish_and_clear();
+        store.close()?;
+        let reader = Reader::open(&database)?;
+        let row = reader.capture(imported.end.id())?;
+        let mut remarks = Vec::new();
+        if imported.info.stamps != Stamps::Unix {
+            let shown = file.display();
+            eprintln!("note: {shown} tells no time of day: its first sample counts as taken now");
+            remarks.push(
+                "The recording tells no time of day: its first sample counts as taken when this was made.".to_owned(),
+            );
+        }
+        Ok(Self { reader, row, of_file: true, remarks, _folder: Some(folder) })
+    }
+
+    /// Ends what is being read once a signal comes: reading is what takes long.
+    fn end_with(&self, stop: &Stop) -> anyhow::Result<()> {
+        let (interrupt, stop) = (self.reader.interrupt(), stop.clone());
+        std::thread::Builder::new().name("stop".to_owned()).spawn(move || {
+            loop {
+                std::thread::sleep(SOON);
+                if stop.is_wanted() {
+                    interrupt.interrupt();
+                }
+            }
+        })?;
+        Ok(())
+    }
+
+    /// What an analysis gives ([`direct::document`]).
+    ///
+    /// # Errors
+    /// As there; what is said of a recording names it.
+    pub(super) fn document(&self, kind: JobKind) -> Result<String, JobError> {
+        direct::document(&self.reader, &self.row, kind).map_err(|error| match error {
+            JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
+                reason: reason.replace(&format!("capture {}", self.row.id), &self.row.name),
+            },
+            other => other,
+        })
+    }
+
+    /// A channel that it does not have, of those.
+    pub(super) fn lacks(&self, channels: &[Channel]) -> Option<Channel> {
+        channels.iter().copied().find(|channel| !self.row.channels.contains(channel))
+    }
+}

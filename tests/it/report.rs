@@ -1,0 +1,271 @@
+//! `plot` and `report` without a daemon and beside one: every picture as a file, and one page that needs nothing else.
+
+use crate::export::Place;
+use crate::world::{World, vn100d};
+use serde_json::Value;
+use std::process::Output;
+use std::time::Duration;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "VN-100 unit 7", "rate_hz": 40, "channels": {
+    "gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}, "gyro_y": {"N": 1e-4}, "gyro_z": {"N": 1e-4}, "temperature": {"N": 0.01, "bias": 30},
+    "accel_z": {"N": 0.002, "bias": -9.8, "effects": [{"effect": "tone", "frequency_hz": 13.38, "amplitude": 0.002}]}}}"#;
+
+/// A folder whose database holds ten minutes under a name that wants to be markup.
+fn place() -> Place {
+    let place = Place::new();
+    std::fs::write(place.path("model.json"), MODEL).unwrap();
+    place.done(&[
+        "simulate",
+        "--model",
+        "model.json",
+        "--duration",
+        "10min",
+        "--seed",
+        "7",
+        "--into-db",
+        "<script>alert(1)",
+    ]);
+    place
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn refused(place: &Place, code: i32, arguments: &[&str], why: &str) {
+    let output = place.run(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", said(&output));
+    assert!(said(&output).contains(why), "{arguments:?}: {}", said(&output));
+    assert!(!said(&output).contains("panicked"), "{}", said(&output));
+}
+
+/// Width and height that a PNG says it has.
+fn pixels(png: &[u8]) -> [u32; 2] {
+    assert_eq!(&png[..8], b"\x89PNG\r\n\x1a\n");
+    [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()))
+}
+
+#[test]
+fn every_plot_of_a_capture_is_a_file_as_svg_and_as_png() {
+    let place = place();
+    let made: Value = serde_json::from_str(&place.done(&["report", "latest", "--out", "page.html", "--json"])).unwrap();
+    let names: Vec<&str> = made["plots"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    for wanted in ["gaps", "allan-gyro", "allan-gyro_x", "psd-gyro", "timeseries-temperature", "histogram-accel_z"] {
+        assert!(names.contains(&wanted), "{wanted}: {names:?}");
+    }
+    for name in names.iter().filter(|name| !name.ends_with("_y")) {
+        let file = format!("{name}.svg");
+        place.done(&["plot", "1", name, "--out", &file]);
+        let svg = place.text(&file);
+        assert!(svg.starts_with("<svg xmlns=") && svg.trim_end().ends_with("</svg>"), "{name}: {svg}");
+        assert!(svg.contains("class=\"title\"") && !svg.contains("NaN") && !svg.contains("<script"), "{name}: {svg}");
+    }
+    let has = |name: &str, parts: &[&str]| {
+        let svg = place.text(name);
+        parts.iter().for_each(|part| assert!(svg.contains(part), "{part} is not in {svg}"));
+    };
+    has("timeseries-accel_z.svg", &[">accel_z", "accel_z in m/s²", "time in min"]);
+    has("allan-gyro_x.svg", &["Allan deviation, gyro_x", "averaging time τ in s", "in rad/s"]);
+    has("psd-gyro.svg", &["Power spectrum, gyro", "rad/s/√Hz", "Hz</text>"]);
+    has("gaps.svg", &["24000 samples, none missing"]);
+    let told: Value =
+        serde_json::from_str(&place.done(&["plot", "latest", "allan-gyro", "--out", "a.png", "--json"])).unwrap();
+    let png = std::fs::read(place.path("a.png")).unwrap();
+    assert_eq!(pixels(&png), [1680, 1080]);
+    assert_eq!(told, serde_json::json!({"plot": "allan-gyro", "capture": 1, "out": "a.png", "bytes": png.len()}));
+    // A part of the time, and on standard output.
+    let part = place.done(&["plot", "latest", "timeseries-gyro_x", "--from", "60", "--to", "62.5", "--out", "-"]);
+    assert!(part.contains(">61</text>") && part.contains("time in s") && !part.contains(">100</text>"), "{part}");
+}
+
+#[test]
+fn a_report_has_everything_in_it_and_nothing_from_elsewhere() {
+    let place = place();
+    let told = place.done(&["report", "latest", "--out", "page.html"]);
+    let page = place.text("page.html");
+    assert!(told.starts_with("page.html: report of <script>"), "{told}");
+    assert!(told.contains(&format!("{} bytes", page.len())), "{told}");
+    assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
+    assert!(page.contains("<h1>&lt;script&gt;alert(1)</h1>"), "{page}");
+    for absent in
+        ["<script", "http://", "https://", "src=", "url(", "@import", "<link rel=\"stylesheet", "<img", "<form", "NaN"]
+    {
+        assert!(!page.contains(absent), "{absent}");
+    }
+    // The empty icon keeps a browser from asking for one.
+    assert_eq!(page.matches("href=").count(), page.matches("href=\"data:,\"").count());
+    assert!(!page.contains(" id=\""), "two pictures might share it");
+    for heading in [
+        "Samples and gaps",
+        "Noise parameters",
+        "Allan deviation",
+        "Power spectrum",
+        "Statistics",
+        "Beside the datasheet",
+        "Channel by channel",
+        "What made it",
+    ] {
+        assert!(page.contains(&format!("<h2>{heading}")), "{heading}");
+    }
+    assert!(page.contains("vn100d-sensor-model-1"), "the configuration is not there");
+    // The same numbers as `noise` tells, from the samples again.
+    let noise: Value = serde_json::from_str(&place.done(&["noise", "latest", "--json"])).unwrap();
+    let mut found = 0;
+    for (channel, of) in noise["channels"].as_object().unwrap() {
+        let row = page.split(&format!("<tr><th scope=\"row\">{channel}</th><td>")).nth(1).unwrap();
+        let row = row.split("</tr>").next().unwrap();
+        for parameter in ["N", "B", "K"] {
+            let (value, limit) = (of[parameter]["value"].as_f64(), of[parameter]["upper_limit95"].as_f64());
+            if let Some(value) = value.or(limit) {
+                let told = numbers(row).into_iter().any(|told| (told / value - 1.0).abs() < 0.01);
+                assert!(told, "{channel} {parameter}: {value} is not in {row}");
+                found += 1;
+            }
+        }
+    }
+    assert!(found >= 8, "{found}");
+    // As a reader of the database it is the same again.
+    place.done(&["report", "latest", "--out", "again.html"]);
+    assert!(place.text("again.html") == page, "two reports of one capture differ");
+}
+
+/// The numbers of a table's row, as a page writes them: `1.2·10⁻⁴`.
+fn numbers(row: &str) -> Vec<f64> {
+    let text = row.replace("&nbsp;", " ");
+    let words = text.split(|c: char| c.is_whitespace() || matches!(c, '<' | '>'));
+    let exponent = |text: &str| -> Option<i32> {
+        let plain = text.chars().map(|c| {
+            if c == '⁻' {
+                Some('-')
+            } else {
+                "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().position(|d| d == c).and_then(|d| char::from_digit(d as u32, 10))
+            }
+        });
+        plain.collect::<Option<String>>()?.parse().ok()
+    };
+    let number = |word: &str| match word.split_once("·10") {
+        Some((mantissa, power)) => Some(mantissa.parse::<f64>().ok()? * 10_f64.powi(exponent(power)?)),
+        None => word.parse().ok(),
+    };
+    words.filter_map(number).collect()
+}
+
+#[test]
+fn a_recordings_path_takes_the_place_of_a_capture_and_leaves_no_database() {
+    let place = place();
+    place.done(&["export", "latest", "--out", "desk night.csv"]);
+    let temporary = place.path("temporary");
+    std::fs::create_dir(&temporary).unwrap();
+    let elsewhere = place.path("elsewhere");
+    let run = |arguments: &[&str]| {
+        let mut command = crate::world::program();
+        command.current_dir(place.path("")).env("TMPDIR", &temporary).arg("--data-dir").arg(&elsewhere);
+        command.args(arguments).output().unwrap()
+    };
+    let output = run(&["report", "desk night.csv", "--out", "page.html", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert!(said(&output).contains("tells no time of day"), "{}", said(&output));
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(told["capture"].is_null() && told["name"] == "desk night", "{told}");
+    let page = place.text("page.html");
+    for part in ["<h1>desk night</h1>", "imported from desk night.csv", "24000 samples", "tells no time of day"] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("capture 1") && !page.contains("temporary") && !page.contains("vn100d.db"), "{page}");
+    let output = run(&["plot", "desk night.csv", "allan-accel_z", "--out", "a.svg"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert!(place.text("a.svg").starts_with("<svg"));
+    assert_eq!(std::fs::read_dir(&temporary).unwrap().count(), 0, "something stayed behind");
+    assert!(!elsewhere.exists());
+    // A row that is none is rejected data: done, and said.
+    let mut text = place.text("desk night.csv");
+    text.push_str("600.5,what is this\n");
+    std::fs::write(place.path("odd.csv"), text).unwrap();
+    for arguments in [["report", "odd.csv", "--out", "odd.html"], ["plot", "odd.csv", "gaps", "--out"]] {
+        let mut arguments = arguments.to_vec();
+        if arguments[0] == "plot" {
+            arguments.push("odd.svg");
+        }
+        let output = run(&arguments);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {}", said(&output));
+    }
+    // Rows without stamps have the rate that is told.
+    std::fs::write(place.path("bare.csv"), "gyro_x_rad_s\n".to_owned() + &"0.001\n0.002\n".repeat(200)).unwrap();
+    let output = run(&["plot", "bare.csv", "timeseries-gyro_x", "--rate", "100", "--out", "bare.svg"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert!(place.text("bare.svg").contains(">3</text>"), "{}", place.text("bare.svg"));
+}
+
+#[test]
+fn what_is_not_there_is_refused_and_no_file_is_made() {
+    let place = place();
+    let before = place.files();
+    refused(&place, 2, &["plot", "latest", "allan", "--out", "a.svg"], "timeseries-<channel>");
+    refused(&place, 2, &["plot", "latest", "gaps", "--out", "a.pdf"], ".svg or .png");
+    refused(
+        &place,
+        2,
+        &["plot", "latest", "gaps", "--from", "1", "--out", "a.svg"],
+        "timeseries-<channel>, not for gaps",
+    );
+    refused(&place, 2, &["plot", "latest", "gaps", "--out", "-", "--json"], "both want standard output");
+    refused(&place, 2, &["plot", "latest", "timeseries-gyro_x", "--from", "noon", "--out", "a.svg"], "RFC 3339");
+    refused(&place, 2, &["plot", "latest", "gaps"], "--out");
+    refused(&place, 2, &["report", "latest", "--out", "a.pdf"], ".html");
+    refused(&place, 2, &["report", "model.json", "--out", "model.json"], "--out model.json");
+    refused(
+        &place,
+        1,
+        &["plot", "latest", "timeseries-mag_x", "--out", "a.svg"],
+        "does not have: it has accel_z, gyro_x",
+    );
+    refused(&place, 1, &["plot", "latest", "psd-accel", "--out", "a.svg"], "needs accel_x");
+    refused(&place, 1, &["plot", "latest", "timeseries-gyro_x", "--from", "9000", "--out", "a.svg"], "not enough data");
+    refused(&place, 1, &["plot", "nobody", "gaps", "--out", "a.svg"], "nobody");
+    refused(&place, 1, &["report", "nobody", "--out", "a.html"], "nobody");
+    refused(&place, 1, &["report", "model.json", "--out", "a.html"], "model.json");
+    assert_eq!(place.files(), before);
+    place.done(&["plot", "latest", "gaps", "--out", "a.svg"]);
+    refused(&place, 73, &["plot", "latest", "gaps", "--out", "a.svg"], "--force");
+    place.done(&["plot", "latest", "gaps", "--out", "a.svg", "--force"]);
+}
+
+/// A few samples have no noise to tell of: the page says so and has the rest.
+#[test]
+fn a_report_of_little_says_what_is_lacking() {
+    let place = Place::new();
+    std::fs::write(place.path("few.csv"), "time_s,gyro_x_rad_s\n0,0.1\n0.025,0.2\n0.05,0.3\n").unwrap();
+    place.done(&["report", "few.csv", "--out", "few.html"]);
+    let page = place.text("few.html");
+    assert!(page.contains("3 samples") && page.contains("class=\"remark\""), "{page}");
+}
+
+#[test]
+fn a_capture_that_runs_is_drawn_beside_the_daemon_that_writes_it() {
+    let world = World::new();
+    let emulator = world.emulate(&["--speed", "200"]);
+    let daemon = world.daemon("", &["--speed", "200", "--capture", "10h"]);
+    let samples = || world.try_get("/v1/status")?["capture"]["samples"].as_u64().filter(|samples| *samples > 12_000);
+    world.until("samples", PATIENCE, samples, &daemon);
+    let (data, page) = (world.database(), world.path("page.html"));
+    let data = data.parent().unwrap().to_str().unwrap();
+    let run = |arguments: &[&str]| {
+        let output = vn100d(&[&["--data-dir", data], arguments].concat());
+        // Bytes that came before the first frame may have been rejected.
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{arguments:?}: {}", said(&output));
+    };
+    run(&["report", "latest", "--out", page.to_str().unwrap()]);
+    let page = std::fs::read_to_string(page).unwrap();
+    assert!(
+        page.contains("It still runs: this is what there is so far.") && page.contains("Noise parameters"),
+        "{page}"
+    );
+    let plot = world.path("a.png");
+    run(&["plot", "latest", "allan-gyro", "--out", plot.to_str().unwrap()]);
+    assert_eq!(pixels(&std::fs::read(plot).unwrap()), [1680, 1080]);
+    // The writer goes on.
+    let then = samples();
+    world.until("more samples", PATIENCE, || Some(()).filter(|()| samples() > then), &daemon);
+    drop(emulator);
+}
