@@ -273,9 +273,9 @@ fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::
         windows: serde_json::from_value(row.configuration["filter_window"].clone()).ok(),
         setting: Setting::of(&row, plan.rate_hz),
         id: Some(row.id),
+        rejected: row.has_rejected(),
         name: row.name,
         rate_assumed: row.rate_assumed,
-        rejected: row.rejected.values().any(|count| *count > 0),
     };
     Ok((material, plan))
 }
