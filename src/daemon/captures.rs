@@ -222,6 +222,7 @@ impl Keeper {
             let stored = store.stored_id(id);
             let submitted = tokio::task::spawn_blocking(move || jobs.submit_all(stored)).await;
             match submitted {
+                Ok(Ok(jobs)) if jobs.is_empty() => tracing::info!(capture = id, "capture ended without a sample"),
                 Ok(Ok(_)) => tracing::info!(capture = id, "capture ended, its analysis is queued"),
                 Ok(Err(error)) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
                 Err(error) => tracing::error!(capture = id, %error, "the analysis could not be queued"),

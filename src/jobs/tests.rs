@@ -501,6 +501,7 @@ fn a_capture_with_too_little_in_it_fails_the_job_with_the_reason() {
     let empty = world.store.create_capture(NewCapture::new("test", CaptureState::Stopped)).unwrap();
     let jobs = Jobs::start(&world.store, JobsOptions::default()).unwrap();
     let reader = world.reader();
+    assert!(jobs.submit_all(empty).unwrap().is_empty(), "nobody asked for an analysis of nothing");
     for (capture, reason) in [(few, "3 samples"), (empty, "no samples")] {
         let job = jobs.submit(JobKind::Allan, capture, &serde_json::Value::Null).unwrap().0.id;
         wait_until("the end", || reader.job(job).unwrap().state == JobState::Failed);

@@ -143,11 +143,15 @@ impl Jobs {
         together::plan(&reader, &captures, &wanted).map(|_| ())
     }
 
-    /// Queues all that a complete or imported capture gets without being asked: one job of every usual kind, however many wait.
+    /// Queues all that a complete or imported capture gets without being asked: one job of every usual kind, however many wait;
+    /// none of a capture without samples, which was called off before it began.
     ///
     /// # Errors
     /// As [`Self::submit`].
     pub fn submit_all(&self, capture_id: i64) -> Result<Vec<JobRow>, JobError> {
+        if self.inner.readers.get()?.capture(capture_id)?.samples == 0 {
+            return Ok(Vec::new());
+        }
         let usual = &serde_json::Value::Null;
         JobKind::USUAL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
     }

@@ -9,6 +9,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Length of a bucket, ns.
 const BUCKET_NS: u64 = 250_000_000;
+/// How much further a sample may put the device's clock back than the one before it, ns: 80 ppm at 40 Hz, and a burst of a
+/// thousand late ones is seen by nobody.
+const DRIFT_NS: i64 = 2_000;
 /// Buckets of the minute.
 const BUCKETS: usize = 240;
 
@@ -27,6 +30,8 @@ struct Bucket {
 #[derive(Debug, Default)]
 pub struct Recent {
     buckets: VecDeque<Bucket>,
+    /// How far the host's clock is ahead of the device's, ns: samples are read in bursts, and are a line all the same.
+    ahead_ns: Option<i64>,
 }
 
 /// The last minute, shared with whoever looks at it.
@@ -48,7 +53,7 @@ pub struct Trace {
 impl Recent {
     /// Takes a sample.
     pub fn note(&mut self, sample: &Sample) {
-        let number = sample.host_mono_ns / BUCKET_NS;
+        let number = self.at_ns(sample) / BUCKET_NS;
         if self.buckets.back().is_none_or(|bucket| bucket.number != number) {
             self.buckets.push_back(Bucket {
                 number,
@@ -68,6 +73,25 @@ impl Recent {
             bucket.last[channel as usize] = value;
             bucket.channels.insert(channel);
         }
+    }
+
+    /// When a sample was taken, ns of the host's monotonic clock: by the device's clock, held to the samples that took the
+    /// shortest way; by its arrival where the sensor sends no time.
+    fn at_ns(&mut self, sample: &Sample) -> u64 {
+        let arrived_ns = sample.host_mono_ns;
+        let Some(device_ns) = sample.device_time_ns.and_then(|ns| i64::try_from(ns).ok()) else { return arrived_ns };
+        let ahead_ns = i64::try_from(arrived_ns).unwrap_or(i64::MAX).saturating_sub(device_ns);
+        let kept_ns = match self.ahead_ns {
+            // A clock that began anew, or ran away.
+            Some(kept_ns) if ahead_ns.abs_diff(kept_ns) > BUCKETS as u64 * BUCKET_NS => ahead_ns,
+            // Clocks drift apart slowly: later arrivals raise what is kept by little, earlier ones lower it at once.
+            Some(kept_ns) => ahead_ns.min(kept_ns.saturating_add(DRIFT_NS)),
+            None => ahead_ns,
+        };
+        self.ahead_ns = Some(kept_ns);
+        // Never back: what was shown stays where it was.
+        let at_ns = u64::try_from(device_ns.saturating_add(kept_ns)).unwrap_or(arrived_ns);
+        self.buckets.back().map_or(at_ns, |bucket| at_ns.max(bucket.number * BUCKET_NS))
     }
 
     /// The minute before `mono_ns` of every channel that came within it.
@@ -124,6 +148,20 @@ mod tests {
         assert_eq!((traces[0].points.len(), traces[0].last), (8, 1.0));
         assert_eq!(traces[0].points[4], (0.75, 0.0, 7.0));
         assert_eq!((traces[0].points[3].0, traces[0].points[7].0), (2.0, 0.0));
+    }
+
+    #[test]
+    fn bursts_of_a_device_with_a_clock_are_a_line() {
+        let mut recent = Recent::default();
+        // Two seconds are read at once, every two seconds; the clock begins anew after twenty.
+        for index in 0_u64..1600 {
+            let mut sample = sample(2000 * (index / 80 + 1), 1.0);
+            sample.device_time_ns = Some(25_000_000 * (index % 800) + 3_600_000_000_000 * (1 - index / 800));
+            recent.note(&sample);
+        }
+        let points = &recent.traces(40_000_000_000)[0].points;
+        let steps = points.windows(2).filter(|of| (of[0].0 - of[1].0 - 0.25).abs() > 1e-9).count();
+        assert!(points.len() > 140 && steps <= 1, "{} {steps}", points.len());
     }
 
     #[test]

@@ -60,7 +60,8 @@ pub struct WriterProgress {
     pub wal_bytes: u64,
     /// Free space of the file system in bytes.
     pub free_bytes: u64,
-    /// Samples committed per real second, averaged over half a minute.
+    /// Samples committed per second of the store's clock, averaged over half a minute: forecasts are in the time that captures
+    /// are in, also where that is accelerated.
     pub samples_per_s: f64,
     /// The file is damaged: nothing is written to it any more.
     pub damaged: bool,

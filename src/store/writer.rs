@@ -496,7 +496,8 @@ impl Writer {
         let now = Instant::now();
         let seconds = (now - self.measured_at).as_secs_f64();
         self.measured_at = now;
-        let rate = if seconds > 0.0 { self.samples_since as f64 / seconds } else { 0.0 };
+        let passed = seconds * self.clock.speed();
+        let rate = if passed > 0.0 { self.samples_since as f64 / passed } else { 0.0 };
         self.samples_since = 0;
         let weight = (seconds / 30.0).min(1.0);
         let bytes = |path: &std::path::Path| std::fs::metadata(path).map_or(0, |file| file.len());

@@ -95,6 +95,23 @@ async function diagnosed(page, checks, address) {
   await page.getByRole("heading", { name: "What the model lacks" }).waitFor();
 }
 
+/// Diagnosed again, with a model that is a file.
+async function withFile(page, capture) {
+  const model = { format: "vn100d-sensor-model-1", name: "unit", rate_hz: 40, channels: { gyro_x: { N: 1e-4 } } };
+  const choose = async (name, text) => {
+    const file = { name, mimeType: "application/json", buffer: Buffer.from(text) };
+    await page.getByLabel("or with a model's file").setInputFiles(file);
+    await page.getByRole("button", { name: "diagnose" }).click();
+  };
+  await page.goto(capture);
+  await settled(page, PATIENCE);
+  await choose("night.csv", "time_s,gyro_x");
+  await said(page, "is no JSON");
+  await choose("unit.json", JSON.stringify(model));
+  await page.waitForURL(/\/diagnoses\/\d+$/);
+  await page.getByRole("heading", { name: /^The gap, in/ }).waitFor(PATIENCE);
+}
+
 /// Named as no one should, begun, looked at, stopped, kept and diagnosed without leaving the pages.
 async function hostile(page, checks, visit, address) {
   visit.expected.add("400 /v1/captures").add("422 /v1/captures");
@@ -130,6 +147,7 @@ async function hostile(page, checks, visit, address) {
   await page.waitForURL(/\/diagnoses\/\d+$/);
   await page.getByRole("heading", { name: /^The gap, in/ }).waitFor(PATIENCE);
   await literal(page, checks, HOSTILE, "the page of a diagnosis");
+  await withFile(page, capture);
   await page.goto(address);
   await literal(page, checks, HOSTILE, "the first page afterwards");
   await checks.page(page, "first-hostile");

@@ -302,12 +302,10 @@ fn a_picture_has_a_tag_that_names_the_results_it_is_drawn_of() {
         eventually("the job", || world.get(&format!("/v1/captures/a/{path}")), |answer| answer.status == 200)
     };
     let result = ask("statistics").header("etag").trim_matches('"').split('-').next().unwrap().to_owned();
-    for picture in ["plots/histogram-gyro_x.svg", "plots/histogram-gyro_x.png"] {
-        let drawn = ask(picture);
-        let tag = drawn.header("etag");
-        assert!(tag.contains(&format!("-Some-{result}-")), "{tag} names not {result}");
-        assert_eq!(world.get_with(&format!("/v1/captures/a/{picture}"), "if-none-match", tag).status, 304);
-    }
+    let picture = ask("plots/histogram-gyro_x.svg");
+    let tag = picture.header("etag");
+    assert!(tag.contains(&format!("-Some-{result}-")), "{tag} names not {result}");
+    assert_eq!(world.get_with("/v1/captures/a/plots/histogram-gyro_x.svg", "if-none-match", tag).status, 304);
     let of_samples = ask("plots/timeseries-gyro_x.svg");
     assert!(!of_samples.header("etag").contains("Some") && of_samples.text.contains("<svg"), "{of_samples:?}");
     let part = ask("plots/timeseries-gyro_x.svg?from=1&to=2");
