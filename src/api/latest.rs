@@ -6,7 +6,7 @@ use super::jobs::Job;
 use super::problem::ApiError;
 use super::state::ApiState;
 use crate::gallery;
-use crate::store::{CaptureFilter, PageRequest};
+use crate::store::{CaptureFilter, JobState, PageRequest};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -68,6 +68,12 @@ pub(super) async fn rows(state: &ApiState) -> Option<Arc<Rows>> {
         });
         // Late rows are the next one's.
         let _ = tokio::time::timeout(PATIENCE, reading).await;
+    } else if state.latest.not_older_than(STALE).is_none() {
+        // Somebody reads already, and there is nothing older to show.
+        let begun = Instant::now();
+        while state.latest.not_older_than(STALE).is_none() && begun.elapsed() < PATIENCE {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
     }
     state.latest.not_older_than(STALE)
 }
@@ -77,7 +83,12 @@ async fn read(state: &ApiState) -> Result<Rows, ApiError> {
     state
         .read(move |reader| {
             let some = PageRequest { limit: Some(ROWS), cursor: None };
-            let jobs: Vec<Job> = reader.jobs(None, None, &some)?.rows.into_iter().map(Job::from).collect();
+            // What runs first, then what waits, then what was said last of those that failed.
+            let mut jobs: Vec<Job> = Vec::new();
+            for kind in [JobState::Running, JobState::Queued, JobState::Failed] {
+                jobs.extend(reader.jobs(None, Some(kind), &some)?.rows.into_iter().map(Job::from));
+            }
+            jobs.truncate(ROWS as usize);
             let diagnoses: Vec<DiagnosisEntry> =
                 reader.diagnoses(None, &some)?.rows.into_iter().map(DiagnosisEntry::from).collect();
             Ok(Rows {

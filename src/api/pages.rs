@@ -9,7 +9,7 @@ use super::problem::{ApiError, ProblemType};
 use super::samples;
 use super::state::ApiState;
 use super::status::StatusBody;
-use crate::gallery::{Facts, Picture};
+use crate::gallery::{Documents, Facts, Picture};
 use crate::jobs::{JobError, JobKind};
 use crate::noise::NoiseReport;
 use crate::observe::Trace;
@@ -110,8 +110,14 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
             remarks.push(under_way(kind, &jobs));
             None
         }
-        Err(error) => {
+        Err(error) if error.kind() == ProblemType::AnalysisFailed => {
             remarks.push(format!("There is no {}: {error}.", kind.gives()));
+            None
+        }
+        // Too much is asked at once, or the disk is slow: it is asked again.
+        Err(error) => {
+            waits = true;
+            remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
             None
         }
     };
@@ -119,9 +125,10 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
     let noise = document(JobKind::Noise).await;
     let allan = document(JobKind::Allan).await;
     let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose().map_err(JobError::from)?;
-    let report = report.filter(|_| allan.is_some()).map(|report| facts.compared(report));
+    let report = report.map(|report| facts.compared(report));
     let noise = report.as_ref().map(serde_json::to_string).transpose().map_err(JobError::from)?;
-    let pictures = facts.pictures(statistics.is_some(), report.as_ref());
+    let documents = Documents { statistics, allan, noise };
+    let pictures = facts.pictures(&documents, report.as_ref());
     let figures = pictures.into_iter().map(|picture| (picture.name(), linked(&id, picture))).collect();
     let diagnoses: Vec<DiagnosisEntry> = diagnoses.into_iter().map(DiagnosisEntry::from).collect();
     let diagnoses = serde_json::to_string(&diagnoses).map_err(JobError::from)?;
@@ -130,11 +137,12 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
     }
     let page = page::capture(&CaptureView {
         capture: &facts.capture,
-        statistics: statistics.as_deref(),
-        noise: noise.as_deref(),
+        statistics: documents.statistics.as_deref(),
+        noise: documents.noise.as_deref(),
         remarks: &remarks,
         waits,
         gaps: &facts.gaps,
+        causes: &facts.causes,
         events: &facts.events,
         diagnoses: &diagnoses,
         figures: &figures,
@@ -166,13 +174,16 @@ pub(super) async fn series(
 ) -> Result<Response, ApiError> {
     let [from, to] = [query.from, query.to].map(|text| text.as_deref().map(samples::time).transpose());
     let (from, to) = (from?, to?);
-    let (row, ends) = state
+    let (row, there, ends) = state
         .read(move |reader| {
             let mut whole = SampleRange::read(reader, &name, None, None)?;
             let [_, length_s] = whole.ends_s(reader)?;
             let mut part = SampleRange::read(reader, &name, from, to)?;
-            let ends = part.ends_s(reader)?;
-            Ok((whole.capture, (length_s, ends)))
+            let [from_s, to_s] = part.ends_s(reader)?;
+            // `to` is the first instant that is not wanted: a period after the last sample.
+            let period_s = whole.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0).map_or(0.0, f64::recip);
+            let there = part.samples() > 0;
+            Ok((whole.capture, there, (length_s + period_s, [from_s, to_s + period_s])))
         })
         .await?;
     let others: Vec<&str> = row.channels.iter().map(|other| other.name()).filter(|other| *other != channel).collect();
@@ -181,6 +192,9 @@ pub(super) async fn series(
         let message = format!("the capture has no channel `{found}`: it has {}", others.join(", "));
         return Err(ApiError::new(ProblemType::NotFound, message));
     };
+    if !there {
+        return Err(ApiError::new(ProblemType::NotFound, "the capture has no samples in that time"));
+    }
     let (length_s, [from_s, to_s]) = ends;
     let view =
         SeriesView { capture: (row.id, &row.name), channel: own.name(), others: &others, length_s, from_s, to_s };

@@ -77,7 +77,8 @@ pub(super) async fn plot(
     let tag = format!(
         "\"{id}-{}-{}-{}-{}\"",
         conditional::plain(&file),
-        row.samples,
+        // Another database has captures of the same ids and as many samples.
+        conditional::plain(&format!("{} {}", row.started_at.map_or(0, |at| at.0), row.samples)),
         conditional::plain(&format!("{:?} {results:?}", (window.from, window.to))),
         conditional::plain(SOFTWARE)
     );

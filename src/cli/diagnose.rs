@@ -53,7 +53,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         output.put((serde_json::to_string_pretty(&outcome.augmented)? + "\n").as_bytes())?;
     }
     if let Some(output) = html {
-        let drawings = Drawings::new(&gridded.recording, &sim, &outcome);
+        let drawings = Drawings::new(&gridded.recording, gridded.from_s, &sim, &outcome);
         let (report, drawings) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&drawings)?);
         output.put(page::diagnosis(&report, &drawings, &[])?.as_bytes())?;
     }

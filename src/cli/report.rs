@@ -108,10 +108,10 @@ impl Made {
         let noise = document(JobKind::Noise)?;
         let allan = document(JobKind::Allan)?;
         let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose()?;
-        let report = report.filter(|_| allan.is_some()).map(|report| facts.compared(report));
+        let report = report.map(|report| facts.compared(report));
         let noise = report.as_ref().map(serde_json::to_string).transpose()?;
-        let pictures = facts.pictures(statistics.is_some(), report.as_ref());
         let documents = Documents { statistics, allan, noise };
+        let pictures = facts.pictures(&documents, report.as_ref());
         bar.set_length(pictures.len() as u64);
         let (id, mut figures) = (subject.row.id.to_string(), BTreeMap::new());
         for picture in pictures {
@@ -139,6 +139,7 @@ impl Made {
             remarks: &remarks,
             waits: false,
             gaps: &facts.gaps,
+            causes: &facts.causes,
             events: &facts.events,
             diagnoses: &Value::Array(diagnosed.others).to_string(),
             figures: &figures,
@@ -168,7 +169,9 @@ impl Diagnosed {
             match result.map(|id| reader.result(id)).transpose()?.flatten() {
                 Some(result) => {
                     let document = DiagnosisDocument::read(&result.body)?;
-                    own.enclosed.push(page::diagnosis_body(document.report.get(), &result.body, &[])?.1);
+                    let body = page::diagnosis_body(document.report.get(), &result.body, &[])?.1;
+                    // On paper nothing opens.
+                    own.enclosed.push(body.replace("<details>", "<details open>"));
                     own.ids.push(job.id);
                 }
                 None => {

@@ -1,13 +1,14 @@
 //! Facts: what a capture's page says beside its pictures, from the database, as the interfaces' documents.
 
-use super::Picture;
+use super::{Documents, Picture, samples};
 use crate::datasheet::{Datasheet, compare_report};
 use crate::noise::NoiseReport;
+use crate::sample::Channel;
 use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Samples below which a spectrum has too few bins to be one.
+/// Samples without a gap below which there is no window of a spectrum.
 const SPECTRUM_MIN: u64 = 256;
 /// The datasheet that sensors are compared with, and how the models that it is of begin.
 const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
@@ -22,8 +23,12 @@ pub struct Facts {
     pub capture: String,
     /// Its gaps (the first thousand), a list.
     pub gaps: String,
+    /// How many samples are missing by cause, an object.
+    pub causes: String,
     /// Its events (the first thousand), a list.
     pub events: String,
+    /// Samples of its longest segment.
+    pub longest: u64,
 }
 
 impl Facts {
@@ -41,6 +46,8 @@ impl Facts {
             row,
             capture: capture.to_string(),
             gaps: json(&gaps.rows).to_string(),
+            causes: causes(reader, Some(id))?,
+            longest: samples::stretches(reader, id)?.into_iter().max().unwrap_or(0),
             events: json(&events.rows).to_string(),
         })
     }
@@ -58,25 +65,26 @@ impl Facts {
         report
     }
 
-    /// The pictures that can be drawn of it: `statistics` and `noise` are there or not, and tell which channels they have.
+    /// The pictures that can be drawn of it and of the analyses that are there.
     #[must_use]
-    pub fn pictures(&self, statistics: bool, noise: Option<&NoiseReport>) -> Vec<Picture> {
+    pub fn pictures(&self, there: &Documents, noise: Option<&NoiseReport>) -> Vec<Picture> {
         let row = &self.row;
-        let there = |picture: &Picture| match picture {
+        let deviations = there.allan.as_deref().and_then(|text| serde_json::from_str::<Value>(text).ok());
+        let deviates =
+            |channel: &Channel| deviations.as_ref().is_some_and(|of| of["channels"].get(channel.name()).is_some());
+        let drawn = |picture: &Picture| match picture {
             Picture::Gaps => row.samples > 1,
             Picture::Timeseries(_) => row.samples > 1,
-            Picture::Histogram(_) => statistics && row.samples > 1,
-            Picture::Psd(_) => row.samples >= SPECTRUM_MIN && noise.is_some(),
-            Picture::Allan(triad) => {
-                noise.is_some_and(|noise| triad.channels().iter().any(|channel| noise.channels.contains_key(channel)))
-            }
-            Picture::AllanOfOne(channel) => noise.is_some_and(|noise| noise.channels.contains_key(channel)),
+            Picture::Histogram(_) => there.statistics.is_some() && row.samples > 1,
+            Picture::Psd(_) => self.longest >= SPECTRUM_MIN,
+            Picture::Allan(triad) => triad.channels().iter().any(deviates),
+            Picture::AllanOfOne(channel) => deviates(channel),
             Picture::Hourly(channel) => {
                 noise.and_then(|noise| noise.disturbances.get(channel)).is_some_and(|found| found.dynamic.is_some())
             }
         };
         let whole = |picture: &Picture| picture.channels().iter().all(|channel| row.channels.contains(channel));
-        Picture::all(&row.channels).into_iter().filter(there).filter(whole).collect()
+        Picture::all(&row.channels).into_iter().filter(drawn).filter(whole).collect()
     }
 }
 

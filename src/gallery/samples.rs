@@ -19,12 +19,15 @@ const GAPS_MAX: usize = 2000;
 /// The picture of where samples are missing.
 pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError> {
     let mut range = SampleRange::read(reader, capture, None, None)?;
-    let (gaps, [_, length_s]) = (all_gaps(reader, &range)?, range.ends_s(reader)?);
+    let (gaps, [_, last_s]) = (all_gaps(reader, &range, [f64::MIN, f64::MAX])?, range.ends_s(reader)?);
+    // What came last may be a gap.
+    let length_s = gaps.iter().map(|gap| gap.within_s[1]).fold(last_s, f64::max);
     let causes = reader.missing_by_cause(range.capture.id)?;
     Ok(Gaps { length_s, samples: range.samples(), count: range.capture.gaps, causes, gaps }.svg())
 }
 
-fn all_gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError> {
+/// Gaps that reach into this time, s since the first sample; of very many the first.
+fn all_gaps(reader: &Reader, range: &SampleRange, within_s: [f64; 2]) -> Result<Vec<Gap>, StoreError> {
     let mut all: Vec<Gap> = Vec::new();
     let mut cursor = None;
     let of = |row: GapRow| Gap {
@@ -34,7 +37,8 @@ fn all_gaps(reader: &Reader, range: &SampleRange) -> Result<Vec<Gap>, StoreError
     };
     loop {
         let page = reader.gaps(range.capture.id, &PageRequest { limit: None, cursor })?;
-        all.extend(page.rows.into_iter().map(of));
+        let inside = |gap: &Gap| gap.within_s[1] > within_s[0] && gap.within_s[0] < within_s[1];
+        all.extend(page.rows.into_iter().map(of).filter(inside));
         cursor = page.next;
         if cursor.is_none() || all.len() >= GAPS_MAX {
             return Ok(all);
@@ -70,10 +74,16 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
         next_seq = chunk.next_seq();
     }
     take(&mut bucket);
-    let gaps = all_gaps(reader, range)?;
+    let ends_s = range.ends_s(reader)?;
+    let gaps = all_gaps(reader, range, ends_s)?;
     let told = |gap: Gap| (gap.within_s, format!("{} missing, {}", gap.missing, gap.cause));
     let gaps = gaps.into_iter().map(told).collect();
     Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
+}
+
+/// How many samples each segment has; of very many the first.
+pub(super) fn stretches(reader: &Reader, capture: i64) -> Result<Vec<u64>, StoreError> {
+    Ok(reader.segments(capture, &PageRequest::first())?.rows.iter().map(|segment| segment.samples).collect())
 }
 
 /// The picture of a triad's power spectra, with `lines` of its channels by name.
@@ -82,7 +92,8 @@ pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[Nam
     let Some(rate_hz) = range.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0) else { return Ok(String::new()) };
     let there = |channel: &Channel| range.capture.channels.contains(channel);
     let channels: Vec<Channel> = triad.channels().into_iter().filter(there).collect();
-    let mut spectra: Vec<Welch> = channels.iter().map(|_| Welch::new(range.samples(), rate_hz)).collect();
+    let stretches = stretches(reader, range.capture.id)?;
+    let mut spectra: Vec<Welch> = channels.iter().map(|_| Welch::new(&stretches, rate_hz)).collect();
     let mut segment = None;
     let mut next_seq = range.from_seq;
     while next_seq < range.to_seq {
@@ -109,7 +120,9 @@ pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[Nam
     for (channel, welch) in channels.iter().zip(&spectra) {
         let Some((hz, density)) = welch.density(APART) else { continue };
         frequency_hz = hz;
-        drawn.push((channel.name(), density));
+        // Two-sided, as N is: white noise stands at it.
+        let two_sided = density.into_iter().map(|one_sided| one_sided / std::f64::consts::SQRT_2);
+        drawn.push((channel.name(), two_sided.collect()));
     }
     let title = format!("Power spectrum, {}", triad.name());
     let unit = triad.channels()[0].unit();

@@ -300,8 +300,8 @@ fn document_of(
     let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded)).transpose()?;
     let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
-    let Gridded { recording, .. } = gridded;
-    let drawings = Drawings::new(&recording, &sim, &outcome);
+    let Gridded { recording, from_s, .. } = gridded;
+    let drawings = Drawings::new(&recording, from_s, &sim, &outcome);
     let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, drawings };
     Ok(serde_json::to_string(&written)?)
 }

@@ -87,12 +87,15 @@ impl Welch {
     /// Windows that are wanted of a record.
     const WANTED: u64 = 16;
 
-    /// For about so many samples at a rate.
+    /// For stretches of about so many samples each, without a gap inside, at a rate: the longest window of which there are
+    /// enough, as no window goes across a gap.
     #[must_use]
-    pub fn new(samples: u64, rate_hz: f64) -> Self {
+    pub fn new(stretches: &[u64], rate_hz: f64) -> Self {
         let (shortest, longest) = Self::ENDS;
-        let most = usize::try_from(samples / Self::WANTED).unwrap_or(longest).clamp(shortest, longest);
-        let window = 1usize << most.ilog2();
+        let mut window = longest;
+        while window > shortest && stretches.iter().map(|samples| samples / window as u64).sum::<u64>() < Self::WANTED {
+            window /= 2;
+        }
         let windows = Windows::new(window, rate_hz);
         Self { windows, window, rate_hz, held: Vec::with_capacity(window), sums: vec![0.0; window / 2 + 1], count: 0 }
     }
@@ -149,9 +152,9 @@ mod tests {
     #[test]
     fn white_noise_has_its_density_however_it_is_cut() {
         let samples = white(60_000, 3);
-        let mut whole = Welch::new(60_000, 40.0);
+        let mut whole = Welch::new(&[60_000], 40.0);
         whole.push(&samples);
-        let mut cut = Welch::new(60_000, 40.0);
+        let mut cut = Welch::new(&[60_000], 40.0);
         samples.chunks(777).for_each(|chunk| cut.push(chunk));
         assert_eq!(whole.density(0.05), cut.density(0.05));
         let (hz, density) = whole.density(0.05).unwrap();
@@ -163,14 +166,21 @@ mod tests {
 
     #[test]
     fn no_window_goes_across_a_gap() {
-        let mut steps = Welch::new(8192, 40.0);
+        let mut steps = Welch::new(&[8192], 40.0);
         for level in [0.0, 1e3] {
             steps.push(&white(4096, 5).into_iter().map(|value| value + level).collect::<Vec<_>>());
             steps.interrupt();
         }
         let (_, density) = steps.density(0.1).unwrap();
         assert!(density[1..].iter().all(|value| *value < 1.0), "{density:?}");
-        let mut short = Welch::new(100, 40.0);
+        // A gap every ten minutes: windows that fit between them.
+        let mut often = Welch::new(&[24_000; 30], 40.0);
+        for seed in 0..30 {
+            often.push(&white(24_000, seed));
+            often.interrupt();
+        }
+        assert!(often.density(0.02).is_some());
+        let mut short = Welch::new(&[100], 40.0);
         short.push(&[1.0; 100]);
         assert_eq!(short.density(0.1), None);
     }

@@ -30,8 +30,9 @@ struct Bucket {
 #[derive(Debug, Default)]
 pub struct Recent {
     buckets: VecDeque<Bucket>,
-    /// How far the host's clock is ahead of the device's, ns: samples are read in bursts, and are a line all the same.
-    ahead_ns: Option<i64>,
+    /// The last device time, and how far the host's clock is ahead of the device's, ns: samples are read in bursts, and are a
+    /// line all the same.
+    device: Option<(i64, i64)>,
 }
 
 /// The last minute, shared with whoever looks at it.
@@ -81,14 +82,18 @@ impl Recent {
         let arrived_ns = sample.host_mono_ns;
         let Some(device_ns) = sample.device_time_ns.and_then(|ns| i64::try_from(ns).ok()) else { return arrived_ns };
         let ahead_ns = i64::try_from(arrived_ns).unwrap_or(i64::MAX).saturating_sub(device_ns);
-        let kept_ns = match self.ahead_ns {
+        let kept_ns = match self.device {
             // A clock that began anew, or ran away.
-            Some(kept_ns) if ahead_ns.abs_diff(kept_ns) > BUCKETS as u64 * BUCKET_NS => ahead_ns,
+            Some((last_ns, kept_ns))
+                if device_ns < last_ns || ahead_ns.abs_diff(kept_ns) > BUCKETS as u64 * BUCKET_NS =>
+            {
+                ahead_ns
+            }
             // Clocks drift apart slowly: later arrivals raise what is kept by little, earlier ones lower it at once.
-            Some(kept_ns) => ahead_ns.min(kept_ns.saturating_add(DRIFT_NS)),
+            Some((_, kept_ns)) => ahead_ns.min(kept_ns.saturating_add(DRIFT_NS)),
             None => ahead_ns,
         };
-        self.ahead_ns = Some(kept_ns);
+        self.device = Some((device_ns, kept_ns));
         // Never back: what was shown stays where it was.
         let at_ns = u64::try_from(device_ns.saturating_add(kept_ns)).unwrap_or(arrived_ns);
         self.buckets.back().map_or(at_ns, |bucket| at_ns.max(bucket.number * BUCKET_NS))

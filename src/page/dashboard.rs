@@ -326,7 +326,7 @@ fn jobs(out: &mut String, counts: &Jobs, jobs: Vec<JobEntry>) {
     let _ = write!(out, "<section id=\"jobs\"><h2>Jobs</h2>");
     let under_way: Vec<&JobEntry> =
         jobs.iter().filter(|job| matches!(job.state.as_str(), "running" | "queued" | "failed")).collect();
-    if under_way.is_empty() {
+    if under_way.is_empty() && counts.running + counts.queued == 0 {
         *out += "<p class=\"soft\">None is under way.</p></section>";
         return;
     }

@@ -37,6 +37,8 @@ enum Kind {
     Renewed(u32),
     /// A page of the daemon that scripts keep up to date; others ask again after so many seconds.
     Live(u32),
+    /// The same for a page that waits for something: scripts ask again until it is there.
+    Waiting(u32),
 }
 
 /// Begins what may be wider than the window: it scrolls by itself, by keys as well, and says what it is.
@@ -50,7 +52,7 @@ fn framed(title: &str, kind: Kind, body: &str) -> String {
     let refresh = match kind {
         Kind::File | Kind::Served => String::new(),
         Kind::Renewed(s) => again(s),
-        Kind::Live(s) => format!("<noscript>{}</noscript>", again(s)),
+        Kind::Live(s) | Kind::Waiting(s) => format!("<noscript>{}</noscript>", again(s)),
     };
     let (script, top) = match kind {
         Kind::File => (String::new(), ""),
@@ -59,11 +61,12 @@ fn framed(title: &str, kind: Kind, body: &str) -> String {
             "<header class=\"top\"><a href=\"/\">vn100d</a></header>",
         ),
     };
+    let waits = if let Kind::Waiting(s) = kind { format!(" data-waits=\"{s}\"") } else { String::new() };
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{}</title>\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
          <meta name=\"color-scheme\" content=\"light dark\"><link rel=\"icon\" href=\"data:,\">{refresh}\
-         <style>{}{STYLE}</style>{script}</head>\n<body>{top}<main>{body}</main></body></html>\n",
+         <style>{}{STYLE}</style>{script}</head>\n<body>{top}<main{waits}>{body}</main></body></html>\n",
         escaped(title),
         crate::plot::style()
     )

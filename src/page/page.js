@@ -18,11 +18,13 @@ function headers() {
 // are, and a heading that says the same is not heard twice.
 function become(old, fresh) {
   if (old.nodeName !== fresh.nodeName) return old.replaceWith(document.importNode(fresh, true));
+  // What somebody is filling in, and what somebody has opened, is theirs.
+  if (old.classList?.contains("wishes")) return;
   if (old.nodeType === Node.TEXT_NODE) {
     if (old.data !== fresh.data) old.data = fresh.data;
     return;
   }
-  for (const { name } of [...old.attributes]) if (!fresh.hasAttribute(name)) old.removeAttribute(name);
+  for (const { name } of [...old.attributes]) if (name !== "open" && !fresh.hasAttribute(name)) old.removeAttribute(name);
   for (const { name, value } of fresh.attributes) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
   within(old, fresh);
 }
@@ -39,7 +41,7 @@ function within(old, fresh) {
 // The live part: the server writes it.
 async function renew() {
   const answer = await fetch("/?part=live", { cache: "no-store" });
-  if (!answer.ok) return;
+  if (!answer.ok) throw new Error(`the daemon answered ${answer.status}`);
   const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
   within(live, fresh.body);
 }
@@ -54,31 +56,70 @@ function showForms(capture) {
 // What is shown is old where the daemon is not heard any more, however good it sounds.
 const lost = document.getElementById("lost");
 
+function heard(yes) {
+  const was = document.body.classList.contains("lost");
+  document.body.classList.toggle("lost", !yes);
+  if (yes) lost.textContent = "";
+  else if (!was) {
+    const at = new Date().toISOString().slice(0, 19).replace("T", " ");
+    lost.textContent = `The daemon is not heard since ${at} UTC; what follows is from before.`;
+  }
+}
+
 if (live) {
   let busy = false;
-  const source = new EventSource("/v1/events/stream");
-  source.addEventListener("status", async (event) => {
-    showForms(JSON.parse(event.data).capture);
-    document.body.classList.remove("lost");
-    lost.textContent = "";
+  const again = async () => {
     if (busy || document.hidden) return;
     busy = true;
     try {
       await renew();
+      heard(true);
     } catch {
-      // The next event tries again.
+      heard(false);
     } finally {
       busy = false;
     }
+  };
+  const source = new EventSource("/v1/events/stream");
+  source.addEventListener("status", (event) => {
+    showForms(JSON.parse(event.data).capture);
+    again();
   });
   source.addEventListener("error", () => {
-    if (document.body.classList.contains("lost")) return;
-    document.body.classList.add("lost");
-    const at = new Date().toISOString().slice(0, 19).replace("T", " ");
-    lost.textContent = `The daemon is not heard since ${at} UTC; what follows is from before.`;
+    // Refused, as where too many listen, it does not come back: the page is asked for instead.
+    if (source.readyState === EventSource.CLOSED) setInterval(again, 5000);
+    else heard(false);
   });
   addEventListener("pagehide", () => source.close());
 }
+
+// A page that waits for an analysis asks again until it is there.
+const waiting = document.querySelector("main[data-waits]");
+
+async function ask() {
+  try {
+    const answer = await fetch(location.href, { cache: "no-store" });
+    if (answer.ok) become(waiting, new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("main"));
+  } catch {
+    // The next time.
+  }
+  if (waiting.dataset.waits) setTimeout(ask, 1000 * waiting.dataset.waits);
+}
+
+if (waiting) setTimeout(ask, 1000 * waiting.dataset.waits);
+
+// A picture that could not be had, because much is asked at once, is asked for again, a few times.
+document.addEventListener(
+  "error",
+  (event) => {
+    const image = event.target;
+    const tries = Number(image.dataset?.tries ?? 0);
+    if (!(image instanceof HTMLImageElement) || tries >= 5) return;
+    image.dataset.tries = tries + 1;
+    setTimeout(() => (image.src = `${image.src.split("#")[0]}#${tries + 1}`), 2000 * (tries + 1));
+  },
+  true,
+);
 
 // Sends a wish; the daemon's answer, or why there is none.
 async function wish(form) {

@@ -49,8 +49,8 @@ pub fn series(view: &SeriesView<'_>) -> String {
     let mut out = format!(
         "<p class=\"soft\">capture <a href=\"/captures/{id}\">{}</a></p><h1>{channel}, {} s to {} s</h1>\
          <nav aria-label=\"part\">{}</nav>\
-         <figure><img class=\"zoom\" data-base=\"/captures/{id}/series/{channel}\" data-from=\"{from_s:.6}\" data-to=\"{to_s:.6}\" \
-         src=\"/v1/captures/{id}/plots/timeseries-{channel}.svg?from={from_s:.6}&amp;to={to_s:.6}\" width=\"560\" height=\"280\" \
+         <figure><img class=\"zoom\" data-base=\"/captures/{id}/series/{channel}\" data-from=\"{from_s:.9}\" data-to=\"{to_s:.9}\" \
+         src=\"/v1/captures/{id}/plots/timeseries-{channel}.svg?from={from_s:.9}&amp;to={to_s:.9}\" width=\"560\" height=\"280\" \
          alt=\"{channel} over time, {} s to {} s\"></figure>\
          <p class=\"soft\">Drag across the picture to look closer. Where there are more than a thousand samples, the surface reaches \
          from the least to the greatest of each stretch.</p>",
@@ -72,7 +72,7 @@ pub fn series(view: &SeriesView<'_>) -> String {
     }
     let _ = write!(
         out,
-        "</p><p><a href=\"/v1/captures/{id}/samples?channels={channel}&amp;from={from_s:.6}&amp;to={to_s:.6}&amp;format=csv\">\
+        "</p><p><a href=\"/v1/captures/{id}/samples?channels={channel}&amp;from={from_s:.9}&amp;to={to_s:.9}&amp;format=csv\">\
          these samples as CSV</a></p>"
     );
     framed(&format!("{channel} of {name}"), Kind::Served, &out)

@@ -72,9 +72,9 @@ pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
             y + 17.0,
             escaped(bar.channel),
             y + 4.0,
-            (after - LEFT).max(1.0),
+            (if bar.after.is_finite() { after - LEFT } else { before - LEFT }).max(1.0),
             y + 4.0,
-            (before - after).max(0.0),
+            if bar.after.is_finite() { (before - after).max(0.0) } else { 0.0 },
             WIDTH - RIGHT + 8.0,
             y + 17.0,
             rounded(bar.before, 2),
@@ -83,7 +83,7 @@ pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
     }
     let _ = write!(
         out,
-        "<text x=\"{LEFT}\" y=\"{}\">{} over a true model's, before → after</text></svg>",
+        "<text x=\"{LEFT}\" y=\"{}\">times the floor, logarithmic; at the right {}</text></svg>",
         bottom + 38.0,
         escaped(unit)
     );

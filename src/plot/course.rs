@@ -43,13 +43,26 @@ impl Course<'_> {
         for ([from, to], cause) in &self.gaps {
             drawing.stretch("mark", [from / unit_s, to / unit_s], Some(cause));
         }
+        let points = self.parted();
         let points: Vec<(f64, f64, f64)> =
-            self.points.iter().map(|(time_s, low, high)| (time_s / unit_s, *low, *high)).collect();
+            points.into_iter().map(|(time_s, low, high)| (time_s / unit_s, low, high)).collect();
         if points.iter().any(|(_, low, high)| high > low) {
             drawing.surface("range", &points);
         }
         drawing.curve("one", points.iter().map(|(time, low, high)| (*time, 0.5 * (low + high))));
         drawing.done()
+    }
+
+    /// The points in order, with a place that is no number inside every gap that is longer than from one point to the next:
+    /// nothing is drawn across. Shorter ones have their mark.
+    fn parted(&self) -> Vec<(f64, f64, f64)> {
+        let mut points = self.points.clone();
+        let ends = points.first().zip(points.last()).map_or(0.0, |(first, last)| last.0 - first.0);
+        let apart_s = ends / points.len().max(1) as f64;
+        let long = self.gaps.iter().map(|(within, _)| *within).filter(|[from, to]| to - from > apart_s);
+        points.extend(long.map(|[from, to]| (0.5 * (from + to), f64::NAN, f64::NAN)));
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        points
     }
 }
 
@@ -69,6 +82,9 @@ mod tests {
             svg.contains("time in h") && svg.contains("accel_z in m/s²") && svg.contains("<title>unplugged</title>")
         );
         assert_eq!((svg.matches("surface range").count(), svg.matches("class=\"mark\"").count()), (1, 1));
+        // Nothing is drawn across an hour that is missing.
+        let cut = Course { gaps: vec![([6000.5, 9599.5], "unplugged".to_owned())], ..of.clone() }.svg();
+        assert_eq!((cut.matches("surface range").count(), cut.matches('M').count() - svg.matches('M').count()), (2, 2));
         let single = Course { points: vec![(0.0, 1.0, 1.0), (1.0, f64::NAN, f64::NAN), (2.0, 2.0, 2.0)], ..of.clone() };
         assert!(!single.svg().contains("surface") && !single.svg().contains("NaN"));
         assert_eq!(Course { points: vec![], ..of }.svg(), "");

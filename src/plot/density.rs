@@ -19,7 +19,7 @@ pub struct Density<'a> {
     pub unit: &'a str,
     /// Hz, ascending, above 0.
     pub frequency_hz: Vec<f64>,
-    /// Per channel its name and the root of its one-sided power density, U/√Hz.
+    /// Per channel its name and the root of its two-sided power density, U/√Hz: white noise stands at its N.
     pub channels: Vec<(&'a str, Vec<f64>)>,
     /// Lines that were found; those of other channels are left out.
     pub lines: &'a [NamedLine],

@@ -113,7 +113,7 @@ impl Deviations {
             }
         }
         let key: Vec<(&str, &str)> = key.iter().map(|(class, text)| (*class, text.as_str())).collect();
-        drawing.key(&key);
+        drawing.key_below(&key);
         drawing.done()
     }
 }

@@ -162,6 +162,24 @@ impl Drawing {
         }
     }
 
+    /// The same at the bottom on the left, where curves that fall leave room.
+    pub(super) fn key_below(&mut self, entries: &[(&str, &str)]) {
+        let top = self.bottom - 14.0 - 18.0 * entries.len().saturating_sub(1) as f64;
+        let left = MARGIN[0];
+        for (place, (class, text)) in entries.iter().enumerate() {
+            let y = top + 18.0 * place as f64;
+            let _ = write!(
+                self.out,
+                "<path class=\"line {class}\" d=\"M{} {y}L{} {y}\"/><text x=\"{}\" y=\"{}\">{}</text>",
+                left + 6.0,
+                left + 28.0,
+                left + 34.0,
+                y + 5.0,
+                escaped(text)
+            );
+        }
+    }
+
     pub(super) fn done(mut self) -> String {
         self.out.push_str("</svg>");
         self.out

@@ -13,11 +13,14 @@ const WIDTH: f64 = 560.0;
 const LEFT: f64 = 84.0;
 const RIGHT: f64 = 14.0;
 const ROW: f64 = 22.0;
-/// A power that is off by this much has the full colour, dB.
-const FULL_DB: f64 = 10.0;
-/// A band whose Whittle discrepancy is smaller than this many nats may be chance: of a true model it is ½χ² with one degree of
-/// freedom, beyond 6 in one of 1900 bands.
-const CHANCE_NATS: f64 = 6.0;
+/// A band's discrepancy beyond its expectation that may be chance, nats: of a true model it is ½χ² less its mean, with a degree of
+/// freedom for each bin; with one it is beyond 8 in one of 27,000 bands, and a page has some five hundred. Its deviation grows as
+/// the root of the bins' number.
+const CHANCE_NATS: f64 = 8.0;
+/// From full colour down to the palest, decades of the discrepancy.
+const DECADES: f64 = 3.0;
+/// What the palest has, of full colour.
+const PALEST: f64 = 0.15;
 /// Where nobody tells how many coefficients a bin has: differences below this are no colour, dB.
 const NONE_DB: f64 = 0.5;
 
@@ -31,11 +34,27 @@ pub fn heat(spectra: &[Spectra]) -> Vec<String> {
         return Vec::new();
     }
     let scale = Scale { low: low.ln(), step: (high / low).ln() / BANDS as f64 };
-    let mut maps = vec![map("the model as it is", &known, &scale, |of| Some((of.before.as_deref()?, of.scatter[0])))];
+    let before: Vec<Row<'_>> = known.iter().map(|of| row(of, 0, &scale)).collect();
+    let after: Vec<Row<'_>> = known.iter().map(|of| row(of, 1, &scale)).collect();
+    let all = before.iter().chain(&after).flat_map(|row| row.bands).flatten();
+    let most = all.filter(|of| of.sure).map(|of| of.nats).fold(0.0, f64::max);
+    let mut maps = vec![map("the model as it is", &before, &scale, most)];
     if known.iter().any(|of| of.after.is_some()) {
-        maps.push(map("the corrected model", &known, &scale, |of| Some((of.after.as_deref()?, of.scatter[1]))));
+        maps.push(map("the corrected model", &after, &scale, most));
     }
     maps
+}
+
+/// One channel's bands.
+struct Row<'a> {
+    channel: &'a str,
+    bands: [Option<Difference>; BANDS],
+}
+
+fn row<'a>(of: &'a Spectra, which: usize, scale: &Scale) -> Row<'a> {
+    let ratios = of.over_model(which);
+    let bands = ratios.map_or([None; BANDS], |ratios| differences(of, &ratios, of.simulated[which], scale));
+    Row { channel: of.channel(), bands }
 }
 
 /// Where a frequency lies.
@@ -53,41 +72,37 @@ impl Scale {
     }
 }
 
-fn map<'a>(
-    what: &str,
-    channels: &[&'a Spectra],
-    scale: &Scale,
-    model: impl Fn(&'a Spectra) -> Option<(&'a [f64], f64)>,
-) -> String {
-    let (top, height) = (30.0, 30.0 + ROW * channels.len() as f64 + 46.0);
+/// One map; `most` is the greatest discrepancy of both, nats.
+fn map(what: &str, rows: &[Row<'_>], scale: &Scale, most: f64) -> String {
+    let (top, height) = (30.0, 30.0 + ROW * rows.len() as f64 + 46.0);
     let title = format!("Recording over {what}");
     let mut out = escaped_title(&title, WIDTH, height, LEFT);
     let width = (WIDTH - LEFT - RIGHT) / BANDS as f64;
-    for (row, of) in channels.iter().enumerate() {
-        let y = top + ROW * row as f64;
+    for (place, Row { channel, bands }) in rows.iter().enumerate() {
+        let y = top + ROW * place as f64;
         // Writing to a text cannot fail.
         let _ = write!(
             out,
             "<text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>",
             LEFT - 7.0,
             y + 16.0,
-            escaped(of.channel())
+            escaped(channel)
         );
-        let Some(model) = model(of) else { continue };
-        for (band, difference) in differences(of, model, scale).into_iter().enumerate() {
+        for (band, difference) in bands.iter().enumerate() {
             let x = LEFT + width * band as f64;
-            let Some(Difference { db, sure }) = difference else { continue };
-            // The least that is seen beside nothing.
-            let strength = if sure { (db.abs() / FULL_DB).clamp(0.1, 1.0) } else { 0.0 };
+            let Some(Difference { db, nats, sure }) = *difference else { continue };
+            let strength = match sure {
+                true => (1.0 + (1.0 - PALEST) * (nats / most).log10() / DECADES).clamp(PALEST, 1.0),
+                false => 0.0,
+            };
             let class = if db > 0.0 { "louder" } else { "quieter" };
             let told = format!(
-                "{}, {} to {} Hz: {}{} dB{}",
-                of.channel(),
+                "{channel}, {} to {} Hz: {}{} dB, {}",
                 rounded(scale.begin_hz(band), 2),
                 rounded(scale.begin_hz(band + 1), 2),
                 if db > 0.0 { "+" } else { "" },
                 rounded(db, 2),
-                if sure { "" } else { ", within chance" }
+                if sure { format!("{} nats", rounded(nats, 2)) } else { "within chance".to_owned() }
             );
             let _ = write!(
                 out,
@@ -99,7 +114,7 @@ fn map<'a>(
             );
         }
     }
-    let bottom = top + ROW * channels.len() as f64;
+    let bottom = top + ROW * rows.len() as f64;
     for band in (0..=BANDS).step_by(BANDS / 4) {
         let anchor = if band == BANDS { "end" } else { "middle" };
         let _ = write!(
@@ -110,9 +125,10 @@ fn map<'a>(
             rounded(scale.begin_hz(band), 2)
         );
     }
+    let full = if most > 0.0 { format!(", full at {} nats", rounded(most, 2)) } else { String::new() };
     let _ = write!(
         out,
-        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frequency in Hz; orange louder, blue quieter, full at {FULL_DB} dB</text></svg>",
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frequency in Hz; orange louder, blue quieter{full}</text></svg>",
         0.5 * (LEFT + WIDTH - RIGHT),
         bottom + 36.0
     );
@@ -123,30 +139,47 @@ fn map<'a>(
 #[derive(Debug, Clone, Copy)]
 struct Difference {
     db: f64,
+    /// Whittle's discrepancy beyond what a true model is expected to show.
+    nats: f64,
     /// Beyond chance.
     sure: bool,
 }
 
-/// Band by band: the mean of the ratios of the bins' powers, weighted by their coefficients, as the likelihood weighs them
-/// (Whittle 1953). None where there is no frequency or no power.
-fn differences(of: &Spectra, (model, scatter): (&[f64], f64), scale: &Scale) -> [Option<Difference>; BANDS] {
-    let mut sums = [[0.0f64; 2]; BANDS];
-    for (bin, ((hz, real), model)) in of.frequency_hz.iter().zip(&of.real).zip(model).enumerate() {
-        if *hz > 0.0 && real.is_finite() && model.is_finite() && *model > 0.0 {
-            let weight = of.coefficients.get(bin).copied().unwrap_or(1.0);
-            let [ratios, weights] = &mut sums[scale.band(*hz)];
-            *ratios += weight * (real / model).powi(2);
-            *weights += weight;
+/// Of a band in the making.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    ratios: f64,
+    weights: f64,
+    nats: f64,
+    bins: f64,
+}
+
+/// Band by band, over its bins: Σ ½w(r − 1 − ln r) (Whittle 1953), r the mean ratio of the powers and w the coefficients, `scatter`
+/// times fewer where their chance is so much greater; over a simulation, whose powers are chance as well, the likelihood ratio of
+/// two samples of as many, Σ w(ln((1 + r)/2) − ½ ln r). None where there is no frequency or no power.
+fn differences(of: &Spectra, ratios: &[f64], simulated: bool, scale: &Scale) -> [Option<Difference>; BANDS] {
+    let mut sums = [Sum::default(); BANDS];
+    for (bin, (hz, ratio)) in of.frequency_hz.iter().zip(ratios.iter().copied()).enumerate() {
+        if *hz > 0.0 && ratio > 0.0 && ratio.is_finite() {
+            let weight = of.coefficients.get(bin).copied().unwrap_or(1.0) / of.scatter.max(1.0);
+            let sum = &mut sums[scale.band(*hz)];
+            sum.ratios += weight * ratio;
+            sum.weights += weight;
+            sum.nats += match simulated {
+                true => weight * ((0.5 * (1.0 + ratio)).ln() - 0.5 * ratio.ln()),
+                false => 0.5 * weight * (ratio - 1.0 - ratio.ln()),
+            };
+            sum.bins += 1.0;
         }
     }
-    sums.map(|[ratios, weights]| {
-        let ratio = ratios / weights;
-        (ratio > 0.0 && ratio.is_finite()).then(|| {
-            let db = 10.0 * ratio.log10();
-            let nats = 0.5 * weights / scatter.max(1.0) * (ratio - 1.0 - ratio.ln());
-            let sure = if of.coefficients.is_empty() { db.abs() > NONE_DB } else { nats > CHANCE_NATS };
-            Difference { db, sure }
-        })
+    sums.map(|Sum { ratios, weights, nats, bins }| {
+        let db = 10.0 * (ratios / weights).log10();
+        let nats = nats - 0.5 * bins;
+        let sure = match of.coefficients.is_empty() {
+            true => db.abs() > NONE_DB,
+            false => nats > CHANCE_NATS * (0.5 * bins).sqrt().max(1.0),
+        };
+        (bins > 0.0).then_some(Difference { db, nats: nats.max(f64::MIN_POSITIVE), sure })
     })
 }
 
@@ -173,8 +206,30 @@ mod tests {
     }
 
     #[test]
+    fn a_line_in_a_wide_band_is_seen_and_the_louder_one_is_darker() {
+        // Ten bins of a hundred coefficients in each band of 1.2 to 1.
+        let hz: Vec<f64> = (0..280).map(|bin| (0.02 * f64::from(bin)).exp()).collect();
+        let line = |at: usize| (0..280).map(|bin| if bin == at { 4.0 } else { 1.0 }).collect::<Vec<f64>>();
+        let of = |channel: &str, real: &[f64]| {
+            json!({"channel": channel, "unit": "rad/s", "frequency_hz": hz, "real": real, "coefficients": vec![100.0; 280],
+                "before": vec![1.0; 280], "after": null})
+        };
+        let mut weaker = line(155);
+        weaker[155] = 2.0;
+        let spectra = [of("a", &line(105)), of("b", &weaker)].map(|of| serde_json::from_value(of).unwrap());
+        let [map] = heat(&spectra).try_into().unwrap();
+        let strengths: Vec<f64> =
+            map.split("fill-opacity=\"").skip(1).map(|of| of.split('"').next().unwrap().parse().unwrap()).collect();
+        let coloured: Vec<f64> = strengths.into_iter().filter(|strength| *strength > 0.0).collect();
+        assert!(
+            matches!(coloured.as_slice(), [full, less] if *full == 1.0 && (0.15..0.9).contains(less)),
+            "{coloured:?}"
+        );
+    }
+
+    #[test]
     fn what_chance_makes_has_no_colour() {
-        // 3 dB more in every bin: with six coefficients in the whole band chance does that, with six hundred it does not.
+        // 3 dB more in every bin: with six coefficients in a band chance does that, with six hundred it does not.
         let map = |coefficients: f64| {
             let of = json!({"channel": "x", "unit": "rad/s", "frequency_hz": [0.1, 10.0], "real": [1.41, 1.41],
                 "coefficients": [coefficients, coefficients], "before": [1.0, 1.0], "after": null});
@@ -182,7 +237,7 @@ mod tests {
         };
         assert!(map(6.0).contains("within chance") && map(6.0).contains("fill-opacity=\"0.00\""), "{}", map(6.0));
         assert!(
-            !map(600.0).contains("within chance") && map(600.0).contains("fill-opacity=\"0.30\""),
+            !map(600.0).contains("within chance") && map(600.0).contains("fill-opacity=\"1.00\""),
             "{}",
             map(600.0)
         );

@@ -69,7 +69,7 @@ pub fn hourly(channel: &str, unit: &str, noise: &str) -> Result<String, serde_js
         let class = format!("h{}", (place * (SHADES - 1) + last / 2) / last);
         drawing.curve(&class, curve.iter().copied());
     }
-    drawing.key(&[("h0", "first"), ("h5", "last")]);
+    drawing.key_below(&[("h0", "first"), ("h5", "last")]);
     Ok(drawing.done())
 }
 

@@ -21,16 +21,31 @@ pub struct Spectra {
     pub(super) before: Option<Vec<f64>>,
     #[serde(default, deserialize_with = "numbers_or_none")]
     pub(super) after: Option<Vec<f64>>,
-    /// By how much the variance of record over model exceeds that of normal noise over what is known, before and after.
+    /// The record's power over the models', before and after; results of earlier versions do not tell.
+    #[serde(default)]
+    pub(super) ratios: [Option<Vec<Option<f64>>>; 2],
+    /// Which of the models' powers are a simulation's, with as much chance as the record's.
+    #[serde(default)]
+    pub(super) simulated: [bool; 2],
+    /// By how much the variance of a power exceeds that of normal stationary noise.
     #[serde(default = "usual")]
-    pub(super) scatter: [f64; 2],
+    pub(super) scatter: f64,
 }
 
-fn usual() -> [f64; 2] {
-    [1.0; 2]
+fn usual() -> f64 {
+    1.0
 }
 
 impl Spectra {
+    /// The record's power over the model's in each bin, before (0) or after (1).
+    pub(super) fn over_model(&self, which: usize) -> Option<Vec<f64>> {
+        let model = [&self.before, &self.after][which].as_ref()?;
+        Some(match &self.ratios[which] {
+            Some(ratios) => ratios.iter().map(|ratio| ratio.unwrap_or(f64::NAN)).collect(),
+            None => self.real.iter().zip(model).map(|(real, model)| (real / model).powi(2)).collect(),
+        })
+    }
+
     /// Whose they are.
     #[must_use]
     pub fn channel(&self) -> &str {
@@ -85,6 +100,8 @@ mod tests {
             real: vec![1.0, 2e-3, 0.0],
             before: None,
             after: Some(vec![1.1, 2e-3, 2e-3]),
+            ratios: [None, None],
+            simulated: [false; 2],
             scatter: usual(),
         };
         let svg = of.svg(&[[11.0, 12.0]]);

@@ -28,10 +28,11 @@ pub struct Drawings<'a> {
 }
 
 impl<'a> Drawings<'a> {
-    /// Of a record that was compared with `sim`, and what came of it. Memory is that of three channels: one after the other
+    /// Of a record that was compared with `sim`, and what came of it; the record begins `from_s` after what its times are told
+    /// from. Memory is that of three channels: one after the other
     /// is simulated.
     #[must_use]
-    pub fn new(real: &Recording, sim: &SensorModel, outcome: &'a Outcome) -> Self {
+    pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &'a Outcome) -> Self {
         let residuals = outcome.residuals.as_slice();
         // A simulation without the motion shows nothing that the record of one does.
         let at_rest = residuals.is_empty();
@@ -48,7 +49,7 @@ impl<'a> Drawings<'a> {
             });
             spectra.push(ChannelSpectra::new(&mut bins, (channel, values), known, &simulations));
             if at_rest && drawn {
-                timelines.extend(ChannelTimeline::new(real, (channel, values), &simulations));
+                timelines.extend(ChannelTimeline::new(real, from_s, (channel, values), &simulations));
             }
         }
         Self { spectra, timelines, residuals }

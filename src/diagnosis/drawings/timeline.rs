@@ -29,7 +29,7 @@ pub struct ChannelTimeline {
     pub channel: &'static str,
     /// U.
     pub unit: &'static str,
-    /// The stretches' middles, s since the first sample.
+    /// The stretches' middles, s since the capture's first sample.
     pub time_s: Vec<f64>,
     /// How long a stretch is, s.
     pub stretch_s: f64,
@@ -42,9 +42,10 @@ pub struct ChannelTimeline {
 }
 
 impl ChannelTimeline {
-    /// Of a record's channel and its simulations; none of a record that is too short.
+    /// Of a record's channel and its simulations, with times from `from_s` on; none of a record that is too short.
     pub(super) fn new(
         real: &Recording,
+        from_s: f64,
         (channel, values): (Channel, &[f64]),
         simulations: &[Option<Vec<f64>>; 2],
     ) -> Option<Self> {
@@ -52,7 +53,7 @@ impl ChannelTimeline {
             return None;
         }
         let length = real.len().div_ceil(STRETCHES).max(LEAST);
-        let middle = |stretch: usize| (stretch as f64 + 0.5) * length as f64 / real.rate_hz;
+        let middle = |stretch: usize| from_s + (stretch as f64 + 0.5) * length as f64 / real.rate_hz;
         let of = |values: &[f64]| stretches(values, real, length);
         let [before, after] = simulations.each_ref().map(|values| values.as_deref().map(of));
         Some(Self {
@@ -125,8 +126,8 @@ mod tests {
         real.missing = vec![false; real.len()];
         real.missing[..90].fill(true);
         let simulations = [&sim, &augmented].map(|model| simulated(&real, model, Channel::GyroX));
-        let of = ChannelTimeline::new(&real, (Channel::GyroX, &real.channels[0].1), &simulations).unwrap();
-        assert_eq!((of.time_s.len(), of.stretch_s, of.time_s[0]), (240, 2.5, 1.25));
+        let of = ChannelTimeline::new(&real, 1000.0, (Channel::GyroX, &real.channels[0].1), &simulations).unwrap();
+        assert_eq!((of.time_s.len(), of.stretch_s, of.time_s[0]), (240, 2.5, 1001.25));
         // Of the first stretch's hundred samples ninety are missing.
         assert!(of.real.level[0].is_none() && of.real.spread[0].is_none() && of.real.level[1].is_some());
         let (before, after) = (of.before.as_ref().unwrap(), of.after.as_ref().unwrap());
@@ -142,6 +143,6 @@ mod tests {
     #[test]
     fn a_record_that_is_too_short_has_none() {
         let real = record(&model(&json!([])), 60);
-        assert_eq!(ChannelTimeline::new(&real, (Channel::GyroX, &real.channels[0].1), &[None, None]), None);
+        assert_eq!(ChannelTimeline::new(&real, 0.0, (Channel::GyroX, &real.channels[0].1), &[None, None]), None);
     }
 }

@@ -42,8 +42,10 @@ pub struct CaptureView<'a> {
     pub remarks: &'a [String],
     /// Whether something is being computed that the page will show.
     pub waits: bool,
-    /// Gaps, a list.
+    /// Gaps, a list; the first of many.
     pub gaps: &'a str,
+    /// How many samples are missing by cause, an object.
+    pub causes: &'a str,
     /// Events, a list.
     pub events: &'a str,
     /// Diagnoses, a list; without those that are enclosed.
@@ -142,9 +144,9 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
     let of: Capture = serde_json::from_str(view.capture)?;
     let mut out = String::new();
     head(&mut out, &of, view);
-    gaps(&mut out, &of, serde_json::from_str(view.gaps)?, view);
+    gaps(&mut out, &of, serde_json::from_str(view.gaps)?, serde_json::from_str(view.causes)?, view);
     if let Some(document) = view.noise {
-        noise::section(&mut out, document, view)?;
+        noise::section(&mut out, document, &of, view)?;
     }
     spectra(&mut out, view);
     if let Some(document) = view.statistics {
@@ -157,7 +159,7 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
     foot(&mut out, &of, view);
     let kind = match view.served {
         None => Kind::File,
-        Some(_) if view.waits => Kind::Renewed(3),
+        Some(_) if view.waits => Kind::Waiting(3),
         // What runs grows: those who look will want to see it, but a page with forms may not vanish under them.
         Some(_) => Kind::Served,
     };
@@ -273,7 +275,7 @@ fn wishes(out: &mut String, of: &Capture, id: i64, token: bool) {
     *out += "<p class=\"said\" role=\"status\"></p></section>";
 }
 
-fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) {
+fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, causes: BTreeMap<String, u64>, view: &CaptureView<'_>) {
     *out += "<h2>Samples and gaps</h2><div class=\"slim\">";
     figure(out, view, "gaps");
     *out += "</div>";
@@ -286,16 +288,8 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) 
         );
     }
     if !gaps.is_empty() {
-        let mut causes: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
-        for gap in &gaps {
-            let (count, missing) = causes.entry(&gap.cause).or_default();
-            *count += 1;
-            *missing += gap.missing;
-        }
-        let by_cause = causes.iter().map(|(cause, (count, missing))| {
-            let gaps = if *count == 1 { "gap" } else { "gaps" };
-            format!("{}: {missing} in {count} {gaps}", escaped(&cause.replace('_', " ")))
-        });
+        let by_cause =
+            causes.iter().map(|(cause, missing)| format!("{}: {missing} missing", escaped(&cause.replace('_', " "))));
         let by_cause: Vec<String> = by_cause.collect();
         let _ = write!(
             out,
@@ -317,8 +311,9 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, view: &CaptureView<'_>) 
             );
         }
         *out += "</table></div>";
-        if gaps.len() > LISTED {
-            let _ = write!(out, "<p class=\"soft\">… and {} more</p>", gaps.len() - LISTED);
+        let more = of.gaps.saturating_sub(LISTED as u64);
+        if more > 0 {
+            let _ = write!(out, "<p class=\"soft\">… and {more} more</p>");
         }
         *out += "</details>";
     }
@@ -337,7 +332,8 @@ fn spectra(out: &mut String, view: &CaptureView<'_>) {
     if !names.iter().any(|name| view.figures.contains_key(name)) {
         return;
     }
-    *out += "<h2>Power spectrum</h2><div class=\"figures\">";
+    *out += "<h2>Power spectrum</h2><p class=\"soft\">Two-sided: white noise stands at its N. Marked are the lines that were \
+             found.</p><div class=\"figures\">";
     for name in &names {
         figure(out, view, name);
     }

@@ -1,6 +1,6 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
-use super::{CaptureView, TRIADS, escaped, figure, opened, wide};
+use super::{Capture, CaptureView, TRIADS, escaped, figure, opened, wide};
 use crate::page::figure::{parted, plain};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -71,7 +71,7 @@ struct Density {
     datasheet: f64,
     printed: String,
     predicted: f64,
-    ratio: f64,
+    ratio_to_predicted: f64,
     unit: String,
     verdict: String,
 }
@@ -88,7 +88,12 @@ struct Bias {
 }
 
 /// The sections of `vn100d-noise-1` and of the pictures that belong to it.
-pub(super) fn section(out: &mut String, document: &str, view: &CaptureView<'_>) -> Result<(), serde_json::Error> {
+pub(super) fn section(
+    out: &mut String,
+    document: &str,
+    capture: &Capture,
+    view: &CaptureView<'_>,
+) -> Result<(), serde_json::Error> {
     let of: Noise = serde_json::from_str(document)?;
     if of.channels.is_empty() {
         return Ok(());
@@ -118,7 +123,7 @@ pub(super) fn section(out: &mut String, document: &str, view: &CaptureView<'_>) 
         *out += "</div></details>";
     }
     if let Some(sheet) = &of.datasheet {
-        datasheet(out, sheet);
+        datasheet(out, sheet, capture.sensor["model"].as_str().is_some_and(|model| !model.is_empty()));
     }
     Ok(())
 }
@@ -193,16 +198,17 @@ fn more(of: &Parameters) -> String {
     all.join("<br>")
 }
 
-fn datasheet(out: &mut String, sheet: &Sheet) {
+fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
     let _ = write!(
         out,
         "<h2>Beside the datasheet of the {}</h2><p class=\"soft\">{}. Expected is the datasheet's density as it shows at this output \
-         rate and filter.</p>{}<table><tr><th scope=\"col\">channel</th><th scope=\"col\">figure</th>\
+         rate and filter; the ratio is to what is expected, else to the datasheet.{}</p>{}<table><tr><th scope=\"col\">channel</th><th scope=\"col\">figure</th>\
          <th scope=\"col\" class=\"number\">measured</th><th scope=\"col\" class=\"number\">datasheet</th>\
          <th scope=\"col\" class=\"number\">expected</th><th scope=\"col\">unit</th><th scope=\"col\" class=\"number\">ratio</th>\
          <th scope=\"col\">verdict</th></tr>",
         escaped(&sheet.name),
         escaped(sheet.source.trim_end_matches('.')),
+        if known { "" } else { " Of what sensor the recording is it does not say: it is taken for one of these." },
         wide("beside the datasheet")
     );
     let mut row = |channel: &str,
@@ -229,11 +235,11 @@ fn datasheet(out: &mut String, sheet: &Sheet) {
     };
     for (name, of) in &sheet.channels {
         if let Some(density) = &of.noise_density {
-            let Density { measured, datasheet, printed, predicted, ratio, unit, verdict } = density;
+            let Density { measured, datasheet, printed, predicted, ratio_to_predicted, unit, verdict } = density;
             row(
                 name,
                 "noise density",
-                [measured, datasheet, predicted, ratio].map(|v| Some(*v)),
+                [measured, datasheet, predicted, ratio_to_predicted].map(|v| Some(*v)),
                 [printed, unit, verdict],
             );
         }

@@ -18,7 +18,7 @@ const EVENTS: &str = r#"[{"at": "2026-11-23T20:00:00Z", "kind": "connected", "me
 fn noise() -> String {
     let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});
     let k = json!({"value": null, "upper_limit95": 1.5e-6, "unit": "rad/s/√s"});
-    let density = json!({"measured": 1e-4, "datasheet": 6e-5, "printed": "0.0035 °/s/√Hz", "predicted": 1.1e-4, "ratio": 1.6,
+    let density = json!({"measured": 1e-4, "datasheet": 6e-5, "printed": "0.0035 °/s/√Hz", "predicted": 1.1e-4, "ratio": 1.6, "ratio_to_predicted": 0.91,
         "unit": "rad/s/√Hz", "verdict": "explained_by_sampling"});
     let bias = json!({"allan_minimum": 9e-5, "tau_s": 100.0, "datasheet": 2e-5, "printed": "5 °/h", "ratio": 4.0, "unit": "rad/s",
         "verdict": "worse"});
@@ -43,6 +43,7 @@ fn shown(served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
         remarks: &["the Allan deviation is <being> computed".to_owned()],
         waits: false,
         gaps: GAPS,
+        causes: "{\"host_stall\": 10}",
         events: EVENTS,
         diagnoses: r#"[{"id": 9, "state": "done", "summary": "a <tone> is missing"}]"#,
         figures,
@@ -65,7 +66,7 @@ fn everything_that_is_known_is_told_and_nothing_is_markup() {
         "5 h at 40 Hz: 719990 samples, 10 missing (less than 1 %) in 1 gap",
         "2026-11-23 20:00:00 to 2026-11-24 01:00:00 UTC",
         "7 &lt; 8",
-        "host stall: 10 in 1 gap",
+        "host stall: 10 missing",
         "1·10⁻⁴&nbsp;rad/s/√Hz <span class=\"interval\">9·10⁻⁵ to 1.1·10⁻⁴</span>",
         "0.344&nbsp;deg/√h <span class=\"interval\">0.309 to 0.378</span>",
         "below 1.5·10⁻⁶ rad/s/√s",
