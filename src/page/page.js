@@ -31,9 +31,20 @@ function become(old, fresh) {
 
 function within(old, fresh) {
   const [had, has] = [[...old.childNodes], [...fresh.childNodes]];
+  const [at, to] = [had, has].map((nodes) => nodes.findIndex((node) => node.classList?.contains("wishes")));
+  if (at >= 0 && to >= 0) {
+    // What is before the wishes may become more or fewer parts: the wishes stay the same ones.
+    parts(old, had.slice(0, at), has.slice(0, to), had[at]);
+    parts(old, had.slice(at + 1), has.slice(to + 1), null);
+  } else {
+    parts(old, had, has, null);
+  }
+}
+
+function parts(parent, had, has, behind) {
   has.forEach((node, place) => {
     if (place < had.length) become(had[place], node);
-    else old.append(document.importNode(node, true));
+    else parent.insertBefore(document.importNode(node, true), behind);
   });
   for (const gone of had.slice(has.length)) gone.remove();
 }

@@ -49,6 +49,9 @@ async function report(page, checks) {
   await settled(page, PATIENCE);
   await page.getByRole("heading", { level: 2, name: "Noise parameters" }).waitFor();
   await page.getByText("720000 samples, none missing").waitFor();
+  // What came while it waited has not taken the place of what may be asked for.
+  await page.getByRole("button", { name: "keep from deletion" }).waitFor();
+  await page.getByRole("button", { name: "diagnose" }).waitFor();
   await page.locator("img[src$='plots/allan-gyro.svg']").waitFor();
   const pictures = await page.locator("main img").count();
   checks.that("report", pictures >= 10, `${pictures} pictures on the capture's page`);

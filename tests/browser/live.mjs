@@ -12,9 +12,11 @@ export async function heading(page, text, options) {
   await page.getByRole("heading", { level: 1, name: text, exact: true }).waitFor(options);
 }
 
-/// Waits until nothing is being computed any more that the page will show: until then it is loaded anew every few seconds.
+/// Waits until nothing is being computed any more that the page will show: until then it asks again every few seconds, by its
+/// script or by itself.
 export async function settled(page, options) {
-  const still = () => document.querySelector("footer") !== null && document.querySelector("meta[http-equiv=refresh]") === null;
+  const still = () =>
+    document.querySelector("footer") !== null && document.querySelector("meta[http-equiv=refresh], main[data-waits]") === null;
   await page.waitForFunction(still, undefined, options);
   await page.waitForLoadState();
 }
