@@ -10,6 +10,15 @@ const SCHEMES = ["light", "dark"];
 const PICTURES_MS = 60_000;
 const TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"];
 
+function variants(name) {
+  return WIDTHS.flatMap((width) => SCHEMES.map((colorScheme) => ({
+    what: `${name} at ${width} px, ${colorScheme}`,
+    width,
+    colorScheme,
+    file: `${name}-${width}-${colorScheme}.png`,
+  })));
+}
+
 /// Counts what holds and keeps what does not, so that one run tells all of it.
 export class Checks {
   constructor(folder) {
@@ -41,34 +50,48 @@ export class Checks {
   }
 
   /// All of it.
-  async page(page, name, options) {
+  async page(page, name) {
     await this.policy(page, name);
     await this.structure(page, name);
-    await this.looks(page, name, options);
+    await this.looks(page, name);
   }
 
-  /// At the widths of a phone and a desk, on light and on dark, with a picture of each for a person. A page without scripts
-  /// cannot be asked for its accessibility; it is loaded anew each time, so that it does not renew itself in the middle.
-  async looks(page, name, { scripts = true } = {}) {
-    for (const width of WIDTHS) {
-      for (const colorScheme of SCHEMES) {
-        const what = `${name} at ${width} px, ${colorScheme}`;
-        await page.setViewportSize({ width, height: 900 });
-        await page.emulateMedia({ colorScheme });
-        if (!scripts) await page.reload();
-        await this.pictures(page, what);
-        if (scripts) await this.accessible(page, what);
-        const { wide, view } = await page.evaluate(() => ({
-          wide: document.documentElement.scrollWidth,
-          view: document.documentElement.clientWidth,
-        }));
-        this.that("width", wide <= view, `${what}: the page is ${wide} px wide in a window of ${view}`);
-        await page.screenshot({ path: join(this.folder, `${name}-${width}-${colorScheme}.png`), fullPage: true });
-        this.count("screenshot");
-      }
+  /// At the widths of a phone and a desk, on light and on dark, with a picture of each for a person.
+  async looks(page, name) {
+    for (const { what, width, colorScheme, file } of variants(name)) {
+      await page.setViewportSize({ width, height: 900 });
+      await page.emulateMedia({ colorScheme });
+      await this.pictures(page, what);
+      await this.accessible(page, what);
+      await this.drawn(page, what, file);
     }
     await page.setViewportSize({ width: 1280, height: 900 });
     await page.emulateMedia({ colorScheme: "light" });
+  }
+
+  /// The same of an address without scripts, where pages cannot be asked for their accessibility. Each is loaded for itself: a
+  /// page that renews itself shall not do so in the middle.
+  async plain(context, address, name) {
+    for (const { what, width, colorScheme, file } of variants(name)) {
+      const page = await context.newPage();
+      await page.setViewportSize({ width, height: 900 });
+      await page.emulateMedia({ colorScheme });
+      await page.goto(address);
+      await this.structure(page, what);
+      await this.pictures(page, what);
+      await this.drawn(page, what, file);
+      await page.close();
+    }
+  }
+
+  async drawn(page, what, file) {
+    const { wide, view } = await page.evaluate(() => ({
+      wide: document.documentElement.scrollWidth,
+      view: document.documentElement.clientWidth,
+    }));
+    this.that("width", wide <= view, `${what}: the page is ${wide} px wide in a window of ${view}`);
+    await page.screenshot({ path: join(this.folder, file), fullPage: true });
+    this.count("screenshot");
   }
 
   /// The answer forbids scripts in the page itself and anything from elsewhere.

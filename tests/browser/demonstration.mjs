@@ -15,18 +15,16 @@ export async function demonstration(browser, checks, address) {
   const page = await visit.page();
   await page.goto(address);
   await heading(page, "Recording demo.");
-  const still = await plain.page();
   // At once: the capture is over soon.
-  await Promise.all([reloads(still, checks, address), moves(page, checks).then(() => keepsFocus(page, checks))]);
-  await checks.page(still, "first-without-scripts", { scripts: false });
+  await Promise.all([reloads(plain, checks, address), moves(page, checks).then(() => keepsFocus(page, checks))]);
+  await checks.plain(plain.context, address, "first-without-scripts");
   await checks.page(page, "first-recording");
   await heading(page, "The sensor sends, nothing is recorded.", PATIENCE);
   checks.that("moves", await page.evaluate(() => globalThis.sameVisit === true), "the end of the capture loaded the first page anew");
 
   const capture = await report(page, checks);
   await checks.page(page, "capture");
-  await still.goto(page.url());
-  await checks.page(still, "capture-without-scripts", { scripts: false });
+  await checks.plain(plain.context, page.url(), "capture-without-scripts");
   await closer(page, checks, capture);
   await diagnosed(page, checks, address);
   await checks.page(page, "diagnosis");
@@ -138,10 +136,10 @@ async function hostile(page, checks, visit, address) {
   await checks.page(page, "capture-running");
   await stop(page, visit, "Stop this capture?");
   await page.getByRole("button", { name: "diagnose" }).waitFor(PATIENCE);
+  await settled(page, PATIENCE);
   await page.goto(`${capture}/series/gyro_x`);
   await literal(page, checks, HOSTILE, "the page of a channel");
   await page.goto(capture);
-  await settled(page, PATIENCE);
   await page.getByRole("button", { name: "keep from deletion" }).click();
   await page.getByText("kept from deletion").waitFor();
   const models = page.getByLabel("compare with the simulator");

@@ -61,7 +61,8 @@ export async function keepsFocus(page, checks) {
 }
 
 /// Without scripts the page reloads by itself, and has news then.
-export async function reloads(page, checks, address) {
+export async function reloads(visit, checks, address) {
+  const page = await visit.page();
   await page.goto(address);
   checks.that("static", (await page.locator("section.wishes:visible").count()) === 0, "forms are shown that need scripts");
   checks.that("static", await page.locator("noscript code", { hasText: "curl" }).isVisible(), "nothing says how to start without scripts");
@@ -69,6 +70,7 @@ export async function reloads(page, checks, address) {
   await page.waitForEvent("load", { timeout: 15_000 });
   const after = await samples(page);
   checks.that("static", after > before, `without scripts: ${before} samples, then ${after}`);
+  await page.close();
 }
 
 /// Fills the form of the first page in and sends it.

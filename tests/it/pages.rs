@@ -17,7 +17,7 @@ const HELD: [(&str, u64); 16] = [
     ("lost", 1),
     ("moves", 8),
     ("picture", 500),
-    ("policy", 26),
+    ("policy", 22),
     ("refused", 2),
     ("report", 1),
     ("request", 300),
