@@ -227,7 +227,7 @@ fn outcome(scenario: &Scenario, exact: &Exact, seed: u64, samples: usize, transf
     let mut estimator = DstEstimator::new(FixedPoint::for_range(0, 6).expect("a scale"));
     estimator.push(transform, &ramped);
     let sums = estimator.into_sums(transform);
-    let parameters = fit(&sums, RATE_HZ, Channel::GyroX, &[]);
+    let parameters = fit(&sums, RATE_HZ, Channel::GyroX, &[], None);
     let fit_s = begun.elapsed().as_secs_f64();
     let mut powers = vec![0.0; samples - 1];
     transform.differences(&values, |k, z, sine_squared, _| powers[k - 1] = z * z / (4.0 * sine_squared));

@@ -3,6 +3,7 @@
 //! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
 //! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
 
+use crate::noise::whittle::density_factor;
 use crate::sample::Triad;
 use crate::units::IMU_RATE_HZ;
 
@@ -59,8 +60,7 @@ impl Sampling {
 
     /// Factor from the sensor's own white density to the one that shows in its output, at low frequencies.
     ///
-    /// Σ |H(kR)|² over the images k of the output rate R, with H the average's response. For windows shorter than the
-    /// output period that is √(internal rate / (W R)).
+    /// [`density_factor`] of the triad's window and rates.
     #[must_use]
     pub fn density_factor(&self, triad: Triad) -> f64 {
         let window = match triad {
@@ -69,14 +69,8 @@ impl Sampling {
             Triad::Mag => self.filter_window.mag,
             Triad::Attitude => 1,
         };
-        let window = f64::from(window.max(1));
         let own_rate_hz = if triad == Triad::Mag { self.mag_rate_hz } else { self.internal_rate_hz };
-        let images = (own_rate_hz / self.rate_hz).round().max(1.0) as u32;
-        let response = |image: u32| {
-            let u = std::f64::consts::PI * f64::from(image) / f64::from(images);
-            if image == 0 { 1.0 } else { (window * u).sin() / (window * u.sin()) }
-        };
-        (0..images).map(|image| response(image).powi(2)).sum::<f64>().sqrt()
+        density_factor(window, (own_rate_hz / self.rate_hz).round().max(1.0) as u32)
     }
 }
 

@@ -13,7 +13,7 @@ use super::{JobError, SampleSource};
 use crate::noise::NoiseParameters;
 use crate::noise::allan::FixedPoint;
 use crate::noise::fit::Flag;
-use crate::noise::robust::{self, Company, Disturbances, Levels, Part, Portion, Record};
+use crate::noise::robust::{self, All, Company, Disturbances, Levels, Part, Portion, Record};
 use crate::sample::Channel;
 use crate::store::{Chunk, Missing};
 use std::collections::BTreeMap;
@@ -135,7 +135,7 @@ impl<'a> Blocks<'a> {
 pub(super) fn examine(
     source: &dyn SampleSource,
     plan: &Plan,
-    all: &BTreeMap<Channel, NoiseParameters>,
+    all: &BTreeMap<Channel, All<'_>>,
     held: Option<Held>,
     mut go_on: impl FnMut(f64) -> Result<(), JobError>,
 ) -> Result<Found, JobError> {
@@ -165,7 +165,7 @@ pub(super) fn examine(
     if company == Company::Several {
         found.captures.resize_with(captures.len(), BTreeMap::new);
     }
-    let channels: Vec<(Channel, &NoiseParameters)> = all.iter().map(|(channel, all)| (*channel, all)).collect();
+    let channels: Vec<(Channel, &All<'_>)> = all.iter().map(|(channel, all)| (*channel, all)).collect();
     // Of held samples two channels at a time are looked through whatever the group.
     let group_size = if held.is_some() { channels.len().max(1) } else { 2 - usize::from(long) };
     for group in channels.chunks(group_size) {
@@ -214,10 +214,10 @@ pub(super) fn examine(
             group.iter().zip(records),
             || (),
             |(), ((channel, all), mut records)| match (company, records.pop()) {
-                (Company::Alone, Some(record)) => record.alone(*channel, plan.rate_hz, (*all).clone()),
+                (Company::Alone, Some(record)) => record.alone(*channel, plan.rate_hz, all),
                 (_, last) => {
                     records.extend(last);
-                    robust::parameters_together(*channel, plan.rate_hz, &records, (*all).clone())
+                    robust::parameters_together(*channel, plan.rate_hz, &records, all)
                 }
             },
         );

@@ -5,8 +5,11 @@
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
 use super::{JobError, SampleSource};
-use crate::sample::Channel;
+use crate::noise::whittle::Sampling;
+use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
+use crate::units::IMU_RATE_HZ;
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Which samples a computation takes in. A capture may have a million segments: each takes 16 bytes here.
@@ -26,6 +29,8 @@ pub struct Plan {
     pub other_rate: u64,
     /// How many segments are taken in.
     pub taken: u64,
+    /// How the samples of a triad came about, where that is known.
+    pub sampling: BTreeMap<Triad, Sampling>,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
 }
@@ -87,6 +92,7 @@ impl Plan {
             longest: most.longest,
             other_rate: total - most.samples,
             taken: most.segments,
+            sampling: of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]),
             segments: segments.into_iter().map(stretch).collect(),
         })
     }
@@ -119,6 +125,7 @@ impl Plan {
             longest: segments.iter().map(|range| range.len() as u64).max().unwrap_or(0),
             other_rate: 0,
             taken: segments.len() as u64,
+            sampling: BTreeMap::new(),
             segments: (1..).zip(segments).map(stretch).collect(),
         })
     }
@@ -151,7 +158,17 @@ impl Plan {
         self.longest = self.longest.max(other.longest);
         self.other_rate += other.other_rate;
         self.taken += other.taken;
+        // They are of one setting, which one of them may not tell.
+        if self.sampling.is_empty() {
+            self.sampling = other.sampling;
+        }
         Ok(self)
+    }
+
+    /// How a channel's samples came about, where that is known.
+    #[must_use]
+    pub fn sampling(&self, channel: Channel) -> Option<&Sampling> {
+        self.sampling.get(&channel.triad()?)
     }
 
     /// The next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at the end.
@@ -201,6 +218,16 @@ impl Plan {
         }
         runs
     }
+}
+
+/// How accelerometer and gyroscope are sampled by what register 85 says. Of the magnetometer no document tells the rate.
+fn of_register_85(filter_window: &serde_json::Value) -> BTreeMap<Triad, Sampling> {
+    let sampling = |name: &str| {
+        let window = u32::try_from(filter_window[name].as_u64()?).ok()?;
+        Some(Sampling { internal_rate_hz: IMU_RATE_HZ, window, source: "register 85".to_owned() })
+    };
+    let triads = [(Triad::Accel, "accel"), (Triad::Gyro, "gyro")];
+    triads.into_iter().filter_map(|(triad, name)| Some((triad, sampling(name)?))).collect()
 }
 
 /// A segment's first sample, its number, and which of the rates met it has.

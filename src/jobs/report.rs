@@ -8,8 +8,9 @@ use super::plan::Plan;
 use super::threads::side_by_side;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit};
+use crate::noise::robust::All;
 use crate::noise::statistics::Statistics;
-use crate::noise::whittle::{self, DstSums};
+use crate::noise::whittle::DstSums;
 use crate::noise::{Contribution, NoiseParameters, NoiseReport};
 use crate::sample::Channel;
 use crate::store::{Reader, StoreError};
@@ -165,16 +166,15 @@ pub(super) fn noise(
         sums.iter(),
         || (),
         |(), (channel, sums)| {
-            let mut parameters = whittle::fit(sums, plan.rate_hz, *channel, &[]);
-            parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
-            parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
-            (*channel, parameters)
+            let mut all = All::of(*channel, plan.rate_hz, sums, plan.sampling(*channel));
+            all.parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
+            all.parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
+            (*channel, all)
         },
     );
-    let mut channels: BTreeMap<Channel, NoiseParameters> = fitted.into_iter().collect();
-    let mut disturbances = BTreeMap::new();
+    let (mut channels, mut disturbances) = (BTreeMap::new(), BTreeMap::new());
     let mut extent = Extent::of_plan(source, plan)?;
-    let found = examine(source, plan, &channels, held, go_on)?;
+    let found = examine(source, plan, &fitted.into_iter().collect(), held, go_on)?;
     for (channel, (parameters, disturbance)) in found.channels {
         channels.insert(channel, parameters);
         disturbances.insert(channel, disturbance);

@@ -264,7 +264,7 @@ fn captures_of_one_sensor_give_what_their_stretches_would_in_one() {
         let part = Part { start_s: 0.0, values };
         merged.merge(&spectral_sums(&[part], FixedPoint::for_channel(Channel::AccelX)));
     }
-    let expected = whittle::fit(&merged, 40.0, Channel::AccelX, &[]);
+    let expected = whittle::fit(&merged, 40.0, Channel::AccelX, &[], None);
     let found = &noise.channels[&Channel::AccelX];
     let close = |one: Option<[f64; 2]>, other: Option<[f64; 2]>| {
         one.unwrap().iter().zip(other.unwrap()).all(|(one, other)| (one / other - 1.0).abs() < 1e-9)

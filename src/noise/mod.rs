@@ -7,6 +7,7 @@
 //! and says so.
 
 pub mod allan;
+mod contradiction;
 mod contribution;
 pub mod fit;
 pub mod robust;
@@ -14,6 +15,7 @@ pub mod statistics;
 pub mod welch;
 pub mod whittle;
 
+pub use contradiction::hold_against;
 pub use contribution::Contribution;
 pub use fit::{NoiseParameters, NoiseReport};
 pub use statistics::{Moments, Statistics};

@@ -22,9 +22,11 @@ mod term;
 mod variance_fit;
 
 pub use parameters::{
-    Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, NoiseParameters, NoiseReport, gauss_markov_variance, unit,
+    Bandwidth, Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, Minimum, NoiseParameters, NoiseReport,
+    gauss_markov_variance, unit,
 };
 pub use term::Term;
+pub(in crate::noise) use term::response;
 
 use crate::noise::allan::AllanPoint;
 use crate::sample::Channel;
@@ -93,6 +95,10 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
         q: estimate(Term::Q),
         r: estimate(Term::R),
         gauss_markov: None,
+        bandwidth: None,
+        usable: true,
+        reason: None,
+        minimum: None,
         fit: FitSummary {
             method: METHOD.to_owned(),
             chi2: choice.residual.map(|residual| residual.chi2),
@@ -115,6 +121,10 @@ pub(in crate::noise) fn nothing(channel: Channel, method: &str, flag: Flag) -> N
         q: estimate(Term::Q),
         r: estimate(Term::R),
         gauss_markov: None,
+        bandwidth: None,
+        usable: false,
+        reason: Some(flag.note.clone()),
+        minimum: None,
         fit: FitSummary { method: method.to_owned(), chi2: None, degrees_of_freedom: None, p_value: None, curve: None },
         flags: vec![flag],
     }

@@ -27,6 +27,12 @@ pub struct Estimate {
     /// The value in the units people quote.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub also: BTreeMap<String, f64>,
+    /// Of N: the sensor's own density in front of its filter and decimation, where these are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub internal: Option<f64>,
+    /// Where the number comes from if not from the fit: `allan deviation` where the fit contradicts the measured curve.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
 }
 
 impl Estimate {
@@ -41,6 +47,8 @@ impl Estimate {
             identified: true,
             unit: unit(channel, term),
             also,
+            internal: None,
+            source: None,
         }
     }
 
@@ -54,6 +62,8 @@ impl Estimate {
             identified: true,
             unit: unit.to_owned(),
             also: BTreeMap::new(),
+            internal: None,
+            source: None,
         }
     }
 
@@ -67,6 +77,8 @@ impl Estimate {
             identified: false,
             unit: unit(channel, term),
             also: BTreeMap::new(),
+            internal: None,
+            source: None,
         }
     }
 }
@@ -78,6 +90,30 @@ pub struct GaussMarkov {
     pub sigma: Estimate,
     /// Its correlation time, s.
     pub tc_s: Estimate,
+}
+
+/// What keeps noise away from half the rate: a filter of the sensor or of whoever recorded it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Bandwidth {
+    /// `moving_average`, `low_pass` or `other`.
+    pub kind: String,
+    /// Its length, or its −3 dB frequency; null where an `other` shape does not fall that far.
+    pub value: Option<f64>,
+    /// Unit of value and interval: `samples`, `samples at the internal rate` or `Hz`.
+    pub unit: String,
+    /// Order of a low pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub order: Option<u32>,
+    /// 95 % interval of the value; null for a whole number.
+    pub ci95: Option<[f64; 2]>,
+    /// Frequencies above were not described and took no part in the fit, Hz.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up_to_hz: Option<f64>,
+    /// Density of white noise that comes in behind the filter, U/√Hz; a part of N.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub white_behind: Option<f64>,
+    /// Where it is known from: a register, an option, or `fitted`.
+    pub source: String,
 }
 
 /// How the parameters were found, and whether the model describes the data.
@@ -113,11 +149,23 @@ impl FittedCurve {
     pub(in crate::noise) fn of<'a>(
         longest_s: f64,
         dt_s: f64,
-        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64>)>,
+        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64 + 'a>)>,
     ) -> Self {
+        Self::at(Self::octaves(longest_s, dt_s), dt_s, parts)
+    }
+
+    /// Averaging factors of a fitted curve.
+    pub(in crate::noise) fn octaves(longest_s: f64, dt_s: f64) -> Vec<usize> {
         let quarter = longest_s / dt_s / 4.0;
-        let factors: Vec<usize> =
-            (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect();
+        (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect()
+    }
+
+    /// The curve at averaging factors.
+    pub(in crate::noise) fn at<'a>(
+        factors: Vec<usize>,
+        dt_s: f64,
+        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64 + 'a>)>,
+    ) -> Self {
         let mut variances = vec![0.0; factors.len()];
         let mut curve = Self {
             tau_s: factors.iter().map(|m| *m as f64 * dt_s).collect(),
@@ -210,10 +258,38 @@ pub struct NoiseParameters {
     pub r: Estimate,
     /// Gauss–Markov process; null where there is none.
     pub gauss_markov: Option<GaussMarkov>,
+    /// The filter that B, K, Q, R and the process lie in front of; null where noise is white up to half the rate.
+    #[serde(default)]
+    pub bandwidth: Option<Bandwidth>,
+    /// Whether the parameters may be used: false where they contradict the measured deviation, or there are none.
+    #[serde(default = "yes")]
+    pub usable: bool,
+    /// Why they may not be used.
+    #[serde(default)]
+    pub reason: Option<String>,
+    /// Lowest point of the measured Allan deviation; null where it is not known well enough.
+    #[serde(default)]
+    pub minimum: Option<Minimum>,
     /// The fit.
     pub fit: FitSummary,
     /// What else is to be known.
     pub flags: Vec<Flag>,
+}
+
+/// Documents of before have no word on it.
+fn yes() -> bool {
+    true
+}
+
+/// The lowest point of a measured Allan deviation beside B.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Minimum {
+    /// The deviation, channel's unit.
+    pub deviation: f64,
+    /// Its averaging time, s.
+    pub tau_s: f64,
+    /// The deviation over 0.664, which B does not exceed: the curve holds all other noise as well.
+    pub over_0_664: f64,
 }
 
 impl NoiseParameters {

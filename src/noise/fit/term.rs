@@ -72,7 +72,7 @@ impl Term {
 }
 
 /// Two-sided response of the Allan variance of averaging factor `m` at u = f·dt: σ² = ∫ S · response df.
-pub(super) fn response(m: usize, u: f64) -> f64 {
+pub(in crate::noise) fn response(m: usize, u: f64) -> f64 {
     let m = m as f64;
     2.0 * (PI * u * m).sin().powi(4) / (m * (PI * u).sin()).powi(2)
 }

@@ -36,7 +36,7 @@ pub use dynamic::{DynamicAllan, DynamicBlock};
 pub use event::{Event, Kind};
 pub use lines::Line;
 pub use part::{Levels, Part, Portion, bridged, samples_of, without_intervals};
-pub use record::{Company, Record, parameters_together};
+pub use record::{All, Company, Record, parameters_together};
 pub use temperature::TemperatureDependence;
 
 use crate::noise::allan::{AllanCurve, AllanPoint, FixedPoint};

@@ -9,7 +9,8 @@ use super::{
 };
 use crate::noise::allan::{AllanPoint, FixedPoint};
 use crate::noise::fit::{Flag, NoiseParameters};
-use crate::noise::whittle::{DstSums, fit};
+use crate::noise::hold_against;
+use crate::noise::whittle::{DstSums, Sampling, fit, fit_as_sampled};
 use crate::sample::Channel;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -35,6 +36,23 @@ pub enum Company {
     Alone,
     /// It is one of several.
     Several,
+}
+
+/// All samples of a channel, disturbances included.
+#[derive(Debug, Clone)]
+pub struct All<'a> {
+    sums: &'a DstSums,
+    sampling: Option<&'a Sampling>,
+    /// Their parameters as they are.
+    pub parameters: NoiseParameters,
+}
+
+impl<'a> All<'a> {
+    /// The parameters of sums; `rate_hz` finite and above 0. `sampling`: how the samples came about, where that is known.
+    #[must_use]
+    pub fn of(channel: Channel, rate_hz: f64, sums: &'a DstSums, sampling: Option<&'a Sampling>) -> Self {
+        Self { sums, sampling, parameters: fit_as_sampled(sums, rate_hz, channel, sampling) }
+    }
 }
 
 impl Record {
@@ -106,9 +124,9 @@ impl Record {
 
     /// The parameters of this record by itself without its disturbances, and what these were.
     ///
-    /// `all`: the parameters of all samples. The parameters that come back carry the flags.
+    /// `all`: all its samples. The parameters that come back carry the flags.
     #[must_use]
-    pub fn alone(self, channel: Channel, rate_hz: f64, all: NoiseParameters) -> (NoiseParameters, Disturbances) {
+    pub fn alone(self, channel: Channel, rate_hz: f64, all: &All<'_>) -> (NoiseParameters, Disturbances) {
         let records = [self];
         let (mut main, fitted) = parameters_together(channel, rate_hz, &records, all);
         let [record] = records;
@@ -120,6 +138,12 @@ impl Record {
             ..record.disturbances(rate_hz)
         };
         (main, disturbances)
+    }
+
+    /// Octaves of the Allan variance without what was left out.
+    #[must_use]
+    pub fn points(&self) -> &[AllanPoint] {
+        &self.points
     }
 
     fn bands(&self) -> impl Iterator<Item = (f64, f64)> {
@@ -164,14 +188,14 @@ impl Record {
 /// The parameters of several captures of one sensor, each looked through by itself: the sums of their noise are
 /// added and fitted as one.
 ///
-/// `all`: the parameters of all samples of all of them. What the disturbances say of times stands with each capture; here
+/// `all`: all samples of all of them. What the disturbances say of times stands with each capture; here
 /// are the time left out altogether, the bands, and what follows from the sums.
 #[must_use]
 pub fn parameters_together(
     channel: Channel,
     rate_hz: f64,
     records: &[Record],
-    all: NoiseParameters,
+    all: &All<'_>,
 ) -> (NoiseParameters, Disturbances) {
     let bands: Vec<[f64; 2]> = super::event::merged(records.iter().flat_map(Record::bands).collect())
         .into_iter()
@@ -181,18 +205,27 @@ pub fn parameters_together(
     let sum = |choose: fn(&Record) -> Option<&DstSums>| {
         let mut sums = DstSums::new();
         records.iter().filter_map(choose).for_each(|own| sums.merge(own));
-        fit(&sums, rate_hz, channel, &bands)
+        fit(&sums, rate_hz, channel, &bands, all.sampling)
     };
-    let mut main = if is_clean { all.clone() } else { sum(|record| record.noise.as_ref()) };
-    if !is_clean {
-        // What the sums themselves had to say stays said.
-        main.flags.extend(all.flags.iter().filter(|flag| flag.kind != "misfit").cloned());
-    }
+    let is_misfit = |flag: &&Flag| flag.kind == "misfit";
+    let mut main = match is_clean {
+        true if all.parameters.flags.iter().any(|flag| is_misfit(&flag)) => {
+            fit(all.sums, rate_hz, channel, &[], all.sampling)
+        }
+        true => all.parameters.clone(),
+        false => sum(|record| record.noise.as_ref()),
+    };
+    // What the sums themselves had to say stays said.
+    let said = all.parameters.flags.iter().filter(|flag| !is_misfit(flag) && !main.flags.contains(flag));
+    let said: Vec<Flag> = said.cloned().collect();
+    main.flags.extend(said);
+    let points = pooled(records);
+    hold_against(&mut main, &points, rate_hz, channel);
     let depends = records.iter().any(|record| record.without_temperature.is_some());
     let without = depends.then(|| sum(|record| record.without_temperature.as_ref().or(record.noise.as_ref())));
     let excluded = records.iter().flat_map(|record| &record.found.excluded_intervals);
     let disturbances = Disturbances {
-        with_disturbances: (!is_clean).then_some(all),
+        with_disturbances: (!is_clean).then(|| all.parameters.clone()),
         excluded_s: excluded.fold(0.0, |sum, (from, to)| sum + to - from),
         excluded_intervals_s: Vec::new(),
         excluded_bands_hz: bands,
@@ -202,7 +235,7 @@ pub fn parameters_together(
         k_without_temperature: without.as_ref().map(|without| without.k.clone()),
         r_without_temperature: without.map(|without| without.r),
         dynamic: None,
-        allan_minimum: AllanMinimum::of(&pooled(records), rate_hz),
+        allan_minimum: AllanMinimum::of(&points, rate_hz),
     };
     (main, disturbances)
 }

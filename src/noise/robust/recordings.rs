@@ -1,7 +1,6 @@
 //! Real recordings: what is known about them has to be found. They are read from the folder that `VN100D_REAL_DATA` names.
 
 use super::*;
-use crate::noise::whittle::fit;
 use std::io::Read as _;
 
 fn text(path: &str) -> Option<String> {
@@ -17,8 +16,9 @@ fn column(text: &str, header: usize, index: usize) -> [Part; 1] {
 }
 
 fn fitted(channel: Channel, rate_hz: f64, parts: &[Part]) -> (NoiseParameters, Disturbances) {
-    let all = fit(&spectral_sums(parts, FixedPoint::for_channel(channel)), rate_hz, channel, &[]);
-    Record::of(channel, rate_hz, parts.to_vec(), &Levels::new(rate_hz, 0), Company::Alone).alone(channel, rate_hz, all)
+    let sums = spectral_sums(parts, FixedPoint::for_channel(channel));
+    let all = All::of(channel, rate_hz, &sums, None);
+    Record::of(channel, rate_hz, parts.to_vec(), &Levels::new(rate_hz, 0), Company::Alone).alone(channel, rate_hz, &all)
 }
 
 fn lines_near(flags: &[Flag], frequency_hz: f64) -> bool {

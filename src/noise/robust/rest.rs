@@ -233,10 +233,9 @@ impl Octaves {
 #[cfg(test)]
 mod tests {
     use super::super::synthetic::Noise;
-    use super::super::{Company, Levels, Record};
+    use super::super::{All, Company, Levels, Record};
     use super::*;
     use crate::noise::robust::spectral_sums;
-    use crate::noise::whittle::fit;
     use crate::sample::Channel;
     use std::convert::Infallible;
 
@@ -262,12 +261,8 @@ mod tests {
     /// What of the document does not depend on how often it is read: kinds and times of flags, N and its like with all.
     fn of(values: &[f64], blocks: usize) -> (crate::noise::NoiseParameters, super::super::Disturbances) {
         let part = Part { start_s: 0.0, values: values.to_vec() };
-        let all = fit(
-            &spectral_sums(std::slice::from_ref(&part), FixedPoint::for_channel(Channel::GyroX)),
-            RATE_HZ,
-            Channel::GyroX,
-            &[],
-        );
+        let sums = spectral_sums(std::slice::from_ref(&part), FixedPoint::for_channel(Channel::GyroX));
+        let all = All::of(Channel::GyroX, RATE_HZ, &sums, None);
         let length = values.len().div_ceil(blocks);
         let read = |block: usize| {
             let range = block * length..((block + 1) * length).min(values.len());
@@ -278,7 +273,7 @@ mod tests {
         let none = Levels::new(RATE_HZ, 0);
         let extent = (values.len() as u64, blocks);
         let Ok(record) = Record::read(Channel::GyroX, RATE_HZ, extent, read, &none, Company::Alone);
-        record.alone(Channel::GyroX, RATE_HZ, all)
+        record.alone(Channel::GyroX, RATE_HZ, &all)
     }
 
     #[test]

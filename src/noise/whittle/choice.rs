@@ -18,6 +18,8 @@ pub(super) const PLAIN: f64 = 9.55;
 /// Quantization noise, which few sensors show, is told from N by the highest frequencies alone and there beyond doubt where
 /// it is real (5e-5): named by chance it would take its variance from N, whose error is small.
 pub(super) const PLAIN_QUANTIZATION: f64 = 15.1;
+/// A process of fewer samples is a filter's work: white noise behind a first-order low pass has the same spectrum.
+pub(super) const SHORTEST_PROCESS: f64 = 8.0;
 /// Correlation times tried to the decade before the best is made precise.
 const PER_DECADE: f64 = 6.0;
 
@@ -66,7 +68,7 @@ pub(super) fn choose(likelihood: &Likelihood) -> Option<Choice> {
     let bases = [&[][..], &[Term::B], &[Term::K], &[Term::B, Term::K]];
     let models: Vec<Option<Model>> = bases
         .iter()
-        .map(|letters| letters.iter().fold(Terms::of(&[Term::N]), |terms, term| terms.with(*term)))
+        .map(|letters| letters.iter().fold(likelihood.least_terms(), |terms, term| terms.with(*term)))
         .map(|terms| likelihood.maximise(terms, 1.0, Held::Nothing, None))
         .collect();
     let plain = models.iter().copied().fold(None, better);
@@ -121,14 +123,15 @@ fn average_walk(likelihood: &Likelihood, values: &mut Model) {
 
 /// The best model with a Gauss–Markov process.
 fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
-    let (least, most) = (8.0 * likelihood.dt_s(), likelihood.longest_s());
+    let (least, most) = (SHORTEST_PROCESS * likelihood.dt_s(), likelihood.longest_s());
     let steps = ((most / least).log10() * PER_DECADE).ceil();
     if steps.is_nan() || steps < 1.0 {
         return None;
     }
     let mut best = None;
     for letters in [&[][..], &[Term::B], &[Term::K]] {
-        let mut terms = letters.iter().fold(Terms::of(&[Term::N]), |terms, term| terms.with(*term)).with_gauss_markov();
+        let mut terms =
+            letters.iter().fold(likelihood.least_terms(), |terms, term| terms.with(*term)).with_gauss_markov();
         terms.ramp = ramp;
         let mut start: Option<Model> = None;
         let mut found: Option<Model> = None;
@@ -149,7 +152,7 @@ fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
 pub(super) fn correlation_time(likelihood: &Likelihood, held: Held, start: &Model) -> Option<Model> {
     const STEP: f64 = 0.25;
     const MOVES: usize = 40;
-    let (least, most) = (likelihood.dt_s().ln(), (100.0 * likelihood.longest_s()).ln());
+    let (least, most) = ((SHORTEST_PROCESS * likelihood.dt_s()).ln(), (100.0 * likelihood.longest_s()).ln());
     let at =
         |log_tc: f64, near: &Model| likelihood.maximise(start.terms, log_tc.clamp(least, most).exp(), held, Some(near));
     let mut centre = at(start.tc_s.ln(), start)?;
@@ -186,7 +189,7 @@ mod tests {
     use super::*;
 
     fn model(terms: Terms) -> Model {
-        Model { terms, squares: [1.0; 5], tc_s: 1.0, ramp: 1.0, deviance: 0.0 }
+        Model { terms, squares: [1.0; 6], tc_s: 1.0, ramp: 1.0, tilt: [0.0; 6], deviance: 0.0 }
     }
 
     /// What the choice charges for a term is what statements about it take for its price, beside a process too.

@@ -1,7 +1,7 @@
 //! The estimator: samples of one channel become spectral sums, stretch by stretch, in bounded memory.
 
 use super::dst::{Transform, efficient_length};
-use super::sums::{Bin, DstSums, edge, index_of};
+use super::sums::{Bin, DstSums, edge, fine_edge, fine_index_of, index_of};
 use crate::noise::allan::FixedPoint;
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -185,6 +185,7 @@ fn transform_piece(sums: &mut DstSums, transform: &mut Transform, values: &[f64]
     let n = values.len();
     let (length, per) = (2.0 * n as f64 * per_value as f64, per_value as f64);
     let (mut index, mut upper, mut bin) = (usize::MAX, 0.0, Bin::default());
+    let (mut fine_index, mut fine_upper, mut fine) = (usize::MAX, 0.0, Bin::default());
     // A mean's spectrum is the same at low frequencies, its sampling interval longer; the ramp climbs more from one to the next.
     transform.differences(values, |k, z, sine_squared, constant| {
         let u = k as f64 / length;
@@ -197,18 +198,29 @@ fn transform_piece(sums: &mut DstSums, transform: &mut Transform, values: &[f64]
             index = index_of(u);
             (upper, bin) = (edge(index), Bin::default());
         }
+        if u > fine_upper {
+            sums.add_fine(fine_index, &fine);
+            let next = fine_index_of(u);
+            (fine_index, fine) = (next.unwrap_or(usize::MAX), Bin::default());
+            fine_upper = fine_edge(next.map_or(0, |next| next + 1));
+        }
         let walk = 1.0 / (4.0 * sine_squared);
         let own = if per_value == 1 { 4.0 * sine_squared } else { (2.0 * PI * u).powi(2) };
-        bin.count += 1.0;
-        bin.power += z * z * walk * per;
-        bin.flicker += flicker_leakage(k) / (2.0 * PI * u);
-        bin.walk += 1.0 / own;
-        bin.angle += own;
-        bin.ends += 2.0 / length;
-        bin.cross += z * constant * walk * per * per;
-        bin.ramp += constant * constant * walk * per * per * per;
+        let one = Bin {
+            count: 1.0,
+            power: z * z * walk * per,
+            flicker: flicker_leakage(k) / (2.0 * PI * u),
+            walk: 1.0 / own,
+            angle: own,
+            ends: 2.0 / length,
+            cross: z * constant * walk * per * per,
+            ramp: constant * constant * walk * per * per * per,
+        };
+        bin.add(&one);
+        fine.add(&one);
     });
     sums.add(index, &bin);
+    sums.add_fine(fine_index, &fine);
 }
 
 /// A stretch of any length in one transform, to compare with.

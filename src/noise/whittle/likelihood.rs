@@ -9,16 +9,24 @@
 //! P. Whittle, Ark. Mat. 2 (1953) 423, for the likelihood; P. McCullagh, J. A. Nelder, Generalized Linear Models (1989),
 //! section 8, for the scoring.
 
-use super::sums::DstSums;
+use super::shape::{Shape, TILTS};
+use super::sums::{Bin, DstSums};
 use crate::noise::fit::Term;
 
-/// Coefficients whose squares the spectrum is linear in: N, B, K, Q of [`Term`], and a Gauss–Markov process' σ.
-pub(super) const SQUARES: usize = 5;
+/// Coefficients whose squares the spectrum is linear in: N, B, K, Q of [`Term`], a Gauss–Markov process' σ, and the density of
+/// white noise behind the filter.
+pub(super) const SQUARES: usize = 6;
 /// The place of σ.
 pub(super) const SIGMA: usize = 4;
+/// The place of the white noise behind the filter; it is a part of N, which is the plateau of both.
+pub(super) const BEHIND: usize = 5;
+/// Unknowns of a scoring step: squares, then the shape's numbers.
+const UNKNOWNS: usize = SQUARES + TILTS;
 const SCORING_STEPS: usize = 60;
 /// −2 log L is known to this; roots of differences of it are what intervals are made of.
 const SETTLED: f64 = 1e-8;
+/// The shape's numbers move by no more than this in one step.
+const FARTHEST: f64 = 0.5;
 
 /// A place among the squares.
 pub(super) fn place(term: Term) -> Option<usize> {
@@ -67,6 +75,10 @@ impl Terms {
         self.squares[SIGMA] = false;
         self
     }
+    pub(super) fn with_behind(mut self) -> Self {
+        self.squares[BEHIND] = true;
+        self
+    }
     pub(super) fn has_gauss_markov(self) -> bool {
         self.squares[SIGMA]
     }
@@ -84,6 +96,8 @@ pub(super) enum Held {
     Square(usize, f64),
     /// The ramp, U per s.
     Ramp(f64),
+    /// A number of the shape, from where the likelihood has it.
+    Tilt(usize, f64),
 }
 
 /// Coefficients of a model and how likely they make the data.
@@ -96,11 +110,16 @@ pub(super) struct Model {
     pub(super) tc_s: f64,
     /// The ramp, U per s, with its sign.
     pub(super) ramp: f64,
+    /// The shape's numbers, from where the likelihood has them.
+    pub(super) tilt: [f64; TILTS],
     /// −2 log L less a constant of the data.
     pub(super) deviance: f64,
 }
 
 impl Model {
+    fn point(&self) -> Point {
+        Point { squares: self.squares, tilt: self.tilt }
+    }
     /// The coefficient of a term; the ramp's with its sign.
     pub(super) fn coefficient(&self, term: Term) -> f64 {
         place(term).map_or(self.ramp, |at| self.squares[at].sqrt())
@@ -120,6 +139,79 @@ struct Row {
     ramp: f64,
     /// A rough level: of the bin and its neighbours.
     level: f64,
+    /// What the filter leaves of white noise and of a process, and d ln(gain)/dp.
+    white_gain: f64,
+    process_gain: f64,
+    slopes: [f64; TILTS],
+}
+
+impl Row {
+    fn of(bin: &Bin, dt_s: f64) -> Self {
+        Self {
+            count: bin.count,
+            power: bin.power / bin.count,
+            basis: [
+                1.0 / dt_s,
+                bin.flicker / bin.count,
+                dt_s * bin.walk / bin.count,
+                bin.angle / bin.count / (dt_s * dt_s),
+                0.0,
+                0.0,
+            ],
+            sine: bin.count / bin.walk,
+            ends: bin.ends / bin.count,
+            cross: bin.cross / bin.count,
+            ramp: bin.ramp / bin.count,
+            level: 0.0,
+            white_gain: 1.0,
+            process_gain: 1.0,
+            slopes: [0.0; TILTS],
+        }
+    }
+
+    /// Puts a filter before the row: the mean of its gains over the bin's frequencies.
+    fn filtered(mut self, [low, high]: [f64; 2], shape: &Shape, dt_s: f64) -> Self {
+        /// Gauss–Legendre of three points.
+        const POINTS: [(f64, f64); 3] =
+            [(-0.774_596_669_241_483, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774_596_669_241_483, 5.0 / 18.0)];
+        let (mut white, mut flicker, mut walk, mut slopes) = (0.0, 0.0, 0.0, [0.0; TILTS]);
+        for (place, weight) in POINTS {
+            let u = 0.5 * (low + high) + 0.5 * (high - low) * place;
+            let gains = shape.gains(u);
+            white += weight * gains.white;
+            flicker += weight * gains.flicker;
+            walk += weight * gains.walk;
+            for (sum, slope) in slopes.iter_mut().zip(shape.slopes(u)) {
+                *sum += weight * gains.white * slope;
+            }
+        }
+        self.slopes = slopes.map(|slope| if white > 0.0 { slope / white } else { 0.0 });
+        (self.white_gain, self.process_gain) = (white, walk);
+        self.basis[0] *= white;
+        self.basis[1] *= flicker;
+        self.basis[2] *= walk;
+        self.basis[3] *= white;
+        self.basis[BEHIND] = (1.0 - white).max(0.0) / dt_s;
+        self
+    }
+
+    /// What each term is expected to give with the shape's numbers moved.
+    fn basis_at(&self, tilt: &[f64; TILTS], dt_s: f64) -> [f64; SQUARES] {
+        if *tilt == [0.0; TILTS] {
+            return self.basis;
+        }
+        let factor = self.slopes.iter().zip(tilt).map(|(slope, by)| slope * by).sum::<f64>().exp();
+        let mut basis = self.basis.map(|own| own * factor);
+        basis[BEHIND] = (1.0 - self.white_gain * factor).max(0.0) / dt_s;
+        basis
+    }
+}
+
+/// Coefficients at which the spectrum is looked at.
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    squares: [f64; SQUARES],
+    tilt: [f64; TILTS],
 }
 
 /// The data, ready for models.
@@ -127,39 +219,58 @@ struct Row {
 pub(super) struct Likelihood {
     rows: Vec<Row>,
     dt_s: f64,
+    shape: Shape,
+    /// Whether white noise comes in behind the filter.
+    behind: bool,
 }
 
 impl Likelihood {
     /// Takes the bins that touch none of `excluded_bands_hz`, nor neighbour one that does.
     pub(super) fn new(sums: &DstSums, rate_hz: f64, excluded_bands_hz: &[[f64; 2]]) -> Self {
-        /// A bin is 3.7 % wide: what a line leaks beyond its neighbour falls with the square of the distance.
-        const MARGIN: f64 = 1.037;
         let dt_s = 1.0 / rate_hz;
-        let excluded = |[low, high]: [f64; 2]| {
-            excluded_bands_hz.iter().any(|[from, to]| high * rate_hz >= from / MARGIN && low * rate_hz <= to * MARGIN)
-        };
-        let mut rows: Vec<Row> = sums
-            .filled()
-            .filter(|(range, _)| !excluded(*range))
-            .map(|(_, bin)| Row {
-                count: bin.count,
-                power: bin.power / bin.count,
-                basis: [
-                    1.0 / dt_s,
-                    bin.flicker / bin.count,
-                    dt_s * bin.walk / bin.count,
-                    bin.angle / bin.count / (dt_s * dt_s),
-                    0.0,
-                ],
-                sine: bin.count / bin.walk,
-                ends: bin.ends / bin.count,
-                cross: bin.cross / bin.count,
-                ramp: bin.ramp / bin.count,
-                level: 0.0,
-            })
-            .collect();
+        let rows = sums.filled().filter(|(range, _)| !excluded(*range, rate_hz, excluded_bands_hz));
+        let mut rows: Vec<Row> = rows.map(|(_, bin)| Row::of(bin, dt_s)).collect();
         level(&mut rows);
-        Self { rows, dt_s }
+        Self { rows, dt_s, shape: Shape::Open, behind: false }
+    }
+
+    /// The same with a filter behind the noise, over finer bins; `behind`: white noise may come in behind the filter.
+    ///
+    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends leak there is more. They are
+    /// told by the data alone, so that all shapes are held against the same.
+    pub(super) fn filtered(
+        sums: &DstSums,
+        rate_hz: f64,
+        excluded_bands_hz: &[[f64; 2]],
+        shape: &Shape,
+        behind: bool,
+    ) -> Self {
+        /// Powers below that many times what the ends leak take no part.
+        const LEAKS: f64 = 200.0;
+        let dt_s = 1.0 / rate_hz;
+        let up_to = if let Shape::Smooth { up_to, .. } = shape { *up_to } else { 0.5 };
+        let bins = sums
+            .finely_filled()
+            .filter(|(range, _)| range[1] <= up_to * (1.0 + 1e-9) && !excluded(*range, rate_hz, excluded_bands_hz));
+        let mut rows: Vec<Row> = bins.map(|(range, bin)| Row::of(bin, dt_s).filtered(range, shape, dt_s)).collect();
+        level(&mut rows);
+        let (count, changes) = rows
+            .iter()
+            .fold((0.0, 0.0), |(count, sum), row| (count + row.count, sum + row.count * row.power * row.sine));
+        let leaks = LEAKS * changes / f64::max(count, 1.0);
+        rows.retain(|row| row.level * row.sine > leaks * row.ends || row.sine < 1e-3);
+        Self { rows, dt_s, shape: shape.clone(), behind }
+    }
+
+    /// The filter behind the noise.
+    pub(super) fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The terms that every model has: N, and white noise behind the filter where that is allowed.
+    pub(super) fn least_terms(&self) -> Terms {
+        let terms = Terms::of(&[Term::N]);
+        if self.behind { terms.with_behind() } else { terms }
     }
 
     /// How many squares there are, and whether any differs from 0.
@@ -183,27 +294,35 @@ impl Likelihood {
             Held::Ramp(value) => value * self.dt_s,
             _ => start.filter(|_| terms.ramp).map_or(0.0, |start| start.ramp * self.dt_s),
         };
-        let mut squares = [0.0; SQUARES];
+        let dt_s = self.dt_s;
+        let mut point = Point { squares: [0.0; SQUARES], tilt: [0.0; TILTS] };
         let mut deviance = f64::INFINITY;
+        if let Held::Tilt(at, value) = held {
+            point.tilt[at] = value;
+        }
         if let Some(start) = start {
-            squares = std::array::from_fn(|at| if terms.squares[at] { start.squares[at] } else { 0.0 });
-            if let Held::Square(at, value) = held {
-                squares[at] = value;
+            point.squares = std::array::from_fn(|at| if terms.squares[at] { start.squares[at] } else { 0.0 });
+            point.tilt = start.tilt;
+            match held {
+                Held::Square(at, value) => point.squares[at] = value,
+                Held::Tilt(at, value) => point.tilt[at] = value,
+                Held::Nothing | Held::Ramp(_) => {}
             }
-            deviance = deviance_of(&rows, &squares, ramp);
+            deviance = deviance_of(&rows, &point, ramp, dt_s);
         }
         for step in 0..SCORING_STEPS {
             let begun = deviance.is_finite();
-            let lambda = |row: &Row| if begun { spectrum(row, &squares) } else { row.level };
+            let lambda = |row: &Row| if begun { spectrum(row, &point, dt_s) } else { row.level };
             if terms.ramp && !matches!(held, Held::Ramp(_)) {
                 ramp = generalised_mean(&rows, &lambda).unwrap_or(ramp);
             }
-            let proposed = scoring_step(&rows, &lambda, terms, held, ramp)?;
-            let (next, reached) = shorten(&rows, squares, proposed, ramp, begun);
-            let before = if begun && terms.ramp { deviance_of(&rows, &squares, ramp) } else { deviance };
+            let tilts = if begun { self.shape.tilts() } else { 0 };
+            let proposed = scoring_step(&rows, &lambda, terms, held, ramp, &point, tilts, dt_s)?;
+            let (next, reached) = shorten(&rows, point, proposed, ramp, begun, dt_s);
+            let before = if begun && terms.ramp { deviance_of(&rows, &point, ramp, dt_s) } else { deviance };
             if begun && reached >= before - SETTLED {
                 if reached < before {
-                    (squares, deviance) = (next, reached);
+                    (point, deviance) = (next, reached);
                 } else {
                     deviance = before;
                 }
@@ -212,10 +331,11 @@ impl Likelihood {
                     break;
                 }
             } else {
-                (squares, deviance) = (next, reached);
+                (point, deviance) = (next, reached);
             }
         }
-        let model = Model { terms, squares, tc_s, ramp: ramp / self.dt_s, deviance };
+        let Point { squares, tilt } = point;
+        let model = Model { terms, squares, tc_s, ramp: ramp / self.dt_s, tilt, deviance };
         deviance.is_finite().then_some(model)
     }
 
@@ -224,7 +344,7 @@ impl Likelihood {
         if terms.has_gauss_markov() {
             let decay = self.dt_s / tc_s;
             for row in &mut rows {
-                row.basis[SIGMA] = gauss_markov(row.sine, row.ends, decay);
+                row.basis[SIGMA] = row.process_gain * gauss_markov(row.sine, row.ends, decay);
             }
         }
         rows
@@ -234,8 +354,8 @@ impl Likelihood {
     pub(super) fn whole(&self, term: Term, model: &Model) -> Option<f64> {
         let rows = self.with_gauss_markov(model.terms, model.tc_s);
         let of = |row: &Row| match place(term) {
-            Some(at) => (spectrum(row, &model.squares) / row.basis[at]).sqrt(),
-            None => (spectrum(row, &model.squares) / row.ramp).sqrt() / self.dt_s,
+            Some(at) => (spectrum(row, &model.point(), self.dt_s) / row.basis[at]).sqrt(),
+            None => (spectrum(row, &model.point(), self.dt_s) / row.ramp).sqrt() / self.dt_s,
         };
         rows.iter().map(of).filter(|c| c.is_finite() && *c > 0.0).min_by(f64::total_cmp)
     }
@@ -250,7 +370,7 @@ impl Likelihood {
                 first = row.sine;
             }
             count += row.count;
-            sum += row.count * residual_power(row, model.ramp * self.dt_s) / spectrum(row, &model.squares);
+            sum += row.count * residual_power(row, model.ramp * self.dt_s) / spectrum(row, &model.point(), self.dt_s);
             if count >= least && row.sine >= first * ratio {
                 groups.push((count, sum));
                 (count, sum) = (0.0, 0.0);
@@ -302,8 +422,15 @@ fn level(rows: &mut [Row]) {
     }
 }
 
-fn spectrum(row: &Row, squares: &[f64; SQUARES]) -> f64 {
-    row.basis.iter().zip(squares).map(|(basis, square)| basis * square).sum()
+/// Whether a bin touches a band that is left out, or neighbours one that does.
+fn excluded([low, high]: [f64; 2], rate_hz: f64, bands_hz: &[[f64; 2]]) -> bool {
+    /// A bin is 3.7 % wide: what a line leaks beyond its neighbour falls with the square of the distance.
+    const MARGIN: f64 = 1.037;
+    bands_hz.iter().any(|[from, to]| high * rate_hz >= from / MARGIN && low * rate_hz <= to * MARGIN)
+}
+
+fn spectrum(row: &Row, point: &Point, dt_s: f64) -> f64 {
+    row.basis_at(&point.tilt, dt_s).iter().zip(&point.squares).map(|(basis, square)| basis * square).sum()
 }
 
 fn residual_power(row: &Row, ramp: f64) -> f64 {
@@ -311,9 +438,9 @@ fn residual_power(row: &Row, ramp: f64) -> f64 {
 }
 
 /// −2 log L against that of the rough levels, which keeps the sum small and its digits.
-fn deviance_of(rows: &[Row], squares: &[f64; SQUARES], ramp: f64) -> f64 {
+fn deviance_of(rows: &[Row], point: &Point, ramp: f64, dt_s: f64) -> f64 {
     let of = |row: &Row| {
-        let lambda = spectrum(row, squares);
+        let lambda = spectrum(row, point, dt_s);
         row.count * ((lambda / row.level).ln() + residual_power(row, ramp) / lambda - 1.0)
     };
     let sum: f64 = rows.iter().map(of).sum();
@@ -329,70 +456,96 @@ fn generalised_mean(rows: &[Row], lambda: &impl Fn(&Row) -> f64) -> Option<f64> 
     Some(cross / ramp).filter(|mean| mean.is_finite())
 }
 
-/// One step of Fisher scoring: weighted least squares over squares that are not negative.
+/// One step of Fisher scoring: weighted least squares over squares that are not negative, and over the first `tilts` of the
+/// shape's numbers, which may have any sign.
+#[expect(clippy::too_many_arguments, reason = "one step of one loop")]
 fn scoring_step(
     rows: &[Row],
     lambda: &impl Fn(&Row) -> f64,
     terms: Terms,
     held: Held,
     ramp: f64,
-) -> Option<[f64; SQUARES]> {
+    point: &Point,
+    tilts: usize,
+    dt_s: f64,
+) -> Option<Point> {
     let fixed = match held {
         Held::Square(at, value) => Some((at, value)),
         _ => None,
     };
-    let mut normal = [[0.0; SQUARES]; SQUARES];
-    let mut right = [0.0; SQUARES];
+    let size = SQUARES + tilts;
+    let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];
+    let mut right = [0.0; UNKNOWNS];
+    let mut columns = [0.0; UNKNOWNS];
     for row in rows {
         let weight = row.count / lambda(row).powi(2);
-        let target = residual_power(row, ramp) - fixed.map_or(0.0, |(at, value)| row.basis[at] * value);
-        for (one, basis) in row.basis.iter().enumerate() {
-            let weighted = weight * basis;
+        let basis = row.basis_at(&point.tilt, dt_s);
+        let target = residual_power(row, ramp) - fixed.map_or(0.0, |(at, value)| basis[at] * value);
+        columns[..SQUARES].copy_from_slice(&basis);
+        if tilts > 0 {
+            let front: f64 = basis.iter().zip(&point.squares).take(BEHIND).map(|(basis, square)| basis * square).sum();
+            let moves = front - point.squares[BEHIND] * (1.0 / dt_s - basis[BEHIND]);
+            for (column, slope) in columns[SQUARES..].iter_mut().zip(row.slopes).take(tilts) {
+                *column = slope * moves;
+            }
+        }
+        for one in 0..size {
+            let weighted = weight * columns[one];
             right[one] += weighted * target;
-            for (entry, other) in normal[one].iter_mut().zip(&row.basis).take(one + 1) {
+            for (entry, other) in normal[one].iter_mut().zip(&columns).take(one + 1) {
                 *entry += weighted * other;
             }
         }
     }
     let free: Vec<usize> =
         (0..SQUARES).filter(|at| terms.squares[*at] && fixed.is_none_or(|(held, _)| held != *at)).collect();
-    let mut squares = non_negative(&normal, &right, &free)?;
+    let held_tilt = if let Held::Tilt(at, _) = held { Some(at) } else { None };
+    let signed: Vec<usize> = (0..tilts).filter(|at| held_tilt != Some(*at)).map(|at| SQUARES + at).collect();
+    let found = non_negative(&normal, &right, &free, &signed)?;
+    let mut next = Point { squares: std::array::from_fn(|at| found[at]), tilt: point.tilt };
     if let Some((at, value)) = fixed {
-        squares[at] = value;
+        next.squares[at] = value;
     }
-    Some(squares)
+    let largest = found[SQUARES..].iter().fold(0.0f64, |most, by| most.max(by.abs()));
+    let limit = if largest > FARTHEST { FARTHEST / largest } else { 1.0 };
+    next.tilt.iter_mut().zip(&found[SQUARES..]).for_each(|(tilt, by)| *tilt += by * limit);
+    Some(next)
 }
 
 /// Goes towards what is proposed as far as the likelihood rises.
-fn shorten(
-    rows: &[Row],
-    from: [f64; SQUARES],
-    proposed: [f64; SQUARES],
-    ramp: f64,
-    begun: bool,
-) -> ([f64; SQUARES], f64) {
+fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, begun: bool, dt_s: f64) -> (Point, f64) {
     const HALVINGS: i32 = 30;
-    let full = deviance_of(rows, &proposed, ramp);
+    let full = deviance_of(rows, &proposed, ramp, dt_s);
     if !begun {
         return (proposed, full);
     }
-    let base = deviance_of(rows, &from, ramp);
+    let base = deviance_of(rows, &from, ramp, dt_s);
     let (mut next, mut reached) = (proposed, full);
+    let between = |from: f64, to: f64, share: f64| from + share * (to - from);
     for halving in 1..=HALVINGS {
         if reached <= base {
             break;
         }
         let share = 0.5f64.powi(halving);
-        next = std::array::from_fn(|at| from[at] + share * (proposed[at] - from[at]));
-        reached = deviance_of(rows, &next, ramp);
+        next = Point {
+            squares: std::array::from_fn(|at| between(from.squares[at], proposed.squares[at], share)),
+            tilt: std::array::from_fn(|at| between(from.tilt[at], proposed.tilt[at], share)),
+        };
+        reached = deviance_of(rows, &next, ramp, dt_s);
     }
     (next, reached)
 }
 
-/// Least squares from normal equations (lower triangles) over x ≥ 0: of all sets of `free` columns that give positive
-/// numbers, the one that explains most. Exact, and with five columns cheaper than being clever.
-fn non_negative(normal: &[[f64; SQUARES]; SQUARES], right: &[f64; SQUARES], free: &[usize]) -> Option<[f64; SQUARES]> {
-    let mut best = [0.0; SQUARES];
+/// Least squares from normal equations (lower triangles) over x ≥ 0 for `free` columns and any x for `signed` ones: of all sets
+/// of `free` columns that give positive numbers, the one that explains most. Exact, and with six columns cheaper than being
+/// clever.
+fn non_negative(
+    normal: &[[f64; UNKNOWNS]; UNKNOWNS],
+    right: &[f64; UNKNOWNS],
+    free: &[usize],
+    signed: &[usize],
+) -> Option<[f64; UNKNOWNS]> {
+    let mut best = [0.0; UNKNOWNS];
     let mut most = 0.0;
     if right.iter().any(|value| !value.is_finite()) {
         return None;
@@ -400,11 +553,13 @@ fn non_negative(normal: &[[f64; SQUARES]; SQUARES], right: &[f64; SQUARES], free
     for chosen in 1u32..1 << free.len() {
         let set: Vec<usize> =
             free.iter().enumerate().filter(|(index, _)| chosen & 1 << index != 0).map(|(_, at)| *at).collect();
+        let squares = set.len();
+        let set: Vec<usize> = set.into_iter().chain(signed.iter().copied()).collect();
         let Some(values) = solve(normal, right, &set) else { continue };
         let explained: f64 = set.iter().zip(values).map(|(at, value)| right[*at] * value).sum();
-        if explained > most && values.iter().take(set.len()).all(|value| *value >= 0.0) {
+        if explained > most && values.iter().take(squares).all(|value| *value >= 0.0) {
             most = explained;
-            best = [0.0; SQUARES];
+            best = [0.0; UNKNOWNS];
             for (at, value) in set.iter().zip(values) {
                 best[*at] = value;
             }
@@ -414,11 +569,11 @@ fn non_negative(normal: &[[f64; SQUARES]; SQUARES], right: &[f64; SQUARES], free
 }
 
 /// Cholesky's solution for a set of columns scaled to a diagonal of 1; None where they depend on one another.
-fn solve(normal: &[[f64; SQUARES]; SQUARES], right: &[f64; SQUARES], set: &[usize]) -> Option<[f64; SQUARES]> {
+fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[usize]) -> Option<[f64; UNKNOWNS]> {
     /// Columns whose rest is smaller than this share of them are not told apart.
     const DEPENDENT: f64 = 1e-12;
-    let mut lower = [[0.0f64; SQUARES]; SQUARES];
-    let mut values = [0.0; SQUARES];
+    let mut lower = [[0.0f64; UNKNOWNS]; UNKNOWNS];
+    let mut values = [0.0; UNKNOWNS];
     let scale = |index: usize| normal[set[index]][set[index]].sqrt();
     for row in 0..set.len() {
         for column in 0..=row {
@@ -450,15 +605,19 @@ mod tests {
 
     #[test]
     fn a_column_that_would_be_negative_is_left_out() {
-        let mut normal = [[0.0; SQUARES]; SQUARES];
+        let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];
         normal[0][0] = 3.0;
         normal[2][0] = 3.0;
         normal[2][2] = 5.0;
-        let of = |right: [f64; 2]| non_negative(&normal, &[right[0], 0.0, right[1], 0.0, 0.0], &[0, 2]).unwrap();
+        let of = |[first, third]: [f64; 2]| {
+            let mut right = [0.0; UNKNOWNS];
+            (right[0], right[2]) = (first, third);
+            non_negative(&normal, &right, &[0, 2], &[]).unwrap()
+        };
         let rising = of([9.0, 13.0]);
         assert!((rising[0] - 1.0).abs() < 1e-12 && (rising[2] - 2.0).abs() < 1e-12, "{rising:?}");
         let falling = of([9.0, 5.0]);
         assert!((falling[0] - 3.0).abs() < 1e-12 && falling[2] == 0.0, "{falling:?}");
-        assert_eq!(of([-1.0, -1.0]), [0.0; SQUARES]);
+        assert_eq!(of([-1.0, -1.0]), [0.0; UNKNOWNS]);
     }
 }

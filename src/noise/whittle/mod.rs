@@ -8,16 +8,19 @@
 //! # Validation
 //! `examples/noise_monte_carlo.rs` with its table in docs/validation.md; `tests` has a small form of it.
 
+mod bandwidth;
 mod choice;
 mod dst;
 mod estimator;
 mod likelihood;
 mod residual;
+mod shape;
 mod statement;
 mod sums;
 #[cfg(test)]
 mod tests;
 
+pub use bandwidth::{Sampling, density_factor};
 pub use dst::Transform;
 pub use estimator::DstEstimator;
 pub use sums::DstSums;
@@ -29,6 +32,7 @@ use crate::sample::Channel;
 use choice::Choice;
 use likelihood::{Likelihood, SIGMA, place};
 use residual::{MISFIT, Residual};
+use shape::Shape;
 use statement::{Profile, Statement};
 
 /// Name of the method in JSON.
@@ -39,13 +43,43 @@ const LEAST: f64 = 48.0;
 /// Fits the noise parameters of a channel; `rate_hz` finite and above 0.
 ///
 /// `excluded_bands_hz`: frequencies that are no noise, such as those of vibration lines; they, and 4 % beside them, take no
-/// part. Never fails: what cannot be told is not identified, and a flag says why.
+/// part. `sampling`: how the samples came about, where that is known; its filter is then part of the law. Where the law misfits,
+/// filters inside the band compete with it. Never fails: what cannot be told is not identified, and a flag says why.
 #[must_use]
-pub fn fit(sums: &DstSums, rate_hz: f64, channel: Channel, excluded_bands_hz: &[[f64; 2]]) -> NoiseParameters {
+pub fn fit(
+    sums: &DstSums,
+    rate_hz: f64,
+    channel: Channel,
+    excluded_bands_hz: &[[f64; 2]],
+    sampling: Option<&Sampling>,
+) -> NoiseParameters {
+    of_law(sums, rate_hz, channel, excluded_bands_hz, sampling, Search::Filters)
+}
+
+/// The same without a search for filters: for samples that hold more than noise, which a filter would explain away.
+#[must_use]
+pub fn fit_as_sampled(sums: &DstSums, rate_hz: f64, channel: Channel, sampling: Option<&Sampling>) -> NoiseParameters {
+    of_law(sums, rate_hz, channel, &[], sampling, Search::Nothing)
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Search {
+    Filters,
+    Nothing,
+}
+
+fn of_law(
+    sums: &DstSums,
+    rate_hz: f64,
+    channel: Channel,
+    excluded_bands_hz: &[[f64; 2]],
+    sampling: Option<&Sampling>,
+    search: Search,
+) -> NoiseParameters {
     if !(rate_hz.is_finite() && rate_hz > 0.0) {
         return nothing(channel, METHOD, Flag::whole("insufficient", "no sampling rate"));
     }
-    let likelihood = Likelihood::new(sums, rate_hz, excluded_bands_hz);
+    let likelihood = bandwidth::basic(sums, rate_hz, excluded_bands_hz, sampling);
     let (count, varies) = likelihood.extent();
     if count < LEAST {
         let all: f64 = sums.filled().map(|(_, bin)| bin.count).sum();
@@ -63,10 +97,16 @@ pub fn fit(sums: &DstSums, rate_hz: f64, channel: Channel, excluded_bands_hz: &[
         let note = "every sample has the same value: no noise to be seen";
         return nothing(channel, METHOD, Flag::whole("constant", note));
     }
-    match choice::choose(&likelihood) {
-        Some(choice) => of_choice(&likelihood, &choice, channel),
-        None => nothing(channel, METHOD, Flag::whole("misfit", "no noise model describes the spectrum")),
-    }
+    let Some(choice) = choice::choose(&likelihood) else {
+        return nothing(channel, METHOD, Flag::whole("misfit", "no noise model describes the spectrum"));
+    };
+    let better = (search == Search::Filters).then(|| bandwidth::compete(sums, rate_hz, excluded_bands_hz, &choice));
+    let (likelihood, choice) = better.flatten().unwrap_or((likelihood, choice));
+    let mut parameters = of_choice(&likelihood, &choice, channel);
+    parameters.bandwidth = bandwidth::statement(&likelihood, &choice, rate_hz, sampling);
+    let factor = sampling.and_then(|sampling| sampling.density_factor(rate_hz));
+    parameters.n.internal = parameters.n.value.zip(factor).map(|(density, factor)| density / factor);
+    parameters
 }
 
 fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> NoiseParameters {
@@ -82,8 +122,8 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
     let mut flags = Vec::new();
     if let Some(residual) = choice.residual.filter(|residual| residual.p_value < MISFIT) {
         let note = format!(
-            "white, flicker and random-walk noise do not describe the spectrum (χ² {:.0} at {} degrees of freedom): \
-             lines, knocks or drift; intervals are widened by {:.1}",
+            "white, flicker and random-walk noise, with or without a filter, do not describe the spectrum (χ² {:.0} at {} \
+             degrees of freedom); intervals are widened by {:.1}",
             residual.chi2,
             residual.degrees_of_freedom,
             Residual::widen(choice.residual)
@@ -98,6 +138,10 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
         q: estimate(Term::Q),
         r: estimate(Term::R),
         gauss_markov,
+        bandwidth: None,
+        usable: true,
+        reason: None,
+        minimum: None,
         fit: FitSummary {
             method: METHOD.to_owned(),
             chi2: choice.residual.map(|residual| residual.chi2),
@@ -109,17 +153,51 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
     }
 }
 
-/// The chosen model's Allan deviation and its parts.
+/// The chosen model's Allan deviation and its parts, from where the filter is described.
 fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
     let (model, dt_s) = (&choice.model, likelihood.dt_s());
+    let shape = likelihood.shape().moved(&model.tilt);
+    let mut factors = FittedCurve::octaves(likelihood.longest_s(), dt_s);
+    if let Shape::Smooth { up_to, .. } = shape {
+        factors.retain(|m| *m as f64 * up_to >= 1.0);
+    }
+    let at = |m: usize| factors.iter().position(|own| *own == m);
+    // By Shape::Open all are 1.
+    let ratios = |gain: fn(shape::Gains) -> f64, spectrum: &dyn Fn(f64) -> f64| match shape {
+        Shape::Open => vec![1.0; factors.len()],
+        _ => bandwidth::variance_ratios(&shape, &factors, gain, spectrum),
+    };
+    let walk_like = |gains: shape::Gains| gains.walk;
     let parts = Term::ALL.into_iter().filter(|term| model.terms.has(*term)).map(|term| {
         let square = place(term).map_or(model.ramp * model.ramp, |at| model.squares[at]);
-        (term.letter(), Box::new(move |m| square * term.allan_variance(m, dt_s)) as Box<dyn Fn(usize) -> f64>)
+        let spectrum = move |u: f64| term.spectrum(u, dt_s);
+        let ratio = match term {
+            Term::N | Term::Q => ratios(|gains| gains.white, &spectrum),
+            Term::B => ratios(|gains| gains.flicker, &spectrum),
+            Term::K => ratios(walk_like, &spectrum),
+            Term::R => vec![1.0; factors.len()],
+        };
+        // Of the plateau what lies behind the filter stays as it is.
+        let behind = if term == Term::N { model.squares[likelihood::BEHIND] } else { 0.0 };
+        let variance = move |m: usize| {
+            let ratio = at(m).and_then(|at| ratio.get(at).copied()).unwrap_or(1.0);
+            (square * ratio + behind * (1.0 - ratio)) * term.allan_variance(m, dt_s)
+        };
+        (term.letter(), Box::new(variance) as Box<dyn Fn(usize) -> f64 + '_>)
     });
     let process = model.terms.has_gauss_markov().then(|| {
         let (square, tc_s) = (model.squares[SIGMA], model.tc_s);
-        let variance = move |m: usize| square * gauss_markov_variance(m as f64 * dt_s, tc_s);
-        ("gauss_markov", Box::new(variance) as Box<dyn Fn(usize) -> f64>)
+        let decay = dt_s / tc_s;
+        let spectrum = move |u: f64| {
+            let (phi, s) = ((-decay).exp(), 4.0 * (std::f64::consts::PI * u).sin().powi(2));
+            (1.0 - phi * phi) / ((1.0 - phi).powi(2) + phi * s)
+        };
+        let ratio = ratios(walk_like, &spectrum);
+        let variance = move |m: usize| {
+            let ratio = at(m).and_then(|at| ratio.get(at).copied()).unwrap_or(1.0);
+            square * ratio * gauss_markov_variance(m as f64 * dt_s, tc_s)
+        };
+        ("gauss_markov", Box::new(variance) as Box<dyn Fn(usize) -> f64 + '_>)
     });
-    FittedCurve::of(likelihood.longest_s(), dt_s, parts.chain(process))
+    FittedCurve::at(factors.clone(), dt_s, parts.chain(process))
 }

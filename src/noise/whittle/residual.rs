@@ -29,7 +29,10 @@ impl Residual {
                 ((sum / count).cbrt() - (1.0 - spread)).powi(2) / spread
             })
             .sum();
-        let degrees_of_freedom = groups.len().checked_sub(model.terms.parameters()).filter(|degrees| *degrees > 0)?;
+        let degrees_of_freedom = groups
+            .len()
+            .checked_sub(model.terms.parameters() + likelihood.shape().tilts())
+            .filter(|degrees| *degrees > 0)?;
         let p_value = ChiSquared::new(degrees_of_freedom as f64).ok()?.sf(chi2);
         (chi2.is_finite() && p_value.is_finite()).then_some(Self { chi2, degrees_of_freedom, p_value })
     }

@@ -8,7 +8,12 @@ const BINS: usize = 10 * PER_DECADE;
 /// Numbers kept per bin.
 const FIELDS: usize = 8;
 /// Version of the written form.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
+/// From half the rate down to the lower end of this bin the squares are kept in [`FINE`] bins of equal width as well: there a
+/// filter's response turns within less than a bin of the decade.
+const FINE_FROM: usize = 80;
+/// Bins of equal width.
+const FINE: usize = 480;
 
 /// Sums over the k of one bin. With u = f·dt = k/2n and s = 4 sin²(πu), power is z²/s: the two-sided spectrum of the rate
 /// over the sampling interval, unit U².
@@ -36,16 +41,22 @@ impl Bin {
     fn fields(&self) -> [f64; FIELDS] {
         [self.count, self.power, self.flicker, self.walk, self.angle, self.ends, self.cross, self.ramp]
     }
+    pub(super) fn add(&mut self, other: &Self) {
+        let (ours, theirs) = (self.fields(), other.fields());
+        *self = Self::of(std::array::from_fn(|field| ours[field] + theirs[field]));
+    }
     fn of(fields: [f64; FIELDS]) -> Self {
         let [count, power, flicker, walk, angle, ends, cross, ramp] = fields;
         Self { count, power, flicker, walk, angle, ends, cross, ramp }
     }
 }
 
-/// The binned DST squares of a channel's stretches. Sums of the same rate add; about 40 kB at most.
+/// The binned DST squares of a channel's stretches. Sums of the same rate add; about 70 kB at most.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DstSums {
     bins: Vec<Bin>,
+    /// The upper frequencies again, from low to high, in bins of equal width.
+    fine: Vec<Bin>,
     samples: u64,
     out_of_range: u64,
 }
@@ -60,7 +71,8 @@ impl DstSums {
     /// Nothing summed.
     #[must_use]
     pub fn new() -> Self {
-        Self { bins: vec![Bin::default(); BINS], samples: 0, out_of_range: 0 }
+        let (bins, fine) = (vec![Bin::default(); BINS], vec![Bin::default(); FINE]);
+        Self { bins, fine, samples: 0, out_of_range: 0 }
     }
 
     /// Samples of the stretches that have ended.
@@ -79,10 +91,8 @@ impl DstSums {
     pub fn merge(&mut self, other: &Self) {
         self.samples += other.samples;
         self.out_of_range += other.out_of_range;
-        for (own, other) in self.bins.iter_mut().zip(&other.bins) {
-            let (ours, theirs) = (own.fields(), other.fields());
-            *own = Bin::of(std::array::from_fn(|field| ours[field] + theirs[field]));
-        }
+        let pairs = self.bins.iter_mut().zip(&other.bins).chain(self.fine.iter_mut().zip(&other.fine));
+        pairs.for_each(|(own, other)| own.add(other));
     }
 
     /// Takes from `other` what it has of frequencies that lie above `u` cycles a sample altogether; samples stay counted as they
@@ -90,6 +100,11 @@ impl DstSums {
     pub fn replace_above(&mut self, u: f64, other: &Self) {
         for (index, (own, other)) in self.bins.iter_mut().zip(&other.bins).enumerate() {
             if edge(index + 1) >= u {
+                *own = *other;
+            }
+        }
+        for (index, (own, other)) in self.fine.iter_mut().zip(&other.fine).enumerate() {
+            if fine_edge(index) >= u {
                 *own = *other;
             }
         }
@@ -105,8 +120,13 @@ impl DstSums {
 
     pub(super) fn add(&mut self, index: usize, sums: &Bin) {
         if let Some(own) = self.bins.get_mut(index) {
-            let (ours, theirs) = (own.fields(), sums.fields());
-            *own = Bin::of(std::array::from_fn(|field| ours[field] + theirs[field]));
+            own.add(sums);
+        }
+    }
+
+    pub(super) fn add_fine(&mut self, index: usize, sums: &Bin) {
+        if let Some(own) = self.fine.get_mut(index) {
+            own.add(sums);
         }
     }
 
@@ -116,13 +136,21 @@ impl DstSums {
         filled.map(|(index, bin)| ([edge(index + 1), edge(index)], bin))
     }
 
+    /// As [`Self::filled`], with bins of equal width for the upper frequencies.
+    pub(super) fn finely_filled(&self) -> impl Iterator<Item = ([f64; 2], &Bin)> {
+        let lower = self.filled().filter(|(range, _)| range[1] <= edge(FINE_FROM) * (1.0 + 1e-9));
+        let upper = self.fine.iter().enumerate().filter(|(_, bin)| bin.count > 0.0);
+        lower.chain(upper.map(|(index, bin)| ([fine_edge(index), fine_edge(index + 1)], bin)))
+    }
+
     /// For a checkpoint, bit for bit.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         bytes.extend(self.samples.to_le_bytes());
         bytes.extend(self.out_of_range.to_le_bytes());
-        for (index, bin) in self.bins.iter().enumerate().filter(|(_, bin)| bin.count > 0.0) {
+        let all = self.bins.iter().chain(&self.fine).enumerate();
+        for (index, bin) in all.filter(|(_, bin)| bin.count > 0.0) {
             bytes.extend((index as u32).to_le_bytes());
             for field in bin.fields() {
                 bytes.extend(field.to_bits().to_le_bytes());
@@ -148,7 +176,11 @@ impl DstSums {
             let (fields, _) = fields.as_chunks::<8>();
             let bin = Bin::of(std::array::from_fn(|field| f64::from_bits(u64::from_le_bytes(fields[field]))));
             let sound = bin.fields().iter().all(|field| field.is_finite()) && bin.count > 0.0 && index >= next;
-            *sums.bins.get_mut(index).filter(|_| sound)? = bin;
+            let place = match index.checked_sub(BINS) {
+                Some(fine) => sums.fine.get_mut(fine),
+                None => sums.bins.get_mut(index),
+            };
+            *place.filter(|_| sound)? = bin;
             next = index + 1;
         }
         left.is_empty().then_some(sums)
@@ -158,6 +190,19 @@ impl DstSums {
 /// Upper end of bin `index` in u; it belongs to the bin, the lower end does not.
 pub(super) fn edge(index: usize) -> f64 {
     if index >= BINS { 0.0 } else { 0.5 * 10f64.powf(-(index as f64) / PER_DECADE as f64) }
+}
+
+/// Lower end of bin `index` of equal width in u; the upper end belongs to the bin, the lower does not.
+pub(super) fn fine_edge(index: usize) -> f64 {
+    let least = edge(FINE_FROM);
+    least + (0.5 - least) * index as f64 / FINE as f64
+}
+
+/// The bin of equal width that u belongs to; none below them.
+pub(super) fn fine_index_of(u: f64) -> Option<usize> {
+    let least = edge(FINE_FROM);
+    let place = ((u - least) / (0.5 - least) * FINE as f64).ceil() - 1.0;
+    (place >= 0.0).then_some((place as usize).min(FINE - 1))
 }
 
 /// The bin that u belongs to.

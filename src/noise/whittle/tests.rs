@@ -44,7 +44,7 @@ fn sums_of(segments: &[&[f64]]) -> DstSums {
 }
 
 fn of(samples: &[f64]) -> NoiseParameters {
-    fit(&sums_of(&[samples]), RATE_HZ, Channel::GyroX, &[])
+    fit(&sums_of(&[samples]), RATE_HZ, Channel::GyroX, &[], None)
 }
 
 fn holds(estimate: &Estimate, truth: f64) -> bool {
@@ -165,7 +165,7 @@ fn a_ramp_is_named_and_does_not_pass_for_a_random_walk() {
     assert!(!parameters.k.identified && !parameters.b.identified, "{parameters:?}");
     // Cut in two, the halves share the ramp.
     let (left, right) = samples.split_at(41_234);
-    let cut = fit(&sums_of(&[left, right]), RATE_HZ, Channel::GyroX, &[]);
+    let cut = fit(&sums_of(&[left, right]), RATE_HZ, Channel::GyroX, &[], None);
     assert!((cut.r.value.unwrap() / 1.6e-5 - 1.0).abs() < 0.05 && holds(&cut.r, 1.6e-5), "{:?}", cut.r);
 }
 
@@ -190,9 +190,9 @@ fn a_line_is_kept_out_of_n_by_excluding_its_band() {
         *value += 2e-3 * (std::f64::consts::TAU * 11.37 * index as f64 / RATE_HZ).sin();
     }
     let sums = sums_of(&[&samples]);
-    let with = fit(&sums, RATE_HZ, Channel::GyroX, &[]);
+    let with = fit_as_sampled(&sums, RATE_HZ, Channel::GyroX, None);
     assert!(with.flags.iter().any(|flag| flag.kind == "misfit") && with.n.value.unwrap() > 1.01e-3, "{:?}", with.n);
-    let without = fit(&sums, RATE_HZ, Channel::GyroX, &[[11.3, 11.45]]);
+    let without = fit(&sums, RATE_HZ, Channel::GyroX, &[[11.3, 11.45]], None);
     assert!(without.flags.is_empty() && (without.n.value.unwrap() / 1e-3 - 1.0).abs() < 6e-3, "{:?}", without.n);
 }
 
@@ -203,7 +203,7 @@ fn captures_of_one_sensor_make_one_estimate() {
     merged.merge(&sums_of(&[&two]));
     assert_eq!(merged.samples(), 120_000);
     let width = |parameters: &NoiseParameters| parameters.n.ci95.map(|[low, high]| high - low).unwrap();
-    let together = fit(&merged, RATE_HZ, Channel::GyroX, &[]);
+    let together = fit(&merged, RATE_HZ, Channel::GyroX, &[], None);
     let ratio = width(&together) / width(&of(&one));
     assert!((ratio * 2f64.sqrt() - 1.0).abs() < 0.1, "{ratio}");
     assert!(holds(&together.n, 3.5e-3), "{:?}", together.n);
@@ -224,7 +224,8 @@ fn a_long_stretch_is_as_good_in_chunks_as_whole() {
     let ((ours, ours_power), (theirs, theirs_power)) = (count(&chunked, 8e-5), count(&whole, 8e-5));
     assert!(ours == theirs && ours > 5.0, "{ours} {theirs}");
     assert!((ours_power / theirs_power - 1.0).abs() < 0.05, "{ours_power} {theirs_power}");
-    let (chunked, whole) = (fit(&chunked, RATE_HZ, Channel::GyroX, &[]), fit(&whole, RATE_HZ, Channel::GyroX, &[]));
+    let (chunked, whole) =
+        (fit(&chunked, RATE_HZ, Channel::GyroX, &[], None), fit(&whole, RATE_HZ, Channel::GyroX, &[], None));
     let relative = |term| {
         let (one, other) = (chunked.estimate(term), whole.estimate(term));
         (one.value.unwrap() / other.value.unwrap() - 1.0, other.ci95.map(|[low, high]| high / low - 1.0).unwrap())
@@ -302,7 +303,7 @@ fn too_little_or_constant_data_is_said_to_be_so_and_no_number_is_nan() {
 #[test]
 fn too_few_frequencies_are_not_called_too_few_samples() {
     let sums = sums_of(&[&record(1e-3, 0.0, 0.0, 2_000, 4)]);
-    let excluded = fit(&sums, RATE_HZ, Channel::GyroX, &[[0.2, 20.0]]);
+    let excluded = fit(&sums, RATE_HZ, Channel::GyroX, &[[0.2, 20.0]], None);
     let flag = &excluded.flags[0];
     assert!(flag.kind == "insufficient" && flag.note.contains("of 1999 coefficients"), "{flag:?}");
     let short = of(&record(1e-3, 0.0, 0.0, 40, 4));

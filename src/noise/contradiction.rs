@@ -1,0 +1,234 @@
+//! Contradiction: what a fit predicts, held against the Allan deviation that was measured.
+//!
+//! A fit that leaves the measured curve is wrong, whatever its own residuals say. The parameters that are responsible are then
+//! withheld, and what the curve alone supports stands instead, marked as such.
+//!
+//! # Validation
+//! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused, docs/validation.md has its table.
+
+use super::allan::{AllanCurve, AllanPoint, confidence_factors};
+use super::fit::{Estimate, Minimum, NoiseParameters, Term};
+use crate::sample::Channel;
+
+/// How often a true prediction may leave the measured curve at any averaging time.
+const LEVEL: f64 = 0.01;
+/// A prediction's own error, as a share of the deviation: nothing is made of less.
+const TOLERANCE: f64 = 0.01;
+/// A term is responsible where it makes up more than this of the predicted or the missing variance.
+const SHARE: f64 = 0.1;
+/// What marks a value that the curve alone supports.
+const SOURCE: &str = "allan deviation";
+/// How far from −½ the slope between two octaves of white noise may be.
+const SLOPE: f64 = 0.05;
+
+/// An averaging time at which the prediction leaves the measured interval.
+struct Place {
+    tau_s: f64,
+    measured: f64,
+    interval: [f64; 2],
+    predicted: f64,
+    /// Index in the fitted curve.
+    at: usize,
+}
+
+/// Holds the parameters against the measured points, and notes the lowest of these beside B.
+///
+/// All averaging times together are one test at 1 %: each has its share of it (Bonferroni). `rate_hz` finite and above 0.
+pub fn hold_against(parameters: &mut NoiseParameters, points: &[AllanPoint], rate_hz: f64, channel: Channel) {
+    let measured = AllanCurve::from_points(points, rate_hz, channel.unit());
+    parameters.minimum = measured
+        .minimum(5.0)
+        .filter(|(_, deviation)| *deviation > 0.0)
+        .map(|(tau_s, deviation)| Minimum { deviation, tau_s, over_0_664: deviation / 0.664 });
+    let Some(worst) = worst(parameters, &measured) else { return };
+    let Place { tau_s, measured: seen, interval: [low, high], predicted, .. } = worst;
+    let unit = channel.unit();
+    parameters.usable = false;
+    parameters.reason = Some(format!(
+        "the fitted noise predicts an Allan deviation of {predicted:.3e} {unit} at {tau_s:.4} s, where {seen:.3e} [{low:.2e}, \
+         {high:.2e}] was measured: the model does not describe this record"
+    ));
+    withhold(parameters, &measured, channel);
+}
+
+/// The places where the prediction leaves the curve.
+fn places(parameters: &NoiseParameters, measured: &AllanCurve) -> Vec<Place> {
+    let Some(fitted) = &parameters.fit.curve else { return Vec::new() };
+    let pairs: Vec<(usize, usize)> = fitted
+        .tau_s
+        .iter()
+        .enumerate()
+        .filter_map(|(at, tau_s)| {
+            let own = measured.tau_s.iter().position(|other| (other / tau_s - 1.0).abs() < 1e-6)?;
+            measured.edf.get(own).is_some_and(|edf| *edf >= 1.0).then_some((at, own))
+        })
+        .collect();
+    let level = LEVEL / pairs.len().max(1) as f64;
+    let place = |(at, own): (usize, usize)| {
+        let (seen, predicted) = (*measured.deviation.get(own)?, *fitted.deviation.get(at)?);
+        let factors = confidence_factors(*measured.edf.get(own)?, 1.0 - level)?;
+        let interval = [seen * factors.low, seen * factors.high];
+        let inside = (interval[0] * (1.0 - TOLERANCE)..=interval[1] * (1.0 + TOLERANCE)).contains(&predicted);
+        (!inside).then_some(Place { tau_s: *fitted.tau_s.get(at)?, measured: seen, interval, predicted, at })
+    };
+    pairs.into_iter().filter_map(place).collect()
+}
+
+/// The place where the two differ most.
+fn worst(parameters: &NoiseParameters, measured: &AllanCurve) -> Option<Place> {
+    let apart = |place: &Place| (place.predicted.max(f64::MIN_POSITIVE) / place.measured).ln().abs();
+    places(parameters, measured).into_iter().max_by(|a, b| apart(a).total_cmp(&apart(b)))
+}
+
+/// Takes the responsible parameters back and puts in their places what the curve alone supports.
+fn withhold(parameters: &mut NoiseParameters, measured: &AllanCurve, channel: Channel) {
+    let found = places(parameters, measured);
+    let lowest_s = parameters.minimum.map_or(f64::INFINITY, |minimum| minimum.tau_s);
+    let share = |letter: &str, place: &Place| {
+        let curve = parameters.fit.curve.as_ref()?;
+        let own = *curve.parts.get(letter)?.get(place.at)?;
+        Some((own / place.predicted).powi(2) > SHARE)
+    };
+    // What is missing may be of any term that could stand there: N and Q before the lowest point, the others from there on.
+    let lacks = |term: Term, place: &Place| {
+        place.predicted < place.measured && (place.tau_s < lowest_s) == matches!(term, Term::N | Term::Q)
+    };
+    let blamed = |term: Term| found.iter().any(|place| share(term.letter(), place) == Some(true) || lacks(term, place));
+    let terms: Vec<Term> = Term::ALL.into_iter().filter(|term| blamed(*term)).collect();
+    let is_process = found.iter().any(|place| share("gauss_markov", place) == Some(true));
+    for term in terms {
+        let instead = match term {
+            Term::N => white(measured).map(|(value, ci95)| Estimate::identified(channel, term, value, ci95)),
+            Term::B => parameters.minimum.map(|lowest| Estimate::unidentified(channel, term, Some(lowest.over_0_664))),
+            Term::K => {
+                limit(measured, |tau_s| tau_s / 3.0).map(|limit| Estimate::unidentified(channel, term, Some(limit)))
+            }
+            Term::R => limit(measured, |tau_s| tau_s * tau_s / 2.0)
+                .map(|limit| Estimate::unidentified(channel, term, Some(limit))),
+            Term::Q => None,
+        };
+        let instead = instead.map(|estimate| Estimate { source: Some(SOURCE.to_owned()), ..estimate });
+        let instead = instead.unwrap_or_else(|| Estimate::unidentified(channel, term, None));
+        *match term {
+            Term::N => &mut parameters.n,
+            Term::B => &mut parameters.b,
+            Term::K => &mut parameters.k,
+            Term::Q => &mut parameters.q,
+            Term::R => &mut parameters.r,
+        } = instead;
+    }
+    if is_process {
+        parameters.gauss_markov = None;
+    }
+}
+
+/// White noise's density from the longest run of octaves whose slope is −½, with the range of their 95 % intervals.
+fn white(measured: &AllanCurve) -> Option<(f64, [f64; 2])> {
+    let rows = || {
+        measured.tau_s.iter().zip(&measured.deviation).zip(&measured.edf).map(|((tau, dev), edf)| (*tau, *dev, *edf))
+    };
+    let all: Vec<(f64, f64, f64)> = rows().filter(|(_, deviation, edf)| *deviation > 0.0 && *edf >= 5.0).collect();
+    let is_white = |pair: &&[(f64, f64, f64)]| match pair {
+        [(one_s, one, edf_one), (two_s, two, edf_two)] => {
+            let slope = (two / one).ln() / (two_s / one_s).ln();
+            // The standard error of a logarithm of a deviation is 1/√(2 edf).
+            let error = (0.5 / edf_one + 0.5 / edf_two).sqrt() / (two_s / one_s).ln();
+            error < SLOPE && (slope + 0.5).abs() < SLOPE
+        }
+        _ => false,
+    };
+    let mut best: Option<(usize, usize)> = None;
+    let mut from = 0;
+    for at in 0..=all.len() {
+        let goes_on = all.get(at..at + 2).is_some_and(|pair| is_white(&pair));
+        if !goes_on {
+            if at > from && best.is_none_or(|(start, end)| at - from > end - start) {
+                best = Some((from, at));
+            }
+            from = at + 1;
+        }
+    }
+    let (from, to) = best?;
+    let run = all.get(from..=to)?;
+    let density = |(tau_s, deviation, _): &(f64, f64, f64)| deviation * tau_s.sqrt();
+    let weight: f64 = run.iter().map(|row| row.2).sum();
+    let value = run.iter().map(|row| density(row) * row.2).sum::<f64>() / weight;
+    let ends = run.iter().filter_map(|row| {
+        let factors = confidence_factors(row.2, 0.95)?;
+        Some([density(row) * factors.low, density(row) * factors.high])
+    });
+    let ci95 = ends.fold([f64::INFINITY, 0.0f64], |[low, high], [l, h]| [low.min(l), high.max(h)]);
+    Some((value, ci95))
+}
+
+/// The coefficient above which a term of variance `square`(τ) alone would exceed the measured curve, with 97.5 % confidence.
+fn limit(measured: &AllanCurve, square: impl Fn(f64) -> f64) -> Option<f64> {
+    let rows = measured.tau_s.iter().zip(&measured.deviation).zip(&measured.edf).filter(|(_, edf)| **edf >= 1.0);
+    let limits = rows.filter_map(|((tau_s, deviation), edf)| {
+        Some(deviation * confidence_factors(*edf, 0.95)?.high / square(*tau_s).sqrt())
+    });
+    limits.filter(|limit| limit.is_finite() && *limit > 0.0).min_by(f64::total_cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::robust::{All, Company, Levels, Part, Record, spectral_sums};
+    use super::super::{NoiseParameters, fit::FittedCurve};
+    use super::*;
+    use crate::noise::allan::FixedPoint;
+    use rand::SeedableRng as _;
+    use rand_distr::{Distribution as _, StandardNormal};
+
+    const RATE_HZ: f64 = 100.0;
+
+    fn white(count: usize, density: f64, seed: u64) -> Vec<f64> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let sigma = density * RATE_HZ.sqrt();
+        (0..count)
+            .map(|_| {
+                let unit: f64 = StandardNormal.sample(&mut rng);
+                sigma * unit
+            })
+            .collect()
+    }
+
+    fn fitted(values: Vec<f64>) -> (NoiseParameters, Vec<AllanPoint>) {
+        let parts = vec![Part { start_s: 0.0, values }];
+        let sums = spectral_sums(&parts, FixedPoint::for_channel(Channel::GyroX));
+        let all = All::of(Channel::GyroX, RATE_HZ, &sums, None);
+        let record = Record::of(Channel::GyroX, RATE_HZ, parts, &Levels::new(RATE_HZ, 0), Company::Alone);
+        let points = record.points().to_vec();
+        (record.alone(Channel::GyroX, RATE_HZ, &all).0, points)
+    }
+
+    #[test]
+    fn a_true_fit_is_usable_and_has_its_lowest_point_beside_it() {
+        let (parameters, _) = fitted(white(60_000, 1e-3, 1));
+        assert!(parameters.usable && parameters.reason.is_none(), "{:?}", parameters.reason);
+        let lowest = parameters.minimum.unwrap();
+        assert!((lowest.over_0_664 * 0.664 / lowest.deviation - 1.0).abs() < 1e-12 && lowest.tau_s > 10.0);
+    }
+
+    #[test]
+    fn a_fit_that_leaves_the_curve_is_withheld_and_the_curve_speaks_instead() {
+        let (mut parameters, points) = fitted(white(60_000, 1e-3, 2));
+        // As if a walk had been made of the filter of a sensor: finding A1.
+        let tau_s: Vec<f64> = (0..12).map(|octave| f64::from(1 << octave) / RATE_HZ).collect();
+        let walk: Vec<f64> = tau_s.iter().map(|tau_s| 0.05 * (tau_s / 3.0).sqrt()).collect();
+        let parts = [("K".to_owned(), walk.clone())].into();
+        parameters.fit.curve = Some(FittedCurve { tau_s, deviation: walk, parts });
+        parameters.n = Estimate::unidentified(Channel::GyroX, Term::N, Some(1e-5));
+        parameters.k = Estimate::identified(Channel::GyroX, Term::K, 0.05, [0.049, 0.051]);
+        hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX);
+        assert!(!parameters.usable, "{parameters:?}");
+        assert!(parameters.reason.as_ref().unwrap().contains("was measured"), "{:?}", parameters.reason);
+        let n = &parameters.n;
+        assert_eq!(n.source.as_deref(), Some("allan deviation"));
+        assert!(
+            n.ci95.is_some_and(|[low, high]| low < 1e-3 && 1e-3 < high) && (n.value.unwrap() / 1e-3 - 1.0).abs() < 0.02,
+            "{n:?}"
+        );
+        let k = &parameters.k;
+        assert!(k.value.is_none() && k.upper_limit95.unwrap() < 5e-4, "{k:?}");
+    }
+}

@@ -1,0 +1,336 @@
+//! Bandwidth: which filter, if any, lies between the noise and the samples.
+//!
+//! Where the plain law misfits, a moving average and low passes compete with it by likelihood, each with and without white noise
+//! behind it; where none of them describes the spectrum, a smooth shape does as far up as it can. A sampling that is known, a
+//! boxcar and a decimation, is no candidate but the law itself.
+//!
+//! # Validation
+//! `tests` of this file's worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
+
+use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
+use super::likelihood::{BEHIND, Held, Likelihood, Model};
+use super::residual::{MISFIT, Residual};
+use super::shape::{Shape, TILTS};
+use super::sums::DstSums;
+use crate::noise::fit::{Bandwidth, Term};
+
+/// Moving averages tried.
+const WINDOWS: std::ops::RangeInclusive<u32> = 2..=32;
+/// Orders of low passes tried.
+const ORDERS: std::ops::RangeInclusive<u32> = 1..=4;
+/// Moving averages of which a closer look is taken.
+const CLOSELY: usize = 2;
+/// Cutoffs that a search begins at, cycles a sample.
+const CUTOFFS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.42];
+/// A shape has to better 2 log L by this beyond its price, in units of the plain law's misfit.
+const PLAINLY: f64 = 10.0;
+/// Times that slopes are taken anew at the numbers that were found.
+const ROUNDS: usize = 24;
+
+/// How the samples came about, where that is known: the sensor takes the mean of `window` samples at its internal rate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sampling {
+    /// Rate at which the sensor samples, Hz.
+    pub internal_rate_hz: f64,
+    /// Samples to a mean; 0 and 1 are no averaging.
+    pub window: u32,
+    /// Where that is known from, for the document: `register 85`, `option`.
+    pub source: String,
+}
+
+impl Sampling {
+    /// Internal samples to an output sample; none where the rates are no multiples of each other, to 1 in 1,000.
+    #[must_use]
+    pub fn every(&self, rate_hz: f64) -> Option<u32> {
+        let ratio = self.internal_rate_hz / rate_hz;
+        let whole = ratio.round();
+        ((ratio - whole).abs() <= 1e-3 * whole && (1.0..=1e5).contains(&whole)).then_some(whole as u32)
+    }
+
+    fn shape(&self, rate_hz: f64) -> Option<Shape> {
+        Some(Shape::Decimated { window: self.window.max(1), every: self.every(rate_hz)? })
+    }
+
+    /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the
+    /// images k of the output rate R. None where the rates do not fit.
+    #[must_use]
+    pub fn density_factor(&self, rate_hz: f64) -> Option<f64> {
+        Some(density_factor(self.window, self.every(rate_hz)?))
+    }
+}
+
+/// Factor from the white density of a sequence to that, at low frequencies, of every `every`th mean of `window` of its samples:
+/// √Σ|H|² over the images that fold onto zero. For windows no longer than `every` that is √(every / window).
+#[must_use]
+pub fn density_factor(window: u32, every: u32) -> f64 {
+    let window = f64::from(window.max(1));
+    let response = |image: u32| {
+        let x = std::f64::consts::PI * f64::from(image) / f64::from(every);
+        if image == 0 { 1.0 } else { (window * x).sin() / (window * x.sin()) }
+    };
+    (0..every).map(|image| response(image).powi(2)).sum::<f64>().sqrt()
+}
+
+/// The law that a fit begins with: the plain one, or that of the known sampling where it shapes white noise.
+pub(super) fn basic(
+    sums: &DstSums,
+    rate_hz: f64,
+    excluded_bands_hz: &[[f64; 2]],
+    sampling: Option<&Sampling>,
+) -> Likelihood {
+    let shaped = |shape: &Shape| (1..=64).any(|at| (shape.gains(f64::from(at) / 128.0).white - 1.0).abs() > 1e-6);
+    match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(shaped) {
+        Some(shape) => Likelihood::filtered(sums, rate_hz, excluded_bands_hz, &shape, false),
+        None => Likelihood::new(sums, rate_hz, excluded_bands_hz),
+    }
+}
+
+/// A better law than that of `basic`, where that misfits and there is one.
+pub(super) fn compete(
+    sums: &DstSums,
+    rate_hz: f64,
+    excluded_bands_hz: &[[f64; 2]],
+    basic: &Choice,
+) -> Option<(Likelihood, Choice)> {
+    basic.residual.filter(|residual| residual.p_value < MISFIT)?;
+    let search = Search { sums, rate_hz, excluded_bands_hz };
+    let open = search.of(&Shape::Open, false)?;
+    let best = search.best()?;
+    let widen = Residual::widen(Residual::of(&open.likelihood, &open.model));
+    let gain = (open.score() - best.score()) / (widen * widen);
+    let named = (gain > PLAINLY).then(|| (choose(&best.likelihood), best.likelihood));
+    let named = named.and_then(|(choice, likelihood)| Some((likelihood, choice?)));
+    let described = |choice: &Choice| choice.residual.is_some_and(|residual| residual.p_value >= MISFIT);
+    match named {
+        Some((likelihood, choice)) if described(&choice) => Some((likelihood, choice)),
+        other => search.smooth().filter(|(_, choice)| described(choice)).or(other),
+    }
+}
+
+/// A shape with its best model.
+struct Candidate {
+    likelihood: Likelihood,
+    model: Model,
+    price: f64,
+}
+
+impl Candidate {
+    fn score(&self) -> f64 {
+        self.model.deviance + self.price
+    }
+}
+
+struct Search<'a> {
+    sums: &'a DstSums,
+    rate_hz: f64,
+    excluded_bands_hz: &'a [[f64; 2]],
+}
+
+impl Search<'_> {
+    /// The best N, B and K under a shape whose numbers are fitted.
+    fn of(&self, shape: &Shape, behind: bool) -> Option<Candidate> {
+        let mut shape = shape.clone();
+        let mut last: Option<Model> = None;
+        for round in 0..ROUNDS {
+            let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, behind);
+            let terms = likelihood.least_terms().with(Term::B).with(Term::K);
+            let start = last.map(|model| Model { tilt: [0.0; TILTS], ..model });
+            let model = likelihood.maximise(terms, 1.0, Held::Nothing, start.as_ref())?;
+            let moved = model.tilt.iter().fold(0.0f64, |most, by| most.max(by.abs()));
+            if moved < 1e-3 || round + 1 == ROUNDS {
+                // White noise behind the filter is a part of the plateau.
+                if model.squares[BEHIND] > model.squares[0] {
+                    return None;
+                }
+                let price = price(&shape, behind);
+                return Some(Candidate { likelihood, model, price });
+            }
+            shape = shape.moved(&model.tilt);
+            last = Some(model);
+        }
+        None
+    }
+
+    /// The best of the named shapes.
+    fn best(&self) -> Option<Candidate> {
+        // Each with white noise behind it, which holds the one without; the best few are looked at closely.
+        let glance = |shape: Shape| {
+            let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, true);
+            let terms = likelihood.least_terms().with(Term::B).with(Term::K);
+            let model = likelihood.maximise(terms, 1.0, Held::Nothing, None)?;
+            Some((model.deviance, shape.moved(&model.tilt)))
+        };
+        let mut windows: Vec<(f64, Shape)> =
+            WINDOWS.filter_map(|window| glance(Shape::MovingAverage(window))).collect();
+        windows.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut shapes: Vec<Shape> = windows.into_iter().take(CLOSELY).map(|(_, shape)| shape).collect();
+        let second_order = CUTOFFS.iter().filter_map(|cutoff| glance(Shape::Butterworth { order: 2, cutoff: *cutoff }));
+        if let Some((_, Shape::Butterworth { cutoff, .. })) = second_order.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            shapes.extend(ORDERS.map(|order| Shape::Butterworth { order, cutoff }));
+            shapes.push(Shape::Exponential { cutoff });
+        }
+        let both = shapes.iter().flat_map(|shape| [false, true].map(|behind| self.of(shape, behind)));
+        both.flatten().min_by(|a, b| a.score().total_cmp(&b.score()))
+    }
+
+    /// A smooth shape over as much of the band as it describes.
+    fn smooth(&self) -> Option<(Likelihood, Choice)> {
+        /// The ends of the band tried, cycles a sample.
+        /// A band is described by a shape from this p-value on: what nearly misfits already moves N.
+        const DESCRIBED: f64 = 0.05;
+        const ENDS: [f64; 8] = [0.5, 0.42, 0.34, 0.26, 0.18, 0.12, 0.08, 0.05];
+        for up_to in ENDS {
+            let mut best: Option<Candidate> = None;
+            for degree in 1..=TILTS {
+                let start = best.as_ref().map_or(&[][..], |best| match best.likelihood.shape() {
+                    Shape::Smooth { coefficients, .. } => coefficients,
+                    _ => &[],
+                });
+                let mut coefficients = start.to_vec();
+                coefficients.resize(degree, 0.0);
+                let Some(found) = self.of(&Shape::Smooth { coefficients, up_to }, false) else { continue };
+                if best.as_ref().is_none_or(|best| found.score() < best.score()) {
+                    best = Some(found);
+                }
+            }
+            let Some(best) = best else { continue };
+            // What the next coefficient would still move is part of the error: it stays in.
+            let finer = match best.likelihood.shape() {
+                Shape::Smooth { coefficients, .. } if coefficients.len() < TILTS => {
+                    let coefficients = coefficients.iter().copied().chain([0.0]).collect();
+                    self.of(&Shape::Smooth { coefficients, up_to }, false)
+                }
+                _ => None,
+            };
+            let best = finer.unwrap_or(best);
+            let residual = Residual::of(&best.likelihood, &best.model);
+            if residual.is_some_and(|residual| residual.p_value >= DESCRIBED)
+                && let Some(choice) = choose(&best.likelihood)
+            {
+                return Some((best.likelihood, choice));
+            }
+        }
+        None
+    }
+}
+
+/// What a shape has to add to 2 log L.
+fn price(shape: &Shape, behind: bool) -> f64 {
+    let windows = 2.0 * f64::from(WINDOWS.end() - WINDOWS.start() + 1).ln();
+    let own = match shape {
+        Shape::Open | Shape::Decimated { .. } => 0.0,
+        // One of so many. Low passes come close to any of them, with a number more that is free.
+        Shape::MovingAverage(_) => windows,
+        Shape::Butterworth { .. } | Shape::Exponential { .. } => windows + SIGNIFICANT + 2.0 * 5f64.ln(),
+        Shape::Smooth { coefficients, .. } => SIGNIFICANT * coefficients.len() as f64,
+    };
+    own + if behind { PLAIN } else { 0.0 }
+}
+
+/// What the document says of the shape under which `choice` was made; none where noise is white up to half the rate.
+pub(super) fn statement(
+    likelihood: &Likelihood,
+    choice: &Choice,
+    rate_hz: f64,
+    sampling: Option<&Sampling>,
+) -> Option<Bandwidth> {
+    let model = &choice.model;
+    let shape = likelihood.shape().moved(&model.tilt);
+    let behind = model.squares[BEHIND].sqrt();
+    let white_behind = (behind > 0.0).then_some(behind);
+    let of = |kind: &str, value: Option<f64>, order: Option<u32>| Bandwidth {
+        kind: kind.to_owned(),
+        value,
+        unit: if kind == "moving_average" { "samples" } else { "Hz" }.to_owned(),
+        order,
+        ci95: None,
+        up_to_hz: None,
+        white_behind,
+        source: "fitted".to_owned(),
+    };
+    match shape {
+        Shape::Open => None,
+        Shape::Decimated { window, .. } => Some(Bandwidth {
+            unit: "samples at the internal rate".to_owned(),
+            source: sampling.map_or_else(|| "known".to_owned(), |sampling| sampling.source.clone()),
+            ..of("moving_average", Some(f64::from(window)), None)
+        }),
+        Shape::MovingAverage(window) => Some(of("moving_average", Some(f64::from(window)), None)),
+        Shape::Butterworth { order, cutoff } => {
+            let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
+            Some(Bandwidth { ci95, ..of("low_pass", Some(cutoff * rate_hz), Some(order)) })
+        }
+        Shape::Exponential { cutoff } => {
+            let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
+            Some(Bandwidth { ci95, ..of("low_pass", Some(cutoff * rate_hz), Some(1)) })
+        }
+        Shape::Smooth { up_to, .. } => {
+            let half = (1..=1000).map(|at| up_to * f64::from(at) / 1000.0).find(|u| shape.gains(*u).white < 0.5);
+            let up_to_hz = (up_to < 0.5).then_some(up_to * rate_hz);
+            Some(Bandwidth { up_to_hz, ..of("other", half.map(|u| u * rate_hz), None) })
+        }
+    }
+}
+
+/// The 95 % interval of a cutoff over its value, by its profile likelihood.
+fn interval(likelihood: &Likelihood, choice: &Choice) -> Option<[f64; 2]> {
+    const CHI2: f64 = 3.841_459;
+    let model = &choice.model;
+    let widen = Residual::widen(choice.residual);
+    let rises = |by: f64| {
+        let held = Held::Tilt(0, model.tilt[0] + by);
+        let held = likelihood.maximise(model.terms, model.tc_s, held, Some(model))?;
+        Some(held.deviance - model.deviance > CHI2 * widen * widen)
+    };
+    let end = |sign: f64| {
+        let (mut inside, mut outside) = (0.0, 1e-3);
+        while !rises(sign * outside)? {
+            (inside, outside) = (outside, 2.0 * outside);
+            if outside > 4.0 {
+                return None;
+            }
+        }
+        for _ in 0..12 {
+            let middle = 0.5 * (inside + outside);
+            if rises(sign * middle)? {
+                outside = middle;
+            } else {
+                inside = middle;
+            }
+        }
+        Some((sign * outside).exp())
+    };
+    Some([end(-1.0)?, end(1.0)?])
+}
+
+/// The Allan variance that a filter leaves of a term of two-sided spectrum `spectrum`(u) (that of white noise is 1) at averaging
+/// factor `m`, over that without the filter, for every octave of `factors`.
+pub(super) fn variance_ratios(
+    shape: &Shape,
+    factors: &[usize],
+    gain: fn(super::shape::Gains) -> f64,
+    spectrum: impl Fn(f64) -> f64,
+) -> Vec<f64> {
+    /// Up to here by quadrature; what a filter takes falls with m beyond.
+    const EXACT: usize = 256;
+    const POINTS: u32 = 16_384;
+    let grid: Vec<(f64, f64, f64)> = (0..POINTS)
+        .map(|point| 0.5 * (f64::from(point) + 0.5) / f64::from(POINTS))
+        .map(|u| {
+            let open = spectrum(u);
+            (u, open, open * gain(shape.gains(u)))
+        })
+        .collect();
+    let exact = |m: usize| {
+        let (open, filtered) = grid.iter().fold((0.0, 0.0), |(open, filtered), (u, one, other)| {
+            let response = crate::noise::fit::response(m, *u);
+            (open + one * response, filtered + other * response)
+        });
+        filtered / open
+    };
+    let last = exact(EXACT);
+    factors
+        .iter()
+        .map(|m| if *m <= EXACT { exact(*m) } else { 1.0 + (last - 1.0) * EXACT as f64 / *m as f64 })
+        .collect()
+}
