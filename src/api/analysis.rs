@@ -58,6 +58,9 @@ pub(super) struct NoiseQuery {
     job: Option<i64>,
     /// `json`, or `kalibr`, `ros`, `gazebo`, `gnss-ins-sim`, `matlab`: text for these.
     format: Option<String>,
+    /// Write text for a program even where parameters are not usable; a comment then says so.
+    #[serde(default)]
+    force: bool,
     /// Compare with this datasheet: `vn-100`. Only with `json`, which has a place for it.
     datasheet: Option<String>,
 }
@@ -181,6 +184,11 @@ pub(super) async fn noise(
     };
     let SoFar { mut report, caught_up } = so_far;
     if let Some(target) = target {
+        if let Some(why) = report.refusal().filter(|_| !query.force) {
+            let reason =
+                format!("{} is not written, since it would be wrong: {why}. `force=true` writes it", target.name());
+            return Err(JobError::InsufficientData { reason }.into());
+        }
         let media = [(header::CONTENT_TYPE, HeaderValue::from_static(target.media_type()))];
         let body = (media, target.write(&ImuNoise::of(&report)));
         return Ok(answer_of_form(&headers, result.as_ref(), target.name(), body));

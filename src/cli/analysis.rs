@@ -1,11 +1,12 @@
 //! What is analysed: captures in the database, or recordings' files directly.
 
-use super::Context;
+use super::{CliError, Context, Failure};
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
 use crate::jobs::{Extent, JobError, Plan, SampleSource, Setting, one_sensor};
+use crate::noise::whittle::Sampling;
 use crate::recording::{Kind, LoadedRecording, Options, load_columns};
-use crate::sample::Channel;
+use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, Missing, Reader, StoreError};
 use crate::units::NANOS_PER_SECOND;
 use std::ops::Range;
@@ -44,6 +45,36 @@ impl Together {
     /// Filter windows of register 85, where one tells them.
     pub(super) fn windows(&self) -> Option<FilterWindows> {
         self.captures.iter().find_map(|of| of.windows)
+    }
+
+    /// Takes it that accelerometer and gyroscope send means of `window` samples of `internal_rate_hz`.
+    ///
+    /// # Errors
+    /// Where that contradicts the rate of the samples or register 85.
+    pub(super) fn sampled(&mut self, window: u32, internal_rate_hz: f64) -> anyhow::Result<()> {
+        let usage = |message| anyhow::Error::from(CliError { failure: Failure::Usage, message });
+        let sampling = Sampling { internal_rate_hz, window, source: "option".to_owned() };
+        let rate_hz = self.plan.rate_hz;
+        if sampling.every(rate_hz).is_none() {
+            let message = format!(
+                "--internal-rate is {internal_rate_hz} Hz and the samples have {rate_hz:.4} Hz: the first has to be a whole \
+                 multiple of the second"
+            );
+            return Err(usage(message));
+        }
+        for triad in [Triad::Accel, Triad::Gyro] {
+            if let Some(known) = self.plan.sampling.get(&triad).filter(|known| known.window.max(1) != window.max(1)) {
+                let message = format!(
+                    "--filter-window is {window}, but {} of the capture says {} for the {}: leave the option out",
+                    known.source,
+                    known.window,
+                    triad.name()
+                );
+                return Err(usage(message));
+            }
+            self.plan.sampling.insert(triad, sampling.clone());
+        }
+        Ok(())
     }
 
     /// Whether frames or lines of one were rejected on the way in.

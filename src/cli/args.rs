@@ -301,6 +301,15 @@ pub struct NoiseArgs {
     /// Form of the output
     #[arg(long, value_enum, default_value_t = NoiseFormat::Table)]
     pub format: NoiseFormat,
+    /// The sensor sends means of this many samples (register 85 of a VN-100)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub filter_window: Option<u32>,
+    /// Rate at which the sensor takes these samples, Hz
+    #[arg(long, value_name = "HZ", value_parser = rate, requires = "filter_window", default_value_t = crate::units::IMU_RATE_HZ)]
+    pub internal_rate: f64,
+    /// Write parameters that contradict the record all the same, with a comment
+    #[arg(long)]
+    pub force: bool,
     /// Compare with this datasheet (vn-100)
     #[arg(long, value_name = "NAME", value_parser = Datasheet::named)]
     pub datasheet: Option<Datasheet>,

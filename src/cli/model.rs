@@ -21,7 +21,13 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
             let out = out.as_deref().map(|path| Output::create(path, *force, &read)).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
-            let Fit { model, name, rejected } = fitted(context, captures, *rate, &wanted, name.clone())?;
+            let Fit { mut model, name, rejected, refusal } = fitted(context, captures, *rate, &wanted, name.clone())?;
+            if let Some(why) = refusal {
+                if !*force {
+                    return Err(super::noise::refused("the model is not written", &why));
+                }
+                model.provenance.get_or_insert_default().insert("not_usable".to_owned(), why.into());
+            }
             match out {
                 None => print_json(&model)?,
                 Some(output) => {
@@ -65,6 +71,8 @@ pub(super) struct Fit {
     name: String,
     /// Whether frames or lines were rejected on the way in.
     rejected: bool,
+    /// Why the model should not be used.
+    refusal: Option<String>,
 }
 
 /// The model of captures, with the effects that are wanted, as far as they are found.
@@ -78,8 +86,8 @@ pub(super) fn fitted(
     let together = analysis::open(context, captures, rate_hz)?;
     let rejected = together.rejected();
     let name = name.unwrap_or_else(|| together.name());
-    let model = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
-    Ok(Fit { model, name, rejected })
+    let (model, refusal) = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
+    Ok(Fit { model, name, rejected, refusal })
 }
 
 pub(super) fn load(path: &Path) -> anyhow::Result<SensorModel> {

@@ -2,18 +2,21 @@
 
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat};
-use super::{Context, Outcome, print_json, table};
+use super::{CliError, Context, Failure, Outcome, print_json, table};
 use crate::datasheet::{Comparison, compare_report};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::direct;
-use crate::noise::fit::{Estimate, Flag, NoiseReport};
+use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseReport};
 use crate::simulator::SensorModel;
 use serde_json::Value;
 use std::io::Write as _;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
-    let together = analysis::open(context, &args.captures, args.rate)?;
+    let mut together = analysis::open(context, &args.captures, args.rate)?;
+    if let Some(window) = args.filter_window {
+        together.sampled(window, args.internal_rate)?;
+    }
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
     let comparison = args.datasheet.map(|sheet| compare_report(&sheet, &report, windows));
@@ -26,6 +29,9 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
         NoiseFormat::GnssInsSim => Some(Target::GnssInsSim),
         NoiseFormat::Matlab => Some(Target::Matlab),
     };
+    if let Some((target, why)) = target.filter(|_| !args.force).zip(report.refusal()) {
+        return Err(refused(&format!("{} is not written", target.name()), &why));
+    }
     match (context.json, args.format, target) {
         (true, ..) | (_, NoiseFormat::Json, _) => print_json(&report)?,
         (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write(&ImuNoise::of(&report)))?,
@@ -38,6 +44,12 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
 
+/// What says that parameters contradict the record, and how to have them all the same.
+pub(super) fn refused(what: &str, why: &str) -> anyhow::Error {
+    let message = format!("{what}, since it would be wrong: {why}; --force writes it with a comment");
+    CliError { failure: Failure::Other, message }.into()
+}
+
 /// Value with its interval, or the limit below which it lies.
 fn cell(estimate: &Estimate) -> String {
     match (estimate.value, estimate.ci95, estimate.upper_limit95) {
@@ -47,13 +59,30 @@ fn cell(estimate: &Estimate) -> String {
     }
 }
 
+/// A sentence about the filter that B, K and the others lie in front of.
+fn filter(of: &Bandwidth) -> String {
+    let value = of.value.map(|value| match of.ci95 {
+        Some([low, high]) => format!(" of {value:.4} {} [{low:.4}, {high:.4}]", of.unit),
+        None => format!(" of {value:.4} {}", of.unit),
+    });
+    let order = of.order.map(|order| format!(" of order {order}")).unwrap_or_default();
+    let kind = match of.kind.as_str() {
+        "moving_average" => "a moving average",
+        "low_pass" => "a low pass",
+        _ => "a filter of another shape",
+    };
+    let up_to = of.up_to_hz.map(|up_to| format!("; frequencies above {up_to:.3} Hz took no part")).unwrap_or_default();
+    let behind = of.white_behind.map(|behind| format!("; white noise behind it {behind:.3e}")).unwrap_or_default();
+    format!("behind {kind}{order}{} ({}){behind}{up_to}", value.unwrap_or_default(), of.source)
+}
+
 fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
     writeln!(
         to,
         "{}: {:.1} s at {} Hz, {} samples, {} missing. Values with 95 % intervals; `<`: not identified, 95 % upper limit.",
         report.capture, report.duration_s, report.rate_hz, report.samples, report.missing
     )?;
-    let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "fit p"]);
+    let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "Q in U·s", "R in U/s", "fit p"]);
     for (channel, found) in &report.channels {
         rows.add_row([
             channel.name().to_owned(),
@@ -61,6 +90,8 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
             cell(&found.n),
             cell(&found.b),
             cell(&found.k),
+            cell(&found.q),
+            cell(&found.r),
             found.fit.p_value.map_or_else(|| "–".to_owned(), |p| format!("{p:.2}")),
         ]);
         if let Some(process) = &found.gauss_markov {
@@ -71,11 +102,29 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
                 format!("σ {}", cell(&process.sigma)),
                 format!("Tc {}", cell(&process.tc_s)),
                 String::new(),
+                String::new(),
+                String::new(),
             ]);
         }
     }
     writeln!(to, "{rows}")?;
     for (channel, found) in &report.channels {
+        if let Some(bandwidth) = &found.bandwidth {
+            writeln!(to, "{channel}: {}", filter(bandwidth))?;
+        }
+        if let Some(internal) = found.n.internal {
+            writeln!(to, "{channel}: the sensor's own density is {internal:.3e} {}", found.n.unit)?;
+        }
+        if let Some(reason) = found.reason.as_ref().filter(|_| !found.usable) {
+            writeln!(to, "{channel}: NOT USABLE: {reason}")?;
+        }
+        if let Some(lowest) = &found.minimum {
+            writeln!(
+                to,
+                "{channel}: lowest Allan deviation {:.3e} {} at {:.4} s; over 0.664 that is {:.3e}, which B does not exceed",
+                lowest.deviation, found.unit, lowest.tau_s, lowest.over_0_664
+            )?;
+        }
         for flag in &found.flags {
             writeln!(to, "{channel}: {}", sentence(flag))?;
         }
@@ -267,5 +316,58 @@ mod tests {
         );
         assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true\n"), "{csv}");
         assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true\n"), "{csv}");
+    }
+
+    /// A sensor that sends means of four at its internal rate (finding A1).
+    fn means_of_four(directory: &std::path::Path) -> String {
+        use rand::SeedableRng as _;
+        use rand_distr::{Distribution as _, StandardNormal};
+        use std::fmt::Write as _;
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(23);
+        let white: Vec<f64> = (0..40_003).map(|_| StandardNormal.sample(&mut rng)).collect();
+        let mut text = "time_s,gyro_x_rad_s\n".to_owned();
+        for (i, four) in white.windows(4).enumerate() {
+            writeln!(text, "{:.5},{:.9}", i as f64 / 800.0, 1e-3 * four.iter().sum::<f64>() / 4.0).unwrap();
+        }
+        let path = directory.join("means.csv");
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    }
+
+    #[test]
+    fn a_filter_that_is_told_or_found_leaves_the_density_as_it_is() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = means_of_four(directory.path());
+        let density = 1e-3 / 800f64.sqrt();
+        let mut told = opened(path.clone());
+        told.sampled(4, 800.0).unwrap();
+        for (together, source, internal) in [(told, "option", true), (opened(path), "fitted", false)] {
+            let report = report(together);
+            let found = &report.channels[&Channel::GyroX];
+            let [low, high] = found.n.ci95.unwrap();
+            assert!(found.usable && low < density && density < high, "{found:?}");
+            assert!((high - low) / density < 0.1, "{found:?}");
+            let bandwidth = found.bandwidth.as_ref().unwrap();
+            let said = (bandwidth.kind.as_str(), bandwidth.value, bandwidth.source.as_str());
+            assert_eq!(said, ("moving_average", Some(4.0), source), "{found:?}");
+            assert_eq!(found.n.internal.is_some(), internal);
+            assert!(
+                found.k.value.is_none() && found.k.upper_limit95.is_some_and(|limit| limit < 1e-3),
+                "{:?}",
+                found.k
+            );
+            let mut table = Vec::new();
+            write_table(&mut table, &report).unwrap();
+            let table = String::from_utf8(table).unwrap();
+            assert!(table.contains("gyro_x: behind a moving average of 4"), "{table}");
+        }
+    }
+
+    #[test]
+    fn a_sampling_that_contradicts_the_rate_is_refused_with_both_numbers() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut together = opened(recording(directory.path(), |_, value| value));
+        let refused = together.sampled(4, 1010.0).unwrap_err().to_string();
+        assert!(refused.contains("1010") && refused.contains("40.0000"), "{refused}");
     }
 }

@@ -183,6 +183,8 @@ impl Axis {
 pub struct ImuNoise {
     /// Where the parameters come from: one line for a comment.
     pub origin: String,
+    /// Why the numbers should not be used; none where they may be.
+    pub caution: Option<String>,
     /// What of it no target can hold, each by its name and whose it is.
     pub others: Vec<(String, String)>,
     /// Rate of the samples, Hz.
@@ -207,6 +209,7 @@ impl ImuNoise {
         let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
             origin: format!("VN-100 capture {name}: {duration_s} s at {} Hz", report.rate_hz),
+            caution: report.refusal(),
             others: Vec::new(),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
@@ -271,10 +274,11 @@ impl ImuNoise {
             origin = format!("{origin}, N with what folds from {own_hz} Hz through means of {window}");
         }
         let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
+        let caution = model.provenance.as_ref().and_then(|of| Some(of.get("not_usable")?.as_str()?.to_owned()));
         let [accel, gyro, mag] = triads;
         // Where no record is behind it: a day, over which its walks would be seen.
         let duration_s = told.unwrap_or(86_400.0);
-        Self { origin, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
+        Self { origin, caution, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
     }
 
     /// The origin, and what of it a target that holds these parts leaves out.
@@ -300,11 +304,13 @@ impl ImuNoise {
             }
         }
         self.others.iter().for_each(|(name, whose)| leave(name, whose));
+        let caution = self.caution.as_ref().map(|why| format!(". NOT USABLE, written because it was asked for: {why}"));
+        let origin = format!("{}{}", self.origin, caution.unwrap_or_default());
         if left.is_empty() {
-            return self.origin.clone();
+            return origin;
         }
         let left: Vec<String> = left.iter().map(|(name, whose)| format!("{name} of {}", whose.join(" "))).collect();
-        format!("{}. Left out here: {}", self.origin, left.join(", "))
+        format!("{origin}. Left out here: {}", left.join(", "))
     }
 
     fn has_mag(&self) -> bool {

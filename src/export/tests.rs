@@ -10,6 +10,7 @@ fn noise() -> ImuNoise {
     let gyro = axis(1e-4, 2e-5, Known::Value(4e-7));
     ImuNoise {
         origin: "VN-100 capture night: 18000 s at 40 Hz".into(),
+        caution: None,
         others: Vec::new(),
         rate_hz: 40.0,
         duration_s: 18000.0,
@@ -229,5 +230,26 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
         let text = target.write(&noise).split(['#', '\n']).map(str::trim).collect::<Vec<_>>().join(" ");
         let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(text.contains(left), "{target:?}: {left}\nin\n{text}");
+    }
+}
+
+#[test]
+fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
+    use crate::noise::robust::{All, Part, spectral_sums};
+    let values = (0..4000u64).map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 * 1e-10).collect();
+    let sums =
+        spectral_sums(&[Part { start_s: 0.0, values }], crate::noise::allan::FixedPoint::for_channel(Channel::GyroX));
+    let mut parameters = All::of(Channel::GyroX, 40.0, &sums, None).parameters;
+    parameters.usable = false;
+    parameters.reason = Some("the fitted noise predicts another deviation".to_owned());
+    let report: NoiseReport = serde_json::from_value(serde_json::json!({
+        "format": NoiseReport::FORMAT, "capture": "night", "rate_hz": 40.0, "duration_s": 100.0, "samples": 4000, "missing": 0,
+        "complete": true, "channels": { "gyro_x": parameters }, "datasheet": null }))
+    .unwrap();
+    assert_eq!(report.refusal().as_deref(), Some("gyro_x: the fitted noise predicts another deviation"));
+    for target in [Target::Kalibr, Target::Ros, Target::Gazebo, Target::GnssInsSim, Target::Matlab] {
+        let text = target.write(&ImuNoise::of(&report));
+        let (caution, number) = (text.find("NOT USABLE").unwrap(), text.find("e-").unwrap());
+        assert!(caution < number, "{text}");
     }
 }

@@ -285,7 +285,7 @@ fn document_of(
             let capture = reader.capture(*id)?;
             let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
             let (workers, room) = (OneByOne { wire, from: 0.05, to: 0.5 }, room(&plan));
-            (fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?, 0.5)
+            (fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?.0, 0.5)
         }
     };
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;

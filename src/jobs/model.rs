@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 const CHUNK: usize = 65_536;
 
 /// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found in the part that
-/// there is `room` for ([`gridded`]).
+/// there is `room` for ([`gridded`]); and why it should not be used, where that is so.
 ///
 /// # Errors
 /// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
@@ -24,17 +24,23 @@ pub fn fitted(
     name: &str,
     room: u64,
     workers: &dyn Workers,
-) -> Result<SensorModel, JobError> {
+) -> Result<(SensorModel, Option<String>), JobError> {
     let levels = levels(source, &plan)?;
     let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan, room)).transpose()?;
     let report = direct::noise(source, plan)?;
     let plain = model_of(&report, &levels, name, SOFTWARE);
-    let Some(gridded) = gridded else { return Ok(plain) };
+    let Some(gridded) = gridded else { return Ok((plain, report.refusal())) };
     let options =
         diagnosis::Options { workers, effects: Some(wanted), believed: false, ..diagnosis::Options::default() };
     let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
     let temperature_c = levels.get(&Channel::Temperature).copied();
-    Ok(with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c))
+    let model = with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c);
+    // Effects were found that the parameters by themselves lack.
+    let without = |channel: &Channel| model.channels.get(channel).is_none_or(|of| of.effects.is_empty());
+    let mut plainly = report;
+    plainly.channels.retain(|channel, _| without(channel));
+    let refusal = plainly.refusal();
+    Ok((model, refusal))
 }
 
 /// Mean of every channel of a plan, and of the temperature where it was recorded.

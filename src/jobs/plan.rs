@@ -221,7 +221,7 @@ impl Plan {
 }
 
 /// How accelerometer and gyroscope are sampled by what register 85 says. Of the magnetometer no document tells the rate.
-fn of_register_85(filter_window: &serde_json::Value) -> BTreeMap<Triad, Sampling> {
+pub(super) fn of_register_85(filter_window: &serde_json::Value) -> BTreeMap<Triad, Sampling> {
     let sampling = |name: &str| {
         let window = u32::try_from(filter_window[name].as_u64()?).ok()?;
         Some(Sampling { internal_rate_hz: IMU_RATE_HZ, window, source: "register 85".to_owned() })

@@ -10,9 +10,9 @@ use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estima
 use crate::noise::fit::{Flag, fit};
 use crate::noise::robust::All;
 use crate::noise::statistics::Statistics;
-use crate::noise::whittle::DstSums;
-use crate::noise::{Contribution, NoiseParameters, NoiseReport};
-use crate::sample::Channel;
+use crate::noise::whittle::{DstSums, Sampling};
+use crate::noise::{Contribution, NoiseParameters, NoiseReport, hold_against};
+use crate::sample::{Channel, Triad};
 use crate::store::{Reader, StoreError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -193,10 +193,14 @@ pub(super) fn noise_of_points(
     points: &BTreeMap<Channel, Vec<AllanPoint>>,
     rate_hz: f64,
     other: u64,
+    sampling: &BTreeMap<Triad, Sampling>,
     extent: Extent,
 ) -> NoiseReport {
     let channels = points.iter().map(|(channel, octaves)| {
         let mut parameters = fit(octaves, rate_hz, *channel);
+        let sampling = channel.triad().and_then(|triad| sampling.get(&triad)?.density_factor(rate_hz));
+        parameters.n.internal = parameters.n.value.zip(sampling).map(|(density, factor)| density / factor);
+        hold_against(&mut parameters, octaves, rate_hz, *channel);
         parameters.flags.extend(Flag::other_rate(rate_hz, other));
         (*channel, parameters)
     });

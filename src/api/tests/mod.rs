@@ -166,6 +166,13 @@ async fn start(store: &Store, request: &CaptureRequest) -> i64 {
         .unwrap()
 }
 
+/// White noise of a number: the finaliser of splitmix64.
+fn mixed(seq: u64) -> u64 {
+    let z = (seq + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB) >> 31
+}
+
 fn records(samples: u64) -> Vec<Record> {
     let mut records = Vec::new();
     for seq in 0..samples {
@@ -200,7 +207,7 @@ fn records(samples: u64) -> Vec<Record> {
         let late_ns = (seq % 4) * 1_000_000;
         let mut sample = Sample::at(device_ns + late_ns, utc_ns + late_ns as i64);
         sample.device_time_ns = Some(device_ns);
-        sample.set(Channel::GyroX, ((seq * 7919) % 1000) as f64 * 1e-6);
+        sample.set(Channel::GyroX, (mixed(seq) % 1000) as f64 * 1e-6);
         if seq != 2 {
             sample.set(Channel::Temperature, 21.5);
         }

@@ -15,7 +15,7 @@ fn samples_are_timed_by_the_sensor_s_clock() {
     assert_eq!((body["range_samples"].as_u64(), body["samples_per_row"].as_u64()), (Some(120), Some(1)));
     let rows = body["samples"].as_array().unwrap();
     assert_eq!(rows.len(), 120);
-    assert_eq!(rows[1], serde_json::json!([0.025, 0.000919, 21.5]));
+    assert_eq!(rows[1], serde_json::json!([0.025, 0.000268, 21.5]));
     assert!(rows[2][2].is_null(), "an absent value is null");
     assert_eq!((rows[99][0].as_f64(), rows[100][0].as_f64()), (Some(2.475), Some(2.6)), "the gap is four periods");
 }
@@ -27,13 +27,13 @@ fn samples_exist_as_csv_and_ndjson() {
     let csv = world.get("/v1/captures/a/samples?format=csv&channels=gyro_x");
     assert_eq!(csv.header("content-type"), "text/csv");
     let lines: Vec<&str> = csv.text.lines().collect();
-    assert_eq!((lines.len(), lines[0], lines[2]), (121, "time_s,gyro_x_rad_s", "0.025,0.000919"));
+    assert_eq!((lines.len(), lines[0], lines[2]), (121, "time_s,gyro_x_rad_s", "0.025,0.000268"));
     assert_eq!(world.get_with("/v1/captures/a/samples?channels=gyro_x", "accept", "text/csv").text, csv.text);
     let lines = world.get_with("/v1/captures/a/samples", "accept", "application/x-ndjson").text;
     let rows: Vec<serde_json::Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(
         (rows.len(), &rows[2]),
-        (120, &serde_json::json!({"time_s": 0.05, "gyro_x": 0.000838, "temperature": null}))
+        (120, &serde_json::json!({"time_s": 0.05, "gyro_x": 369.0 * 1e-6, "temperature": null}))
     );
     world.get_with("/v1/captures/a/samples", "accept", "image/png").problem(406, "not-acceptable");
 }

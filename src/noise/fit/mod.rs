@@ -34,6 +34,10 @@ use variance_fit::{Choice, MISFIT, VarianceFit};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "wls-avar";
+/// Shortest averaging times that are left out at most, where the model misfits with them.
+const SHAPED: usize = 6;
+/// Further ones that are then left out as well.
+const BEYOND: usize = 3;
 
 /// Fits the noise parameters of a channel to its overlapping Allan variances; `rate_hz` finite and above 0.
 ///
@@ -43,11 +47,27 @@ pub const METHOD: &str = "wls-avar";
 #[must_use]
 pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParameters {
     let constant = !points.is_empty() && points.iter().all(|point| point.variance == 0.0);
-    let fitted = if rate_hz.is_finite() && rate_hz > 0.0 {
-        VarianceFit::new(points, 1.0 / rate_hz).and_then(|fit| Some((fit.choose()?, fit)))
-    } else {
-        None
+    let of = |points: &[AllanPoint]| VarianceFit::new(points, 1.0 / rate_hz).and_then(|fit| Some((fit.choose()?, fit)));
+    let fitted = if rate_hz.is_finite() && rate_hz > 0.0 { of(points) } else { None };
+    let misfits = fitted.as_ref().is_some_and(|(choice, _)| !choice.describes());
+    // A filter inside the band shapes the shortest averaging times alone.
+    let longer = || {
+        let first =
+            (1..=SHAPED).find(|from| points.get(*from..).and_then(of).is_some_and(|(choice, _)| choice.describes()))?;
+        // What a filter takes halves from octave to octave: a test sees it no more before it is gone.
+        let found = |from: usize| points.get(from..).and_then(of).map(|found| (from, found));
+        (first..=first + BEYOND).rev().find_map(found)
     };
+    if let Some((from, (choice, fit))) = misfits.then(longer).flatten() {
+        let mut parameters = of_choice(&choice, &fit, channel);
+        let from_s = points.get(from).map_or(0.0, |point| point.m as f64 / rate_hz);
+        let note = format!(
+            "averaging times below {from_s:.4} s took no part: a filter, or a vibration, shapes the noise there; the job that \
+             follows the capture says which"
+        );
+        parameters.flags.push(Flag::whole("shaped_band", note));
+        return parameters;
+    }
     match fitted {
         Some((choice, fit)) => of_choice(&choice, &fit, channel),
         None if constant => {
@@ -81,8 +101,8 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
     let mut flags = Vec::new();
     if let Some(residual) = choice.residual.filter(|residual| residual.p_value < MISFIT) {
         let note = format!(
-            "white, flicker and random-walk noise do not describe the Allan deviation (χ² {:.0} at {} degrees of freedom): \
-             lines, knocks or drift; intervals are widened by {:.1}",
+            "white, flicker and random-walk noise do not describe the Allan deviation (χ² {:.0} at {} degrees of freedom); \
+             intervals are widened by {:.1}",
             residual.chi2, residual.degrees_of_freedom, choice.widen
         );
         flags.push(Flag::whole("misfit", note));
@@ -160,6 +180,21 @@ mod tests {
         let mut estimator = Overlapping::new(FixedPoint::for_channel(Channel::GyroX), grid);
         estimator.push(samples);
         fit(&estimator.sums().points(), 40.0, Channel::GyroX)
+    }
+
+    /// Finding A1 while a capture runs: means of four at 800 Hz.
+    #[test]
+    fn a_filter_inside_the_band_costs_the_shortest_averaging_times_alone() {
+        let mut live = LiveAllan::new(FixedPoint::for_channel(Channel::GyroX));
+        let white: Vec<f64> = white().take(400_000).collect();
+        let means: Vec<f64> = white.windows(4).map(|four| four.iter().sum::<f64>() / 4.0 * 1e-3).collect();
+        live.push(&means);
+        let found = fit(&live.points(), 800.0, Channel::GyroX);
+        // The generator's density: 1e-3/√12 by the root of the period.
+        let density = 1e-3 / (12.0f64 * 800.0).sqrt();
+        assert!(found.n.ci95.is_some_and(|[low, high]| low < density && density < high), "{density} {:?}", found.n);
+        assert!(found.flags.iter().any(|flag| flag.kind == "shaped_band"), "{:?}", found.flags);
+        assert!(found.k.value.is_none() && found.b.value.is_none(), "{found:?}");
     }
 
     #[test]

@@ -145,22 +145,13 @@ pub struct FittedCurve {
 }
 
 impl FittedCurve {
-    /// The curve of named variances as functions of the averaging factor.
-    pub(in crate::noise) fn of<'a>(
-        longest_s: f64,
-        dt_s: f64,
-        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64 + 'a>)>,
-    ) -> Self {
-        Self::at(Self::octaves(longest_s, dt_s), dt_s, parts)
-    }
-
     /// Averaging factors of a fitted curve.
     pub(in crate::noise) fn octaves(longest_s: f64, dt_s: f64) -> Vec<usize> {
         let quarter = longest_s / dt_s / 4.0;
         (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect()
     }
 
-    /// The curve at averaging factors.
+    /// The curve of named variances as functions of the averaging factor, at these.
     pub(in crate::noise) fn at<'a>(
         factors: Vec<usize>,
         dt_s: f64,
@@ -338,6 +329,18 @@ pub struct NoiseReport {
 impl NoiseReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-noise-1";
+
+    /// Why parameters of this report should go nowhere: the channels that are not usable, with their reasons. None where all are.
+    #[must_use]
+    pub fn refusal(&self) -> Option<String> {
+        let unusable = self.channels.iter().filter(|(_, of)| !of.usable);
+        let reasons: Vec<String> = unusable
+            .map(|(channel, of)| {
+                format!("{channel}: {}", of.reason.as_deref().unwrap_or("the parameters are not usable"))
+            })
+            .collect();
+        (!reasons.is_empty()).then(|| reasons.join("; "))
+    }
 }
 
 /// Unit of a term's coefficient.

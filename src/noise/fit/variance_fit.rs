@@ -65,7 +65,7 @@ pub(super) struct Choice {
 
 impl Choice {
     /// Whether the residuals are of the size that chance allows.
-    fn describes(&self) -> bool {
+    pub(super) fn describes(&self) -> bool {
         self.residual.is_none_or(|residual| residual.p_value >= MISFIT)
     }
 }
@@ -298,13 +298,13 @@ impl VarianceFit {
 
     /// The model's Allan deviation and its parts.
     pub(super) fn curve(&self, model: &Model) -> FittedCurve {
-        let longest = self.points.iter().map(|point| point.m).max().unwrap_or(1);
+        let factors = self.points.iter().map(|point| point.m).collect();
         let dt_s = self.dt_s;
         let parts = model.squares.iter().map(|(term, square)| {
             let (term, square) = (*term, *square);
             (term.letter(), Box::new(move |m| square * term.allan_variance(m, dt_s)) as Box<dyn Fn(usize) -> f64>)
         });
-        FittedCurve::of(4.0 * longest as f64 * dt_s, dt_s, parts)
+        FittedCurve::at(factors, dt_s, parts)
     }
 
     /// Whether the residuals of `model` are of the size that its covariance says.
