@@ -21,8 +21,9 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use vn100d::noise::allan::FixedPoint;
+use vn100d::noise::allan::{FixedPoint, LiveAllan};
 use vn100d::noise::fit::{Estimate, NoiseParameters};
+use vn100d::noise::hold_against;
 use vn100d::noise::whittle::{DstEstimator, Transform, fit};
 use vn100d::sample::Channel;
 
@@ -228,7 +229,8 @@ impl Score {
             let behind = if own.white_behind.is_some() { " +" } else { "" };
             format!("{}{order}{size}{behind}", own.kind)
         });
-        *self.kinds.entry(format!("{kind}{}", if misfit { " misfit" } else { "" })).or_default() += 1;
+        let marks = [(misfit, " misfit"), (!found.usable, " withheld")].map(|(is, mark)| if is { mark } else { "" });
+        *self.kinds.entry(format!("{kind}{}", marks.concat())).or_default() += 1;
     }
 }
 
@@ -271,9 +273,13 @@ fn main() {
                             estimator.push(&mut transform, &values);
                             let sums = estimator.into_sums(&mut transform);
                             let began = std::time::Instant::now();
-                            let found = fit(&sums, RATE_HZ, Channel::GyroX, &[], None);
+                            let mut found = fit(&sums, RATE_HZ, Channel::GyroX, &[], None);
+                            let taken_s = began.elapsed().as_secs_f64();
+                            let mut octaves = LiveAllan::new(FixedPoint::for_channel(Channel::GyroX));
+                            octaves.push(&values);
+                            hold_against(&mut found, &octaves.points(), RATE_HZ, Channel::GyroX, &[]);
                             let mut score = score.lock().expect("no thread has panicked");
-                            score.seconds += began.elapsed().as_secs_f64();
+                            score.seconds += taken_s;
                             score.take(&found, truth);
                         }
                     });

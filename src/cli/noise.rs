@@ -62,6 +62,7 @@ fn cell(estimate: &Estimate) -> String {
 /// A sentence about the filter that B, K and the others lie in front of.
 fn filter(of: &Bandwidth) -> String {
     let value = of.value.map(|value| match of.ci95 {
+        None if value.fract() == 0.0 => format!(" of {value} {}", of.unit),
         Some([low, high]) => format!(" of {value:.4} {} [{low:.4}, {high:.4}]", of.unit),
         None => format!(" of {value:.4} {}", of.unit),
     });

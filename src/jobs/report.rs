@@ -200,7 +200,7 @@ pub(super) fn noise_of_points(
         let mut parameters = fit(octaves, rate_hz, *channel);
         let sampling = channel.triad().and_then(|triad| sampling.get(&triad)?.density_factor(rate_hz));
         parameters.n.internal = parameters.n.value.zip(sampling).map(|(density, factor)| density / factor);
-        hold_against(&mut parameters, octaves, rate_hz, *channel);
+        hold_against(&mut parameters, octaves, rate_hz, *channel, &[]);
         parameters.flags.extend(Flag::other_rate(rate_hz, other));
         (*channel, parameters)
     });

@@ -7,7 +7,7 @@
 //! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused, docs/validation.md has its table.
 
 use super::allan::{AllanCurve, AllanPoint, confidence_factors};
-use super::fit::{Estimate, Minimum, NoiseParameters, Term};
+use super::fit::{Estimate, Minimum, NoiseParameters, Term, response};
 use crate::sample::Channel;
 
 /// How often a true prediction may leave the measured curve at any averaging time.
@@ -34,25 +34,41 @@ struct Place {
 /// Holds the parameters against the measured points, and notes the lowest of these beside B.
 ///
 /// All averaging times together are one test at 1 %: each has its share of it (Bonferroni). `rate_hz` finite and above 0.
-pub fn hold_against(parameters: &mut NoiseParameters, points: &[AllanPoint], rate_hz: f64, channel: Channel) {
+/// `excluded_bands_hz`: where samples were brought down to a background that is known in part only; what white noise gives there to
+/// the variance of an averaging time widens its interval.
+pub fn hold_against(
+    parameters: &mut NoiseParameters,
+    points: &[AllanPoint],
+    rate_hz: f64,
+    channel: Channel,
+    excluded_bands_hz: &[[f64; 2]],
+) {
     let measured = AllanCurve::from_points(points, rate_hz, channel.unit());
     parameters.minimum = measured
         .minimum(5.0)
         .filter(|(_, deviation)| *deviation > 0.0)
         .map(|(tau_s, deviation)| Minimum { deviation, tau_s, over_0_664: deviation / 0.664 });
-    let Some(worst) = worst(parameters, &measured) else { return };
-    let Place { tau_s, measured: seen, interval: [low, high], predicted, .. } = worst;
+    // Frequencies that took no part are not known either.
+    let beyond = parameters.bandwidth.as_ref().and_then(|of| of.up_to_hz).map(|up_to_hz| [up_to_hz, rate_hz]);
+    let unknown_hz: Vec<[f64; 2]> = excluded_bands_hz.iter().copied().chain(beyond).collect();
+    let found =
+        places(parameters, &measured, |tau_s| share_of((tau_s * rate_hz).round() as usize, rate_hz, &unknown_hz));
+    let apart = |place: &Place| (place.predicted.max(f64::MIN_POSITIVE) / place.measured).ln().abs();
+    let Some(worst) = found.iter().max_by(|a, b| apart(a).total_cmp(&apart(b))) else { return };
+    let Place { tau_s, measured: seen, interval: [low, high], predicted, .. } = *worst;
     let unit = channel.unit();
     parameters.usable = false;
     parameters.reason = Some(format!(
         "the fitted noise predicts an Allan deviation of {predicted:.3e} {unit} at {tau_s:.4} s, where {seen:.3e} [{low:.2e}, \
          {high:.2e}] was measured: the model does not describe this record"
     ));
-    withhold(parameters, &measured, channel);
+    withhold(parameters, &measured, channel, &found);
 }
 
 /// The places where the prediction leaves the curve.
-fn places(parameters: &NoiseParameters, measured: &AllanCurve) -> Vec<Place> {
+///
+/// `unknown`: by averaging time the share of the variance that is known in part only.
+fn places(parameters: &NoiseParameters, measured: &AllanCurve, unknown: impl Fn(f64) -> f64) -> Vec<Place> {
     let Some(fitted) = &parameters.fit.curve else { return Vec::new() };
     let pairs: Vec<(usize, usize)> = fitted
         .tau_s
@@ -67,22 +83,37 @@ fn places(parameters: &NoiseParameters, measured: &AllanCurve) -> Vec<Place> {
     let place = |(at, own): (usize, usize)| {
         let (seen, predicted) = (*measured.deviation.get(own)?, *fitted.deviation.get(at)?);
         let factors = confidence_factors(*measured.edf.get(own)?, 1.0 - level)?;
-        let interval = [seen * factors.low, seen * factors.high];
+        let unknown = unknown(*fitted.tau_s.get(at)?);
+        let interval =
+            [seen * factors.low * (1.0 - unknown).max(0.0).sqrt(), seen * factors.high * (1.0 + unknown).sqrt()];
         let inside = (interval[0] * (1.0 - TOLERANCE)..=interval[1] * (1.0 + TOLERANCE)).contains(&predicted);
         (!inside).then_some(Place { tau_s: *fitted.tau_s.get(at)?, measured: seen, interval, predicted, at })
     };
     pairs.into_iter().filter_map(place).collect()
 }
 
-/// The place where the two differ most.
-fn worst(parameters: &NoiseParameters, measured: &AllanCurve) -> Option<Place> {
-    let apart = |place: &Place| (place.predicted.max(f64::MIN_POSITIVE) / place.measured).ln().abs();
-    places(parameters, measured).into_iter().max_by(|a, b| apart(a).total_cmp(&apart(b)))
+/// How much of the Allan variance of white noise at averaging factor `m` lies in bands.
+fn share_of(m: usize, rate_hz: f64, bands_hz: &[[f64; 2]]) -> f64 {
+    const POINTS: usize = 4096;
+    if bands_hz.is_empty() {
+        return 0.0;
+    }
+    // The response falls into lobes of width 1/m: the grid reaches over the first few.
+    let end = (8.0 / m as f64).min(0.5);
+    let (mut inside, mut all) = (0.0, 0.0);
+    for point in 0..POINTS {
+        let u = (point as f64 + 0.5) / POINTS as f64 * end;
+        let own = response(m, u);
+        all += own;
+        if bands_hz.iter().any(|[from, to]| (from..=to).contains(&&(u * rate_hz))) {
+            inside += own;
+        }
+    }
+    if all > 0.0 { inside / all } else { 0.0 }
 }
 
 /// Takes the responsible parameters back and puts in their places what the curve alone supports.
-fn withhold(parameters: &mut NoiseParameters, measured: &AllanCurve, channel: Channel) {
-    let found = places(parameters, measured);
+fn withhold(parameters: &mut NoiseParameters, measured: &AllanCurve, channel: Channel, found: &[Place]) {
     let lowest_s = parameters.minimum.map_or(f64::INFINITY, |minimum| minimum.tau_s);
     let share = |letter: &str, place: &Place| {
         let curve = parameters.fit.curve.as_ref()?;
@@ -202,6 +233,14 @@ mod tests {
     }
 
     #[test]
+    fn bands_that_are_known_in_part_widen_what_they_touch() {
+        // All of the band is all of the variance; the upper half matters at one sample and hardly at sixteen.
+        assert!((share_of(1, RATE_HZ, &[[0.0, 50.0]]) - 1.0).abs() < 1e-12);
+        let (short, long) = (share_of(1, RATE_HZ, &[[25.0, 50.0]]), share_of(16, RATE_HZ, &[[25.0, 50.0]]));
+        assert!(short > 0.7 && short < 0.95 && long < 0.05, "{short} {long}");
+    }
+
+    #[test]
     fn a_true_fit_is_usable_and_has_its_lowest_point_beside_it() {
         let (parameters, _) = fitted(white(60_000, 1e-3, 1));
         assert!(parameters.usable && parameters.reason.is_none(), "{:?}", parameters.reason);
@@ -219,7 +258,7 @@ mod tests {
         parameters.fit.curve = Some(FittedCurve { tau_s, deviation: walk, parts });
         parameters.n = Estimate::unidentified(Channel::GyroX, Term::N, Some(1e-5));
         parameters.k = Estimate::identified(Channel::GyroX, Term::K, 0.05, [0.049, 0.051]);
-        hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX);
+        hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX, &[]);
         assert!(!parameters.usable, "{parameters:?}");
         assert!(parameters.reason.as_ref().unwrap().contains("was measured"), "{:?}", parameters.reason);
         let n = &parameters.n;

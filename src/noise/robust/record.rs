@@ -220,7 +220,7 @@ pub fn parameters_together(
     let said: Vec<Flag> = said.cloned().collect();
     main.flags.extend(said);
     let points = pooled(records);
-    hold_against(&mut main, &points, rate_hz, channel);
+    hold_against(&mut main, &points, rate_hz, channel, &bands);
     let depends = records.iter().any(|record| record.without_temperature.is_some());
     let without = depends.then(|| sum(|record| record.without_temperature.as_ref().or(record.noise.as_ref())));
     let excluded = records.iter().flat_map(|record| &record.found.excluded_intervals);

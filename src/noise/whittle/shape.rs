@@ -70,8 +70,9 @@ impl Shape {
                 alike(a * a / (a * a + 2.0 * back * (1.0 - (2.0 * PI * u).cos())))
             }
             Self::Decimated { window, every } => decimated(*window, *every, u),
-            Self::Smooth { coefficients, .. } => {
-                let x = (PI * u).sin().powi(2);
+            Self::Smooth { coefficients, up_to } => {
+                // A polynomial leaves all bounds beyond what it was fitted to.
+                let x = (PI * u.min(*up_to)).sin().powi(2);
                 let sum: f64 = coefficients.iter().rev().fold(0.0, |sum, c| (sum + c) * x);
                 alike((-sum).exp())
             }
