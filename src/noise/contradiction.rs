@@ -153,7 +153,8 @@ fn withhold(parameters: &mut NoiseParameters, measured: &AllanCurve, channel: Ch
     }
 }
 
-/// White noise's density from the longest run of octaves whose slope is −½, with the range of their 95 % intervals.
+/// White noise's density from the longest run of octaves whose slope is −½, with the range of their 95 % intervals. These reach
+/// down to where flicker has all of the lowest point.
 fn white(measured: &AllanCurve) -> Option<(f64, [f64; 2])> {
     let rows = || {
         measured.tau_s.iter().zip(&measured.deviation).zip(&measured.edf).map(|((tau, dev), edf)| (*tau, *dev, *edf))
@@ -184,9 +185,12 @@ fn white(measured: &AllanCurve) -> Option<(f64, [f64; 2])> {
     let density = |(tau_s, deviation, _): &(f64, f64, f64)| deviation * tau_s.sqrt();
     let weight: f64 = run.iter().map(|row| row.2).sum();
     let value = run.iter().map(|row| density(row) * row.2).sum::<f64>() / weight;
+    // All that the curve holds at its lowest point may be in front of the white noise.
+    let lowest = all.iter().fold(f64::INFINITY, |lowest, row| lowest.min(row.1));
     let ends = run.iter().filter_map(|row| {
         let factors = confidence_factors(row.2, 0.95)?;
-        Some([density(row) * factors.low, density(row) * factors.high])
+        let alone = (row.1 * factors.low).powi(2) - lowest * lowest;
+        Some([(alone.max(0.0) * row.0).sqrt(), density(row) * factors.high])
     });
     let ci95 = ends.fold([f64::INFINITY, 0.0f64], |[low, high], [l, h]| [low.min(l), high.max(h)]);
     Some((value, ci95))
