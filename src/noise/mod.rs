@@ -11,6 +11,7 @@ mod contribution;
 pub mod fit;
 pub mod robust;
 pub mod statistics;
+pub mod stillness;
 pub mod welch;
 pub mod whittle;
 
