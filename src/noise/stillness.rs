@@ -248,8 +248,21 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     }
     // The pose before and after: medians that share no window.
     let turned = |at: usize| {
-        let apart = at >= 4 && at + 4 < levels.len() && distance(levels[at - 4], levels[at + 4]) > acceleration;
-        apart && (at - 4..=at + 4).filter(|at| turns(*at)).count() >= DEPARTING
+        if at < 4 || at + 4 >= levels.len() {
+            return false;
+        }
+        let (before, after) = (levels[at - 4], levels[at + 4]);
+        let apart = distance(before, after);
+        // What the rate makes of it: a direction that rests in the world turns against the sensor, du/dt = −ω × u.
+        let turn = (at - 4..at + 4).filter_map(|at| {
+            let bias = bias[at]?;
+            let rate: [f64; 3] = std::array::from_fn(|axis| means[at].gyro[axis] - bias[axis]);
+            Some(cross(levels[at], rate).map(|axis| axis * window_s))
+        });
+        let told = turn.fold(before, |sum, change| std::array::from_fn(|axis| sum[axis] + change[axis]));
+        // With an axis absent nothing agrees or disagrees.
+        let agree = told.iter().any(|axis| axis.is_nan()) || distance(told, after) < 0.5 * apart;
+        apart > acceleration && (!has_gyro || agree)
     };
     let turned: Vec<bool> = (0..means.len()).map(turned).collect();
     for run in runs(&turned) {
