@@ -67,6 +67,7 @@ fn print_table(name: &str, report: &AllanReport) -> anyhow::Result<()> {
         report.rate_hz,
         report.missing.unwrap_or_default()
     )?;
+    write!(stdout, "{}", super::stillness(report.at_rest_s, report.moving_s))?;
     let header: Vec<String> = std::iter::once("tau s".to_owned())
         .chain(report.channels.iter().map(|(channel, curve)| format!("{channel} {}", curve.unit)))
         .collect();

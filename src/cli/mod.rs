@@ -163,6 +163,14 @@ fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
     })
 }
 
+/// How long the sensor was at rest and how long it moved, as a line; empty where nothing tells.
+fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
+    let told = at_rest_s.zip(moving_s);
+    told.map_or_else(String::new, |(at_rest_s, moving_s)| {
+        format!("At rest {at_rest_s:.1} s, in motion {moving_s:.1} s; what follows is of what is at rest.\n")
+    })
+}
+
 /// A table for a person.
 fn table(header: &[&str]) -> comfy_table::Table {
     let mut table = comfy_table::Table::new();

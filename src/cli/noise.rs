@@ -3,7 +3,7 @@
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
-use crate::datasheet::{Comparison, compare_report};
+use crate::datasheet::{Comparison, Verdict, compare_report};
 use crate::export::{ImuNoise, Target};
 use crate::jobs::direct;
 use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseReport};
@@ -83,6 +83,7 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
         "{}: {:.1} s at {} Hz, {} samples, {} missing. Values with 95 % intervals; `<`: not identified, 95 % upper limit.",
         report.capture, report.duration_s, report.rate_hz, report.samples, report.missing
     )?;
+    write!(to, "{}", super::stillness(report.at_rest_s, report.moving_s))?;
     let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "Q in U·s", "R in U/s", "fit p"]);
     for (channel, found) in &report.channels {
         rows.add_row([
@@ -183,7 +184,14 @@ fn print_comparison(comparison: &Comparison) -> std::io::Result<()> {
             density.map_or_else(dash, |of| of.verdict.words().to_owned()),
             bias.map_or_else(dash, |of| format!("{:.3e} {} at {:.0} s", of.allan_minimum, of.unit, of.tau_s)),
             bias.map_or_else(dash, |of| format!("{:.3e} ({})", of.datasheet, of.printed)),
-            bias.map_or_else(dash, |of| of.verdict.words().to_owned()),
+            match bias {
+                Some(of) => of.needed_s.map_or_else(
+                    || of.verdict.words().to_owned(),
+                    |needed_s| format!("{}: {:.0} min would do", of.verdict.words(), needed_s / 60.0),
+                ),
+                None if found.verdict == Verdict::NotAtRest => found.verdict.words().to_owned(),
+                None => dash(),
+            },
         ]);
     }
     writeln!(stdout, "{rows}")
@@ -292,6 +300,40 @@ mod tests {
         }
         let quiet = opened(recording(directory.path(), |_, value| value));
         assert!(report(quiet).channels[&Channel::GyroX].flags.iter().all(|flag| flag.kind != "other_rate"));
+    }
+
+    /// A turn of 20 s at 10 °/s leaves the parameters as they are without it; what never rests tells nothing.
+    #[test]
+    fn what_moved_is_left_out_and_what_never_rested_says_so() {
+        let directory = tempfile::tempdir().unwrap();
+        let turned = |i: usize| if (1200..2000).contains(&i) { 0.17 + 0.05 * (i as f64 * 0.1).sin() } else { 0.0 };
+        let found = report(opened(recording(directory.path(), |i, value| value + turned(i))));
+        let still = report(opened(recording(directory.path(), |_, value| value)));
+        assert_eq!((still.at_rest_s, still.moving_s), (Some(100.0), Some(0.0)));
+        let (at_rest_s, moving_s) = (found.at_rest_s.unwrap(), found.moving_s.unwrap());
+        assert!((20.0..24.0).contains(&moving_s) && (at_rest_s + moving_s - 100.0).abs() < 1e-9, "{moving_s}");
+        let of = |report: &NoiseReport| report.channels[&Channel::GyroX].clone();
+        let ratio = of(&found).n.value.unwrap() / of(&still).n.value.unwrap();
+        assert!((0.93..1.07).contains(&ratio), "{ratio}");
+        let count = |report: &NoiseReport, kind: &str| of(report).flags.iter().filter(|flag| flag.kind == kind).count();
+        assert_eq!((count(&found, "in_motion"), count(&still, "in_motion")), (1, 0));
+
+        let driven = |i: usize| 0.3 + 0.2 * (i as f64 * 0.05).sin() + 0.1 * (i as f64 * 0.013).cos();
+        let path = recording(directory.path(), |i, value| value + driven(i));
+        let found = report(opened(path.clone()));
+        assert_eq!((found.at_rest_s, found.moving_s, count(&found, "not_at_rest")), (Some(0.0), Some(100.0), 1));
+        let channel = of(&found);
+        assert!(channel.n.value.is_none() && channel.n.upper_limit95.is_none(), "{channel:?}");
+        let compared = compare_report(&crate::datasheet::vn_100(), &found, None);
+        assert_eq!(compared.channels[&Channel::GyroX].verdict, Verdict::NotAtRest);
+        let together = opened(path);
+        let parameters = crate::jobs::JobKind::Allan.parameters(&Value::Null).unwrap();
+        let allan = direct::allan(&together.source, together.plan, &parameters).unwrap();
+        assert_eq!((allan.at_rest_s, allan.moving_s), (Some(0.0), Some(100.0)));
+        assert!(
+            allan.channels[&Channel::GyroX].tau_s.is_empty() && allan.warnings[0].contains("not at rest"),
+            "{allan:?}"
+        );
     }
 
     #[test]

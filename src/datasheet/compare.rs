@@ -15,8 +15,12 @@ pub enum Verdict {
     Within,
     /// Above it, by no more than filter window and output rate explain.
     ExplainedBySampling,
+    /// The deviation still falls where the record ends: no lowest point is told.
+    TooShort,
     /// Above it, and above what sampling explains.
     Above,
+    /// The sensor moved all the time.
+    NotAtRest,
 }
 
 impl Verdict {
@@ -26,6 +30,8 @@ impl Verdict {
         match self {
             Self::Within => "within",
             Self::ExplainedBySampling => "explained by sampling",
+            Self::TooShort => "too short to tell",
+            Self::NotAtRest => "not at rest",
             Self::Above => "above",
         }
     }
@@ -38,6 +44,10 @@ pub struct Measured {
     pub density: Option<(f64, [f64; 2])>,
     /// Lowest Allan deviation and its averaging time in s, with the lower end of its 68 % interval.
     pub minimum: Option<(f64, f64, f64)>,
+    /// How long the sensor was at rest, s; `None` where that is not known.
+    pub at_rest_s: Option<f64>,
+    /// Whether it moved all the time.
+    pub not_at_rest: bool,
 }
 
 impl Measured {
@@ -49,6 +59,11 @@ impl Measured {
         Self {
             density: n.and_then(|n| n.value.zip(n.ci95)),
             minimum: minimum.map(|at| (at.deviation, at.tau_s, at.ci68_low)),
+            at_rest_s: Some(report.at_rest_s.unwrap_or(report.duration_s)),
+            not_at_rest: report
+                .channels
+                .get(&channel)
+                .is_some_and(|found| found.flags.iter().any(|flag| flag.kind == "not_at_rest")),
         }
     }
 }
@@ -95,6 +110,9 @@ pub struct BiasComparison {
     pub without_folded_noise: f64,
     /// Minimum over limit.
     pub ratio: f64,
+    /// Where the record is too short for a verdict, how long the sensor has to be at rest for one, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub needed_s: Option<f64>,
     /// Unit of all of these.
     pub unit: String,
     /// The verdict.
@@ -151,6 +169,9 @@ pub fn compare_report(sheet: &Datasheet, report: &NoiseReport, windows: Option<F
 }
 
 fn of_channel<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<ChannelComparison> {
+    if measured.not_at_rest {
+        return Some(ChannelComparison { noise_density: None, bias_stability: None, verdict: Verdict::NotAtRest });
+    }
     let noise_density = density(figures, measured, factor);
     let bias_stability = bias(figures, measured, factor);
     let verdicts = [noise_density.as_ref().map(|of| of.verdict), bias_stability.as_ref().map(|of| of.verdict)];
@@ -184,20 +205,39 @@ fn density<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64)
     })
 }
 
+/// A lowest point counts where the record is so many times its averaging time: a deviation is told up to about a fifth of a record (five
+/// degrees of freedom), and one within the last two octaves of that may go on falling.
+const TELLING: f64 = 16.0;
+
+/// How long a record has to be for a verdict on `limit`, s: until white noise alone has come down to half its variance, but at least twice
+/// as long as this one tells. The lowest deviation counts as white noise where the density is not known.
+fn needed(measured: &Measured, limit: f64) -> f64 {
+    let (minimum, tau_s, _) = measured.minimum.unwrap_or_default();
+    let white = measured.density.map_or(minimum * minimum * tau_s, |(n, _)| n * n);
+    let seconds = TELLING * (2.0 * white / (limit * limit)).max(2.0 * tau_s);
+    // Whole minutes, up.
+    (seconds / 60.0).ceil() * 60.0
+}
+
 fn bias<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<BiasComparison> {
     let limit = figures.bias_stability?;
     let (minimum, tau_s, low) = measured.minimum?;
     // Of N²/τ the share (1 − 1/factor²) is folded noise.
     let folded = measured.density.map_or(0.0, |(n, _)| n * n / tau_s * (1.0 - 1.0 / (factor * factor)).max(0.0));
     let less = |deviation: f64| (deviation * deviation - folded).max(0.0).sqrt();
+    let needed_s = measured.at_rest_s.filter(|at_rest_s| tau_s * TELLING > *at_rest_s);
+    let needed_s = needed_s.map(|_| needed(measured, limit.value()));
     let verdict = if Quantity::<D>::held(low) <= limit {
         Verdict::Within
     } else if Quantity::<D>::held(less(low)) <= limit {
         Verdict::ExplainedBySampling
+    } else if needed_s.is_some() {
+        Verdict::TooShort
     } else {
         Verdict::Above
     };
     Some(BiasComparison {
+        needed_s: needed_s.filter(|_| verdict == Verdict::TooShort),
         allan_minimum: minimum,
         tau_s,
         datasheet: limit.value(),
@@ -221,14 +261,14 @@ mod tests {
 
     #[test]
     fn twice_the_density_at_forty_hertz_is_explained_and_at_two_hundred_is_not() {
-        let measured = Measured { density: Some((1.18e-4, [1.16e-4, 1.20e-4])), minimum: None };
+        let measured = Measured { density: Some((1.18e-4, [1.16e-4, 1.20e-4])), minimum: None, ..Measured::default() };
         let forty = verdict(Channel::GyroX, measured, 40.0);
         assert_eq!(forty.verdict, Verdict::ExplainedBySampling);
         let density = forty.noise_density.unwrap();
         assert!((density.predicted - 1.366e-4).abs() < 1e-7 && (density.sampling_factor - 2.236).abs() < 1e-3);
         assert_eq!(density.unit, "rad/s/√Hz");
         assert_eq!(verdict(Channel::GyroX, measured, 200.0).verdict, Verdict::Above);
-        let fine = Measured { density: Some((6.1e-5, [6.0e-5, 6.2e-5])), minimum: None };
+        let fine = Measured { density: Some((6.1e-5, [6.0e-5, 6.2e-5])), minimum: None, ..Measured::default() };
         assert_eq!(verdict(Channel::GyroX, fine, 40.0).verdict, Verdict::Within);
     }
 
@@ -236,7 +276,7 @@ mod tests {
     /// sample deviates by 8.6e-4 or 6.1e-4 rad/s, of which the latter is D·√(800/2W).
     #[test]
     fn both_readings_of_a_printed_density_are_predicted() {
-        let measured = Measured { density: Some((1.18e-4, [1.16e-4, 1.20e-4])), minimum: None };
+        let measured = Measured { density: Some((1.18e-4, [1.16e-4, 1.20e-4])), minimum: None, ..Measured::default() };
         let density = verdict(Channel::GyroX, measured, 40.0).noise_density.unwrap();
         assert!((density.predicted - 1.366e-4).abs() < 1e-7, "{density:?}");
         assert!((density.predicted_one_sided - 9.66e-5).abs() < 1e-7, "{density:?}");
@@ -252,27 +292,66 @@ mod tests {
     /// The report that took m/s² for mg: 0.28e-3 m/s² is 0.029 mg, well within 0.04 mg, although 0.28 is above 0.04.
     #[test]
     fn an_acceleration_is_compared_as_an_acceleration() {
-        let measured = Measured { density: None, minimum: Some((2.8e-4, 100.0, 2.6e-4)) };
+        let measured = Measured { density: None, minimum: Some((2.8e-4, 100.0, 2.6e-4)), ..Measured::default() };
         let found = verdict(Channel::AccelZ, measured, 40.0);
         assert_eq!(found.verdict, Verdict::Within);
         assert!((found.bias_stability.unwrap().ratio - 0.714).abs() < 1e-2);
-        let measured = Measured { density: None, minimum: Some((6e-4, 100.0, 5.8e-4)) };
+        let measured = Measured { density: None, minimum: Some((6e-4, 100.0, 5.8e-4)), ..Measured::default() };
         assert_eq!(verdict(Channel::AccelZ, measured, 40.0).verdict, Verdict::Above);
+    }
+
+    /// 68 s of a sensor at rest: white noise still falls at 13 s. Of an hour the same lowest point is one.
+    #[test]
+    fn a_record_of_68_seconds_is_too_short_to_tell_and_says_what_would_do() {
+        let n = 1.2e-4;
+        let deviation = n / 12.8f64.sqrt();
+        let told = Measured {
+            density: Some((n, [n, n])),
+            minimum: Some((3.0 * deviation, 12.8, 2.6 * deviation)),
+            at_rest_s: Some(68.0),
+            ..Measured::default()
+        };
+        let found = verdict(Channel::GyroX, told, 800.0).bias_stability.unwrap();
+        assert_eq!((found.verdict, found.verdict.words()), (Verdict::TooShort, "too short to tell"));
+        let needed_s = found.needed_s.unwrap();
+        assert!((400.0..3600.0).contains(&needed_s), "{needed_s}");
+        for at_rest_s in [Some(3600.0), Some(needed_s), None] {
+            let long = verdict(Channel::GyroX, Measured { at_rest_s, ..told }, 800.0).bias_stability.unwrap();
+            assert_eq!((long.verdict, long.needed_s), (Verdict::Above, None));
+        }
+        // What is within the limit already stays so.
+        let quiet = Measured { minimum: Some((1e-6, 12.8, 0.9e-6)), ..told };
+        assert_eq!(verdict(Channel::GyroX, quiet, 800.0).bias_stability.unwrap().verdict, Verdict::Within);
+    }
+
+    #[test]
+    fn what_was_not_at_rest_is_not_compared() {
+        let moved = Measured { not_at_rest: true, ..Measured::default() };
+        let found = verdict(Channel::GyroX, moved, 40.0);
+        assert_eq!((found.verdict, found.verdict.words()), (Verdict::NotAtRest, "not at rest"));
+        assert!(found.noise_density.is_none() && found.bias_stability.is_none());
     }
 
     #[test]
     fn folded_white_noise_explains_a_minimum_it_makes() {
         // White alone: N²/τ at 40 s is (5.4e-4)², of which four fifths were folded in.
         let n = 3.4e-3;
-        let measured =
-            Measured { density: Some((n, [n, n])), minimum: Some((n / 40f64.sqrt(), 40.0, n / 40f64.sqrt())) };
+        let measured = Measured {
+            density: Some((n, [n, n])),
+            minimum: Some((n / 40f64.sqrt(), 40.0, n / 40f64.sqrt())),
+            ..Measured::default()
+        };
         let found = verdict(Channel::AccelX, measured, 40.0);
         assert_eq!(found.bias_stability.unwrap().verdict, Verdict::ExplainedBySampling);
     }
 
     #[test]
     fn a_magnetometer_has_no_printed_stability_and_nothing_known_is_left_out() {
-        let measured = Measured { density: Some((2e-4, [1.9e-4, 2.1e-4])), minimum: Some((1e-4, 10.0, 1e-4)) };
+        let measured = Measured {
+            density: Some((2e-4, [1.9e-4, 2.1e-4])),
+            minimum: Some((1e-4, 10.0, 1e-4)),
+            ..Measured::default()
+        };
         assert!(verdict(Channel::MagX, measured, 40.0).bias_stability.is_none());
         let nothing = BTreeMap::from([(Channel::GyroX, Measured::default()), (Channel::Yaw, measured)]);
         assert!(compare(&vn_100(), Sampling::new(40.0, None), &nothing).channels.is_empty());

@@ -3,6 +3,7 @@
 use super::curves::Curves;
 use super::distribution::Distribution;
 use super::fold::Pass;
+use super::motion::{AtRest, at_rest};
 use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
@@ -19,7 +20,7 @@ use serde_json::Value;
 /// # Errors
 /// What `source` says.
 pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobError> {
-    let mut spectra = Spectra::new(plan);
+    let mut spectra = Spectra::of(at_rest(source, plan, true, || Ok(()))?);
     take_all(source, &mut spectra)?;
     let (plan, sums, held) = spectra.finish();
     report::noise(source, &plan, &sums, held, |_| Ok(()))
@@ -30,6 +31,7 @@ pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobEr
 /// # Errors
 /// [`JobError::Allan`] where there are too few samples for a curve; what `source` says.
 pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) -> Result<AllanReport, JobError> {
+    let AtRest { plan, .. } = at_rest(source, plan, false, || Ok(()))?;
     if parameters.estimator == Estimator::Oadev {
         let mut summation = Summation::new(plan, parameters)?;
         take_all(source, &mut summation)?;
@@ -97,7 +99,10 @@ fn take_all(source: &dyn SampleSource, pass: &mut dyn Pass) -> Result<(), JobErr
         let mut next_seq = 0;
         while let Some(plan) = pass.plan().filter(|plan| next_seq < plan.end_seq) {
             let limit = CHUNK.min(usize::try_from(plan.end_seq - next_seq).unwrap_or(CHUNK));
-            let chunk = plan.read_chunk(source, next_seq, limit, pass.read_channels())?;
+            let chunk = match pass.held_chunk(next_seq, limit) {
+                Some(chunk) => chunk,
+                None => plan.read_chunk(source, next_seq, limit, pass.read_channels())?,
+            };
             pass.take(&chunk);
             next_seq = chunk.next_seq();
         }

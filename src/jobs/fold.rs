@@ -2,6 +2,7 @@
 
 use super::curves::{Curves, check};
 use super::distribution::Distribution;
+use super::motion::{AtRest, at_rest};
 use super::plan::Plan;
 use super::runner::{FOLDED, FOLDED_SHORT};
 use super::spectra::Spectra;
@@ -31,6 +32,7 @@ impl Fold {
         job: &JobRow,
         kind: JobKind,
         parameters: &JobParameters,
+        go_on: impl FnMut() -> Result<(), JobError>,
     ) -> Result<(Self, u64), JobError> {
         let checkpoint = reader.checkpoint(job.id)?;
         let next_seq = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.next_seq);
@@ -45,6 +47,7 @@ impl Fold {
             JobKind::Allan if parameters.estimator != Estimator::Oadev => {
                 let plan = plan()?;
                 check(parameters, &plan)?;
+                let AtRest { plan, .. } = at_rest(reader, plan, false, go_on)?;
                 let next_seq = next_seq.min(plan.end_seq);
                 Self::Curves(Box::new(match state {
                     Some(state) => Curves::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?,
@@ -54,6 +57,7 @@ impl Fold {
             JobKind::Allan => {
                 let plan = plan()?;
                 check(parameters, &plan)?;
+                let AtRest { plan, .. } = at_rest(reader, plan, false, go_on)?;
                 let next_seq = next_seq.min(plan.end_seq);
                 Self::Sums(Box::new(match state {
                     Some(state) => {
@@ -63,11 +67,11 @@ impl Fold {
                 }))
             }
             JobKind::Noise => {
-                let plan = plan()?;
-                let next_seq = next_seq.min(plan.end_seq);
+                let at_rest = at_rest(reader, plan()?, state.is_none(), go_on)?;
+                let next_seq = next_seq.min(at_rest.plan.end_seq);
                 Self::Spectra(Box::new(match state {
-                    Some(state) => Spectra::restore(plan, state, next_seq, reader)?.ok_or_else(damaged)?,
-                    None => Spectra::new(plan),
+                    Some(state) => Spectra::restore(at_rest.plan, state, next_seq, reader)?.ok_or_else(damaged)?,
+                    None => Spectra::of(at_rest),
                 }))
             }
             JobKind::Statistics => {
@@ -124,6 +128,9 @@ impl Fold {
         next_seq: u64,
         limit: usize,
     ) -> Result<Chunk, StoreError> {
+        if let Some(chunk) = self.pass().held_chunk(next_seq, limit) {
+            return Ok(chunk);
+        }
         let channels = self.pass().read_channels();
         let chunk = match self.pass().plan() {
             Some(plan) => plan.read_chunk(source, next_seq, limit, channels)?,
@@ -166,6 +173,11 @@ pub(super) trait Pass {
 
     /// The channels to be read in this pass.
     fn read_channels(&self) -> &[Channel];
+
+    /// The next samples of this pass where they are held; otherwise they are to be read.
+    fn held_chunk(&self, _from: u64, _limit: usize) -> Option<Chunk> {
+        None
+    }
 
     /// Takes in the next samples of this pass.
     fn take(&mut self, chunk: &Chunk);
@@ -220,6 +232,9 @@ impl Pass for Spectra {
     }
     fn read_channels(&self) -> &[Channel] {
         self.read_channels()
+    }
+    fn held_chunk(&self, from: u64, limit: usize) -> Option<Chunk> {
+        self.held_chunk(from, limit)
     }
     fn take(&mut self, chunk: &Chunk) {
         self.take(chunk);

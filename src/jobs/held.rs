@@ -32,7 +32,12 @@ impl Held {
         &self.channels
     }
 
-    /// Takes the next samples, of [`Self::channels`].
+    /// Whether a channel is held.
+    pub(super) fn has(&self, channel: Channel) -> bool {
+        self.channels.contains(&channel)
+    }
+
+    /// Takes the next samples, of [`Self::channels`] and then whichever.
     pub(super) fn take(&mut self, chunk: &Chunk) {
         self.segment.extend_from_slice(&chunk.segment);
         self.columns.iter_mut().zip(&chunk.columns).for_each(|(own, column)| own.extend_from_slice(column));

@@ -24,6 +24,7 @@ mod held;
 mod kind;
 mod live;
 mod model;
+mod motion;
 mod plan;
 mod report;
 mod runner;

@@ -33,6 +33,17 @@ pub struct Plan {
     pub sampling: BTreeMap<Triad, Sampling>,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
+    /// Samples in motion, in order and disjoint; none where nothing told ([`Self::leave_out`]).
+    moving: Option<Vec<Range<u64>>>,
+}
+
+/// How long the sensor was at rest and how long it moved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shares {
+    /// Samples taken in at rest, s.
+    pub at_rest_s: f64,
+    /// Samples in motion, s: they are left out.
+    pub moving_s: f64,
 }
 
 /// One capture's share of a plan.
@@ -94,6 +105,7 @@ impl Plan {
             taken: most.segments,
             sampling: of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]),
             segments: segments.into_iter().map(stretch).collect(),
+            moving: None,
         })
     }
 
@@ -127,6 +139,7 @@ impl Plan {
             taken: segments.len() as u64,
             sampling: BTreeMap::new(),
             segments: (1..).zip(segments).map(stretch).collect(),
+            moving: None,
         })
     }
 
@@ -154,6 +167,11 @@ impl Plan {
         if self.channels.is_empty() {
             return Err(JobError::Together { reason: "they have no channel in common".to_owned() });
         }
+        let shifted = |part: Range<u64>| part.start + self.end_seq..part.end + self.end_seq;
+        self.moving = self.moving.zip(other.moving).map(|(mut moving, others)| {
+            moving.extend(others.into_iter().map(shifted));
+            moving
+        });
         self.end_seq += other.end_seq;
         self.longest = self.longest.max(other.longest);
         self.other_rate += other.other_rate;
@@ -205,7 +223,77 @@ impl Plan {
         (segment.first_seq < end).then_some(segment.first_seq..end)
     }
 
-    /// The rows of a chunk by segment, in order: segment number (None where it is left out) and rows.
+    /// Leaves samples out in which the sensor moved: the plan's numbers, in order and disjoint. They end stretches as gaps do.
+    pub fn leave_out(&mut self, moving: Vec<Range<u64>>) {
+        self.moving = Some(moving);
+        if self.is_moving() {
+            // Where nothing is at rest, an averaging time is still one of the record's.
+            let longest = self.stretches_at_rest(&(0..self.end_seq)).map(|range| range.end - range.start).max();
+            self.longest = longest.map_or(self.longest, |longest| longest.max(self.longest.min(4)));
+        }
+    }
+
+    fn is_moving(&self) -> bool {
+        self.moving.as_ref().is_some_and(|moving| !moving.is_empty())
+    }
+
+    /// Motion that touches a range, cut to it.
+    fn moving_in(&self, range: &Range<u64>) -> impl Iterator<Item = Range<u64>> {
+        let moving = self.moving.as_deref().unwrap_or_default();
+        let from = moving.partition_point(|part| part.end <= range.start);
+        let (start, end) = (range.start, range.end);
+        let touching = moving.get(from..).unwrap_or_default().iter().take_while(move |part| part.start < end);
+        touching.map(move |part| part.start.max(start)..part.end.min(end))
+    }
+
+    /// The parts of a range without motion.
+    fn resting_in(&self, range: &Range<u64>) -> Vec<Range<u64>> {
+        let mut found = Vec::new();
+        let mut from = range.start;
+        for part in self.moving_in(range) {
+            found.push(from..part.start);
+            from = part.end;
+        }
+        found.push(from..range.end);
+        found.retain(|part| part.start < part.end);
+        found
+    }
+
+    /// The segments of a range that are taken in.
+    fn taken_in(&self, range: &Range<u64>) -> impl Iterator<Item = Range<u64>> {
+        let from = self.segments.partition_point(|segment| segment.first_seq < range.start);
+        let (end, whole) = (range.end, self.end_seq);
+        let of = move |at: usize| {
+            let segment = self.segments.get(at)?;
+            let next = self.segments.get(at + 1).map_or(whole, |next| next.first_seq);
+            Some((segment.taken, segment.first_seq..next.min(end)))
+        };
+        let inside = (from..self.segments.len()).map_while(of).take_while(move |(_, part)| part.start < end);
+        inside.filter(|(taken, _)| *taken).map(|(_, part)| part)
+    }
+
+    fn stretches_at_rest(&self, range: &Range<u64>) -> impl Iterator<Item = Range<u64>> {
+        self.taken_in(range).flat_map(|part| self.resting_in(&part))
+    }
+
+    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none where nothing tells.
+    #[must_use]
+    pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
+        self.moving.as_ref()?;
+        let taken: u64 = self.taken_in(range).map(|part| part.end - part.start).sum();
+        let at_rest: u64 = self.stretches_at_rest(range).map(|part| part.end - part.start).sum();
+        let seconds = |samples: u64| samples as f64 / self.rate_hz;
+        Some(Shares { at_rest_s: seconds(at_rest), moving_s: seconds(taken - at_rest) })
+    }
+
+    /// The stretch of samples at rest that a sample belongs to: its segment and where it begins; none where it is left out.
+    pub(super) fn stretch_of(&self, number: u32, seq: u64) -> Option<(u32, u64)> {
+        let segment = self.segment(number)?;
+        let own = self.resting_in(&segment).into_iter().find(|part| part.contains(&seq))?;
+        Some((number, own.start))
+    }
+
+    /// The rows of a chunk by segment, in order: segment number (None where it is left out, as what moved is) and rows.
     #[must_use]
     pub fn runs(&self, chunk: &Chunk) -> Vec<(Option<u32>, Range<usize>)> {
         let mut runs = Vec::new();
@@ -213,10 +301,36 @@ impl Plan {
         for part in chunk.segment.chunk_by(|one, next| one == next) {
             let to = from + part.len();
             let number = part.first().copied().filter(|number| self.segment(*number).is_some());
-            runs.push((number, from..to));
+            match number.filter(|_| self.is_moving()) {
+                None => runs.push((number, from..to)),
+                Some(_) => self.divide(number, chunk.first_seq, from..to, &mut runs),
+            }
             from = to;
         }
         runs
+    }
+
+    /// Rows of one segment by whether they moved.
+    fn divide(
+        &self,
+        number: Option<u32>,
+        first_seq: u64,
+        rows: Range<usize>,
+        runs: &mut Vec<(Option<u32>, Range<usize>)>,
+    ) {
+        let mut from = rows.start;
+        for part in self.moving_in(&(first_seq + rows.start as u64..first_seq + rows.end as u64)) {
+            // Both lie within the chunk.
+            let (start, end) = ((part.start - first_seq) as usize, (part.end - first_seq) as usize);
+            if from < start {
+                runs.push((number, from..start));
+            }
+            runs.push((None, start..end));
+            from = end;
+        }
+        if from < rows.end {
+            runs.push((number, from..rows.end));
+        }
     }
 }
 

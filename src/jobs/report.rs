@@ -4,7 +4,7 @@ use super::JobError;
 use super::SampleSource;
 use super::examine::examine;
 use super::held::Held;
-use super::plan::Plan;
+use super::plan::{Plan, Shares};
 use super::threads::side_by_side;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit};
@@ -65,7 +65,10 @@ impl Extent {
         for slice in &plan.slices {
             let mut extent = source.extent(slice.capture_id, slice.samples.end - slice.samples.start)?;
             if plan.slices.len() > 1 {
+                let shares = plan.shares(&slice.samples);
                 extent.captures.push(Contribution {
+                    at_rest_s: shares.map(|of| of.at_rest_s),
+                    moving_s: shares.map(|of| of.moving_s),
                     capture: extent.capture.clone(),
                     duration_s: extent.duration_s,
                     samples: extent.samples,
@@ -138,6 +141,8 @@ pub(super) fn curves(
     report.missing = Some(extent.missing);
     report.captures.clone_from(&extent.captures);
     report.warnings = warnings(plan, extent);
+    let shares = plan.shares(&(0..plan.end_seq));
+    (report.at_rest_s, report.moving_s) = (shares.map(|of| of.at_rest_s), shares.map(|of| of.moving_s));
     report
 }
 
@@ -151,7 +156,22 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
         ));
     }
     warnings.extend(Flag::other_rate(plan.rate_hz, plan.other_rate).map(|flag| flag.note));
+    warnings.extend(motion(plan).map(|flag| flag.note));
     warnings
+}
+
+/// `in_motion`, where the sensor moved for a part of the time, `not_at_rest`, where it did all the time; none where it did not.
+fn motion(plan: &Plan) -> Option<Flag> {
+    let Shares { at_rest_s, moving_s } = plan.shares(&(0..plan.end_seq)).filter(|of| of.moving_s > 0.0)?;
+    Some(if at_rest_s > 0.0 {
+        let whole_s = at_rest_s + moving_s;
+        let note = format!("the sensor moved for {moving_s:.1} s of {whole_s:.1} s: these are left out");
+        Flag::whole("in_motion", note)
+    } else {
+        let note =
+            format!("the sensor was not at rest: it moved for all of {moving_s:.1} s, which tell nothing of its noise");
+        Flag::whole("not_at_rest", note)
+    })
 }
 
 /// Noise parameters of spectral sums, with and without what disturbed them; `held` and `go_on` as [`examine`] has them.
@@ -162,6 +182,7 @@ pub(super) fn noise(
     held: Option<Held>,
     go_on: impl FnMut(f64) -> Result<(), JobError>,
 ) -> Result<NoiseReport, JobError> {
+    let motion = motion(plan);
     let fitted = side_by_side(
         sums.iter(),
         || (),
@@ -169,13 +190,17 @@ pub(super) fn noise(
             let mut all = All::of(*channel, plan.rate_hz, sums, plan.sampling(*channel));
             all.parameters.flags.extend(Flag::out_of_range(*channel, sums.out_of_range()));
             all.parameters.flags.extend(Flag::other_rate(plan.rate_hz, plan.other_rate));
+            all.parameters.flags.extend(motion.clone());
             (*channel, all)
         },
     );
     let (mut channels, mut disturbances) = (BTreeMap::new(), BTreeMap::new());
     let mut extent = Extent::of_plan(source, plan)?;
     let found = examine(source, plan, &fitted.into_iter().collect(), held, go_on)?;
-    for (channel, (parameters, disturbance)) in found.channels {
+    for (channel, (mut parameters, disturbance)) in found.channels {
+        if let Some(flag) = parameters.flags.iter().find(|flag| flag.kind == "not_at_rest") {
+            (parameters.usable, parameters.reason) = (false, Some(flag.note.clone()));
+        }
         channels.insert(channel, parameters);
         disturbances.insert(channel, disturbance);
     }
@@ -185,7 +210,13 @@ pub(super) fn noise(
             contribution.disturbances.insert(channel, disturbances);
         }
     }
-    Ok(NoiseReport { disturbances, ..noise_report(extent, plan.rate_hz, channels) })
+    let shares = plan.shares(&(0..plan.end_seq));
+    Ok(NoiseReport {
+        disturbances,
+        at_rest_s: shares.map(|of| of.at_rest_s),
+        moving_s: shares.map(|of| of.moving_s),
+        ..noise_report(extent, plan.rate_hz, channels)
+    })
 }
 
 /// Noise parameters of octaves of a capture that still runs.
@@ -214,6 +245,8 @@ fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseP
         captures: extent.captures,
         rate_hz,
         duration_s: extent.duration_s,
+        at_rest_s: None,
+        moving_s: None,
         samples: extent.samples,
         missing: extent.missing,
         complete: extent.complete,

@@ -43,7 +43,19 @@ pub(super) fn run(
         return super::diagnosis::run(store, reader, job, keep_on);
     }
     let parameters = kind.parameters(&job.params)?;
-    let (mut fold, mut next_seq) = Fold::begin(reader, job, kind, &parameters)?;
+    let mut begun = Instant::now();
+    let begin = Fold::begin(reader, job, kind, &parameters, || {
+        rest(begun.elapsed() / REST);
+        begun = Instant::now();
+        if keep_on() { Ok(()) } else { Err(JobError::Stopped) }
+    });
+    let (mut fold, mut next_seq) = match begin {
+        Err(JobError::Stopped) => {
+            store.release_job(job.id)?;
+            return Ok(Outcome::Stopped);
+        }
+        begin => begin?,
+    };
     let end_seq = fold.end_seq(job);
     loop {
         while next_seq < end_seq {

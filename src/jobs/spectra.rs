@@ -6,6 +6,7 @@
 
 use super::fold::{join, split};
 use super::held::Held;
+use super::motion::AtRest;
 use super::plan::{Plan, feed};
 use super::runner::CHUNK;
 use super::threads::side_by_side;
@@ -50,6 +51,15 @@ impl Spectra {
         spectra
     }
 
+    /// The same of what is at rest, and of samples that are held already.
+    pub(super) fn of(at_rest: AtRest) -> Self {
+        let mut spectra = Self::new(at_rest.plan);
+        if spectra.held.is_some() && at_rest.held.is_some() {
+            spectra.held = at_rest.held;
+        }
+        spectra
+    }
+
     /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
     pub(super) fn restore(
         plan: Plan,
@@ -86,7 +96,7 @@ impl Spectra {
         self.current = current;
         if let Some(last) = next_seq.checked_sub(1) {
             let chunk = self.plan.read_chunk(source, last, 1, &[])?;
-            self.open = chunk.segment.first().copied().filter(|number| self.plan.segment(*number).is_some());
+            self.open = chunk.segment.first().copied().filter(|number| self.plan.stretch_of(*number, last).is_some());
         }
         Ok(Some(self))
     }
@@ -94,6 +104,12 @@ impl Spectra {
     /// The plan.
     pub(super) fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// The next samples where all are held, of [`Self::read_channels`].
+    pub(super) fn held_chunk(&self, from: u64, limit: usize) -> Option<Chunk> {
+        let held = self.held.as_ref().filter(|held| held.len() == self.plan.end_seq)?;
+        Some(held.chunk(from, limit, self.pass_channels()))
     }
 
     /// The channels to be read in this pass: those that are summed first.
@@ -145,7 +161,7 @@ impl Spectra {
 
     /// Takes in the next samples of this pass: columns as [`Self::read_channels`] has them.
     pub(super) fn take(&mut self, chunk: &Chunk) {
-        if let Some(held) = &mut self.held {
+        if let Some(held) = self.held.as_mut().filter(|held| held.len() <= chunk.first_seq) {
             held.take(chunk);
         }
         let runs = self.plan.runs(chunk);

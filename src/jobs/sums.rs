@@ -94,8 +94,8 @@ impl Summation {
         let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
         let chunk = self.plan.read_chunk(source, last, 1, &[])?;
         let Some(number) = chunk.segment.first().copied() else { return Ok(None) };
-        let Some(range) = self.plan.segment(number) else { return Ok(None) };
-        Ok(Some((number, range.start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
+        let Some((number, start)) = self.plan.stretch_of(number, last) else { return Ok(None) };
+        Ok(Some((number, start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
     }
 
     /// The plan.

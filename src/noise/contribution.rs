@@ -13,6 +13,12 @@ pub struct Contribution {
     pub capture: String,
     /// Sample time covered, s.
     pub duration_s: f64,
+    /// Of these at rest, s: what the document is made of. Absent where nothing tells, as while a capture runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_rest_s: Option<f64>,
+    /// In motion, s: left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_s: Option<f64>,
     /// Samples received.
     pub samples: u64,
     /// Samples missing.

@@ -12,6 +12,7 @@ mod contribution;
 pub mod fit;
 pub mod robust;
 pub mod statistics;
+pub mod stillness;
 pub mod welch;
 pub mod whittle;
 

@@ -161,6 +161,12 @@ pub struct AllanReport {
     /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<u64>,
+    /// Samples at rest, s: what the document is made of. Absent where nothing tells, as while a capture runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_rest_s: Option<f64>,
+    /// In motion, s: left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_s: Option<f64>,
     /// Several captures of one sensor: what each gave. Samples are then their sum.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub captures: Vec<crate::noise::Contribution>,
@@ -192,6 +198,8 @@ impl AllanReport {
             rate_hz,
             complete,
             samples: None,
+            at_rest_s: None,
+            moving_s: None,
             captures: Vec::new(),
             missing: None,
             warnings: Vec::new(),

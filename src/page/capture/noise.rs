@@ -9,6 +9,8 @@ use std::fmt::Write as _;
 /// The parts of `vn100d-noise-1` that are shown.
 #[derive(Debug, Deserialize)]
 struct Noise {
+    at_rest_s: Option<f64>,
+    moving_s: Option<f64>,
     #[serde(default)]
     channels: BTreeMap<String, Parameters>,
     datasheet: Option<Sheet>,
@@ -63,6 +65,7 @@ struct Sheet {
 struct Compared {
     noise_density: Option<Density>,
     bias_stability: Option<Bias>,
+    verdict: String,
 }
 
 #[derive(Debug, Deserialize)]
@@ -85,6 +88,7 @@ struct Bias {
     ratio: f64,
     unit: String,
     verdict: String,
+    needed_s: Option<f64>,
 }
 
 /// The sections of `vn100d-noise-1` and of the pictures that belong to it.
@@ -97,6 +101,13 @@ pub(super) fn section(
     let of: Noise = serde_json::from_str(document)?;
     if of.channels.is_empty() {
         return Ok(());
+    }
+    if let Some((at_rest_s, moving_s)) = of.at_rest_s.zip(of.moving_s).filter(|(_, moving_s)| *moving_s > 0.0) {
+        // Writing to a text cannot fail.
+        let _ = write!(
+            out,
+            "<p class=\"soft\">At rest {at_rest_s:.1} s, in motion {moving_s:.1} s, which are left out.</p>"
+        );
     }
     parameters(out, &of.channels);
     *out += "<h2>Allan deviation</h2><p class=\"soft\">Overlapping estimator with its 68 % band; dashed what the parameters above \
@@ -234,6 +245,9 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
         );
     };
     for (name, of) in &sheet.channels {
+        if of.verdict == "not_at_rest" {
+            row(name, "", [None; 4], ["", "", &of.verdict]);
+        }
         if let Some(density) = &of.noise_density {
             let Density { measured, datasheet, printed, predicted, ratio_to_predicted, unit, verdict } = density;
             row(
@@ -244,8 +258,12 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
             );
         }
         if let Some(bias) = &of.bias_stability {
-            let Bias { allan_minimum, tau_s, datasheet, printed, ratio, unit, verdict } = bias;
+            let Bias { allan_minimum, tau_s, datasheet, printed, ratio, unit, verdict, needed_s } = bias;
             let figure = format!("Allan minimum, at {} s", crate::plot::number::rounded(*tau_s, 2));
+            let verdict = &match needed_s {
+                Some(needed_s) => format!("too short to tell: {:.0} min would do", needed_s / 60.0),
+                None => verdict.clone(),
+            };
             row(name, &figure, [Some(*allan_minimum), Some(*datasheet), None, Some(*ratio)], [printed, unit, verdict]);
         }
     }
