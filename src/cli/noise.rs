@@ -336,6 +336,28 @@ mod tests {
         );
     }
 
+    /// What is known of motion in real recordings is found through the whole way from the file.
+    #[test]
+    fn real_recordings_are_divided_as_they_were_made() {
+        for (file, moving) in [
+            ("vn100-car/data_circle2_0.db3", 1.0..=1.0),
+            ("vn100-cart/circle_carter.imu.raw.txt.gz", 1.0..=1.0),
+            ("vn100-desk/live_capture.txt.gz", 0.0..=0.0),
+            ("mpu6050/still-10min.csv.gz", 0.0..=0.0),
+            ("repoimu/TStick_Test01_Static.csv.gz", 0.0..=0.0),
+            ("broad/26_disturbed_phone_vibration_A.csv.gz", 0.5..=0.7),
+        ] {
+            let Some(path) = crate::skip::real_data(file) else { return };
+            let found = report(opened(path.to_str().unwrap().to_owned()));
+            let (at_rest_s, moving_s) = (found.at_rest_s.unwrap(), found.moving_s.unwrap());
+            let share = moving_s / (at_rest_s + moving_s);
+            assert!(moving.contains(&share), "{file}: {at_rest_s} s at rest, {moving_s} s in motion");
+            let gyro = &found.channels[&Channel::GyroZ];
+            let flagged = gyro.flags.iter().any(|flag| flag.kind == "not_at_rest");
+            assert_eq!((flagged, gyro.n.value.is_none()), (share == 1.0, share == 1.0), "{file}");
+        }
+    }
+
     #[test]
     fn a_gauss_markov_process_is_shown_in_table_and_csv() {
         let directory = tempfile::tempdir().unwrap();

@@ -236,8 +236,7 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     let turning = |at: usize| bias[at].is_none_or(|bias| distance(means[at].gyro, bias) > rate);
     // A push turns too, however little; a line folded to a slow one shakes the accelerometer alone.
     let turns = |at: usize| !has_gyro || bias[at].is_none_or(|bias| distance(means[at].gyro, bias) > STIR * rate);
-    let stirs = |at: usize| (at.saturating_sub(1)..(at + 2).min(means.len())).any(turns);
-    let departs: Vec<bool> = (0..means.len()).map(|at| turning(at) || far(at) && stirs(at)).collect();
+    let departs: Vec<bool> = (0..means.len()).map(|at| turning(at) || far(at) && turns(at)).collect();
     let mut moving = vec![false; means.len()];
     for from in 0..means.len() {
         let group = from..(from + NEIGHBOURS).min(means.len());

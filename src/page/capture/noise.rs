@@ -65,6 +65,7 @@ struct Sheet {
 struct Compared {
     noise_density: Option<Density>,
     bias_stability: Option<Bias>,
+    #[serde(default)]
     verdict: String,
 }
 
