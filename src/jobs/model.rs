@@ -13,7 +13,8 @@ use std::collections::BTreeMap;
 const CHUNK: usize = 65_536;
 
 /// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found in the part that
-/// there is `room` for ([`gridded`]); and why it should not be used, where that is so.
+/// there is `room` for ([`gridded`]); and, without effects, why it should not be
+/// used, where that is so.
 ///
 /// # Errors
 /// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
@@ -35,12 +36,8 @@ pub fn fitted(
     let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
     let temperature_c = levels.get(&Channel::Temperature).copied();
     let model = with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c);
-    // Effects were found that the parameters by themselves lack.
-    let without = |channel: &Channel| model.channels.get(channel).is_none_or(|of| of.effects.is_empty());
-    let mut plainly = report;
-    plainly.channels.retain(|channel, _| without(channel));
-    let refusal = plainly.refusal();
-    Ok((model, refusal))
+    // The diagnosis holds what it adds against the record itself.
+    Ok((model, None))
 }
 
 /// Mean of every channel of a plan, and of the temperature where it was recorded.
