@@ -475,7 +475,8 @@ mod tests {
     #[test]
     fn disturbances_of_a_sensor_at_rest_are_no_motion() {
         let tau = std::f64::consts::TAU;
-        let changes: [(&str, fn(f64) -> f64, f64); 5] = [
+        type Change = (&'static str, fn(f64) -> f64, f64);
+        let changes: [Change; 5] = [
             ("nothing", |_| 0.0, 1.0),
             ("vibration", |t| (std::f64::consts::TAU * 13.38 * t).sin(), 20.0),
             ("a warm-up", |t| (-t / 300.0).exp(), 8.0),
