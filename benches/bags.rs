@@ -70,7 +70,7 @@ fn read(file: &Path) -> u64 {
     let (mut samples, mut records) = (0, Vec::new());
     for item in recording.items().unwrap() {
         let item = item.unwrap();
-        samples += u64::from(matches!(item, Item::Sample(_)));
+        samples += u64::from(matches!(item, Item::Sample(..)));
         accountant.take(item, &mut records);
         records.clear();
     }

@@ -66,7 +66,7 @@ pub enum Command {
     Show {
         /// Id, name, `latest`, or the path of a recording
         capture: String,
-        /// Rate of a recording without stamps in Hz
+        /// Rate of a recording in Hz: for one without stamps, or to override its stamps
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
     },
@@ -400,7 +400,7 @@ pub struct TrialArgs {
     /// Impose the effects on this recording instead of on made-up noise: id, name, `latest`, or a file's path
     #[arg(long, value_name = "CAPTURE|FILE")]
     pub on: Option<String>,
-    /// Rate of a recording without stamps in Hz
+    /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate, requires = "on")]
     pub rate: Option<f64>,
     /// Samples of a case, 10000 or more (default: drawn, 27 min to 5 h; of a recording 65536, or all if it is shorter)

@@ -31,8 +31,8 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let html = args.html.as_ref().map(create).transpose()?;
     let reference = args.reference.as_deref().map(reference).transpose()?;
     let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
+    let sim = simulator(context, args, together.plan.rate_hz)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
-    let sim = simulator(context, args)?;
     let real_name = together.name();
     let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;
     let options = Options {
@@ -74,13 +74,18 @@ fn reference(path: &Path) -> anyhow::Result<Reference> {
     Reference::new(rows).with_context(|| format!("the reference {name} cannot be used"))
 }
 
-/// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first.
-fn simulator(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<SensorModel> {
+/// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first. Another rate
+/// than the recording's is refused before that.
+fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<SensorModel> {
     let path = Path::new(&args.sim);
     let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
+    let same_rate = |sim_hz| diagnosis::same_rate(real_hz, sim_hz).map_err(|error| refused(&error));
     if is_model {
-        return model::load(path);
+        let sim = model::load(path)?;
+        same_rate(sim.rate_hz)?;
+        return Ok(sim);
     }
+    same_rate(analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?.plan.rate_hz)?;
     let everything = diagnosis::effect_names();
     Ok(model::fitted(context, std::slice::from_ref(&args.sim), args.rate, &everything, None)?.model)
 }

@@ -130,16 +130,25 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     })
 }
 
+/// Rates that differ by less are one rate by two clocks: a host's runs within 1e-4, and stamps tell no rate worse.
+const SAME_RATE_WITHIN: f64 = 0.01;
+
+/// Checks that a recording and a model have the same rate, before any work is done.
+///
+/// # Errors
+/// [`DiagnosisError::Rate`] with both.
+pub fn same_rate(found_hz: f64, expected_hz: f64) -> Result<(), DiagnosisError> {
+    let same = found_hz.is_finite() && (found_hz / expected_hz - 1.0).abs() <= SAME_RATE_WITHIN;
+    if same { Ok(()) } else { Err(DiagnosisError::Rate { found_hz, expected_hz }) }
+}
+
 /// Whether a recording and a model can be compared, and the channels that are.
 ///
 /// # Errors
 /// [`DiagnosisError`] for what cannot be compared.
 pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Channel>, DiagnosisError> {
     let n = real.len();
-    let found_hz = real.rate_hz;
-    if !found_hz.is_finite() || (found_hz / sim.rate_hz - 1.0).abs() > 0.01 {
-        return Err(DiagnosisError::Rate { found_hz, expected_hz: sim.rate_hz });
-    }
+    same_rate(real.rate_hz, sim.rate_hz)?;
     if n < LEAST {
         return Err(DiagnosisError::TooShort { found: n, least: LEAST, least_s: LEAST as f64 / sim.rate_hz });
     }

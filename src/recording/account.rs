@@ -1,21 +1,20 @@
-//! From a recording's items to a capture's records, by the contract's rule (section 3): a gap is a step over 1.5 periods of
-//! the median step. No file is touched here.
+//! From a recording's items to a capture's records, by the contract's rule (section 3): a gap is a grid point without a
+//! sample. No file is touched here.
 //!
-//! With stamps a gap's `missing` is round(step/period) − 1 and exact. A rejected line with a stamp is one missing sample at
-//! that stamp, with the cause `checksum` where it failed it: steps are counted from stamp to stamp, so that a hole beside a
-//! rejected line stays a gap of its own, of the source's. Without stamps nothing can be known to be missing but what was
-//! rejected: each rejected line that stands for a sample is one missing sample, not exact, since a spliced line may hold
-//! parts of several.
+//! With stamps the grid tells how many samples are missing before each ([`super::grid`]). A rejected line with a stamp takes
+//! the grid point nearest to it, with the cause `checksum` if it failed it, so that a hole beside a rejected line stays a gap
+//! of its own, of the source's. Without stamps only what was rejected is known to be missing: each rejected line that stands
+//! for a sample is one missing sample, not exact, since a spliced line may hold parts of several.
 //!
-//! The identity: samples + missing = 1 + Σ max(1, round(step/period)) over the steps from stamp to stamp.
+//! The identity: (samples + missing) periods = last stamp − first stamp + one period, to the jitter of these stamps.
 
 use super::between::Between;
+use super::grid::StampGrid;
 use super::info::RecordingInfo;
-use super::{GAP_PERIODS, Item, REJECTED_KEPT, Rejected};
+use super::{Item, REJECTED_KEPT, Rejected};
 use crate::sample::{
     ChannelSet, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase,
 };
-use crate::units::period_ns;
 
 /// Counts what a recording has and what it lacks.
 #[derive(Debug, Clone)]
@@ -24,6 +23,8 @@ pub struct RecordingAccountant {
     timebase: Timebase,
     channels: ChannelSet,
     started_utc_ns: i64,
+    /// Whether stamps tell the number of missing samples exactly.
+    exact: bool,
     /// Device time and UTC of the last sample.
     last: Option<(Option<u64>, i64)>,
     segment_open: bool,
@@ -49,6 +50,7 @@ impl RecordingAccountant {
             timebase: info.timebase(),
             channels: info.channels,
             started_utc_ns: info.started_utc_ns,
+            exact: info.stamp_grid.as_ref().is_some_and(StampGrid::is_exact) && info.findings.off_grid == 0,
             last: None,
             segment_open: false,
             segments: 0,
@@ -86,10 +88,10 @@ impl RecordingAccountant {
     /// Takes the next item; what it means for the capture is appended to `out`.
     pub fn take(&mut self, item: Item, out: &mut Vec<Record>) {
         match item {
-            Item::Sample(mut sample) => {
+            Item::Sample(mut sample, missing) => {
                 self.frames += 1;
                 sample.frame = self.frames;
-                self.take_sample(sample, out);
+                self.take_sample(sample, missing, out);
             }
             Item::Rejected(rejected) => self.take_rejected(rejected, out),
         }
@@ -119,10 +121,10 @@ impl RecordingAccountant {
         }
     }
 
-    fn take_sample(&mut self, sample: Sample, out: &mut Vec<Record>) {
+    fn take_sample(&mut self, sample: Sample, missing: Option<u64>, out: &mut Vec<Record>) {
         if let Some(last) = self.last {
             let before = out.len();
-            self.gaps_before(last, &sample, out);
+            self.gaps_before(last, &sample, missing, out);
             if out.len() > before {
                 self.segment_open = false;
             }
@@ -148,9 +150,15 @@ impl RecordingAccountant {
         self.received += 1;
     }
 
-    /// The gaps between the sample before, of this device time and UTC, and this one.
-    fn gaps_before(&mut self, (device_ns, utc_ns): (Option<u64>, i64), sample: &Sample, out: &mut Vec<Record>) {
-        let (Some(device_ns), Some(now_ns)) = (device_ns, sample.device_time_ns) else {
+    /// The gaps between the sample before, of this device time and UTC, and this one, before which so many are missing.
+    fn gaps_before(
+        &mut self,
+        (device_ns, utc_ns): (Option<u64>, i64),
+        sample: &Sample,
+        missing: Option<u64>,
+        out: &mut Vec<Record>,
+    ) {
+        let (Some(missing), Some(device_ns), Some(now_ns)) = (missing, device_ns, sample.device_time_ns) else {
             let missing = self.between.count();
             if missing > 0 {
                 let cause = if self.between.any_checksum() { GapCause::Checksum } else { GapCause::Source };
@@ -158,40 +166,50 @@ impl RecordingAccountant {
             }
             return;
         };
-        let between = std::mem::take(&mut self.between);
-        let (mut between, from_ns, to_ns) = (between, device_ns as i64, now_ns as i64);
+        if missing == 0 {
+            return;
+        }
+        let mut between = std::mem::take(&mut self.between);
+        let (from_ns, to_ns) = (device_ns as i64, now_ns as i64);
         between.settle(from_ns, to_ns);
         let source = if between.unplaced_checksum { GapCause::Checksum } else { GapCause::Source };
-        let period_ns = period_ns(self.rate_hz);
-        let gap = |from: i64, to: i64, missing, cause| {
-            let utc = |stamp_ns: i64| utc_ns.saturating_add(stamp_ns - from_ns);
-            ((utc(from), utc(to)), Some((from as u64, to as u64)), (missing, true), cause)
-        };
-        let mut gaps = Vec::new();
-        // A run of rejected lines since the last hole: where it begins, how many, whether one failed its checksum.
-        let (mut run_from_ns, mut run, mut run_checksum) = (from_ns, 0, false);
-        let run_cause = |checksum| if checksum { GapCause::Checksum } else { GapCause::Source };
-        let mut last_ns = from_ns;
+        let step_ns = (to_ns - from_ns) as f64 / (missing + 1) as f64;
+        let at_ns = |point: u64| from_ns + (point as f64 * step_ns).round() as i64;
+        // Points 1 to `missing` have no sample; a rejected line takes the free one nearest to its stamp.
+        let mut pieces: Vec<(u64, u64, GapCause, bool)> = Vec::new();
+        let mut next = 1;
         for instant in between.instants(to_ns) {
-            let periods = (instant.stamp_ns - last_ns) as f64 / period_ns;
-            if periods > GAP_PERIODS {
-                if run > 0 {
-                    gaps.push(gap(run_from_ns, last_ns, run, run_cause(run_checksum)));
+            let Some(checksum) = instant.rejected else { break };
+            let point = ((instant.stamp_ns - from_ns) as f64 / step_ns).round() as u64;
+            let point = point.max(next);
+            if point > missing {
+                break;
+            }
+            if point > next {
+                pieces.push((next, point, source, false));
+            }
+            let cause = if checksum { GapCause::Checksum } else { GapCause::Source };
+            match pieces.last_mut() {
+                // Rejected lines side by side are one gap.
+                Some((_, end, joined, true)) if *end == point => {
+                    *end = point + 1;
+                    if checksum {
+                        *joined = GapCause::Checksum;
+                    }
                 }
-                gaps.push(gap(last_ns, instant.stamp_ns, periods.round() as u64 - 1, source));
-                (run_from_ns, run, run_checksum) = (instant.stamp_ns, 0, false);
+                _ => pieces.push((point, point + 1, cause, true)),
             }
-            if let Some(checksum) = instant.rejected {
-                run += 1;
-                run_checksum |= checksum;
-            }
-            last_ns = instant.stamp_ns;
+            next = point + 1;
         }
-        if run > 0 {
-            gaps.push(gap(run_from_ns, to_ns, run, run_cause(run_checksum)));
+        if next <= missing {
+            pieces.push((next, missing + 1, source, false));
         }
-        for (utc, device, missing, cause) in gaps {
-            self.push_gap(utc, device, missing, cause, out);
+        for (begin, end, cause, _) in pieces {
+            // From the point before to the one behind: of the samples, or of rejected lines.
+            let (from, to) = (at_ns(begin - 1), at_ns(end));
+            let utc = |stamp_ns: i64| utc_ns.saturating_add(stamp_ns - from_ns);
+            let device_ns = Some((from as u64, to as u64));
+            self.push_gap((utc(from), utc(to)), device_ns, (end - begin, self.exact), cause, out);
         }
         self.between = between;
     }

@@ -11,9 +11,11 @@
 
 use super::error::RecordingError;
 use super::findings::Pairs;
+use super::grid::{StampGrid, rounding};
 use super::pairs::Pairing;
 use super::rows::{Row, Rows};
 use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS, median_of};
+use super::values::{STD_OF_SPREAD, median_and_spread};
 use crate::units::NANOS_PER_SECOND;
 
 /// How many samples are looked at.
@@ -39,7 +41,7 @@ pub struct StampChoice {
 }
 
 /// What the rows looked at have.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Chosen {
     /// Stamps that a row has.
     pub(super) count: usize,
@@ -49,6 +51,54 @@ pub(super) struct Chosen {
     pub(super) unix: bool,
     pub(super) regular: Vec<f64>,
     pub(super) pairs: Vec<Option<Pairs>>,
+    /// How its stamps may fall behind each other.
+    pub(super) falls: Falls,
+    /// The grid on which its stamps lie.
+    pub(super) grid: Option<StampGrid>,
+    /// The rate that its stamps tell where a told one overrides them, Hz: then they do not count.
+    pub(super) overridden_hz: Option<f64>,
+}
+
+/// How stamps of samples in their order may fall behind each other, though no line is repeated or misplaced.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Falls {
+    /// Several samples have one stamp, because it is rounded.
+    pub(super) equal: bool,
+    /// Jitter puts a stamp up to so much before the last one, ns.
+    pub(super) back_ns: i64,
+}
+
+/// Fewer stamps tell nothing of their jitter.
+const JITTER_LEAST: usize = 64;
+/// Rounding to this share of the mean step makes equal stamps, where there is jitter too.
+const ROUNDED_FROM: f64 = 0.2;
+/// Rounding to this share of it makes them without.
+const COARSE_FROM: f64 = 1.05;
+/// Jitter of this share of the mean step makes stamps fall.
+const JITTER_FROM: f64 = 0.1;
+/// Shares of the steps that fall where it is by jitter: fewer are misplaced lines, more are no stamps.
+const FALLING: std::ops::Range<f64> = 5e-4..0.5;
+/// Stamps are within so many standard deviations.
+const DEVIATIONS: f64 = 8.0;
+
+impl Falls {
+    /// Of stamps in the order of their samples, ns.
+    fn of(stamps: &[i64]) -> Self {
+        let steps: Vec<i64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0])).collect();
+        let span_ns = stamps.first().zip(stamps.last()).map_or(0, |(first, last)| last.saturating_sub(*first));
+        if stamps.len() < JITTER_LEAST || span_ns <= 0 {
+            return Self::default();
+        }
+        let mean_ns = span_ns as f64 / steps.len() as f64;
+        let rounding_ns = rounding(stamps) as f64;
+        let (_, spread_ns) = median_and_spread(steps.iter().map(|step| *step as f64).collect()).unwrap_or_default();
+        let jitter_ns = STD_OF_SPREAD * spread_ns / std::f64::consts::SQRT_2;
+        let falls = |step: &&i64| **step < 0 || (**step == 0 && rounding_ns >= ROUNDED_FROM * mean_ns);
+        let falling = steps.iter().filter(falls).count() as f64 / steps.len() as f64;
+        let jitters = jitter_ns > JITTER_FROM * mean_ns && FALLING.contains(&falling);
+        let back_ns = if jitters { (DEVIATIONS * jitter_ns) as i64 } else { 0 };
+        Self { equal: jitters || rounding_ns > COARSE_FROM * mean_ns, back_ns }
+    }
 }
 
 /// One column of stamps; its steps from the second row on: a first line may be cut, and its first stamp with it.
@@ -62,10 +112,12 @@ struct Column {
     backward: u64,
     /// Stamps since 1970.
     unix: u64,
+    stamps: Vec<i64>,
 }
 
 impl Column {
     fn add(&mut self, stamp_ns: i64) {
+        self.stamps.push(stamp_ns);
         if self.first.replace(self.first.unwrap_or(stamp_ns)).is_some() {
             if stamp_ns > self.last {
                 let step_ns = stamp_ns.abs_diff(self.last);
@@ -130,13 +182,13 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     // Of equally many the richer one: a first line may be cut.
     let Some((count, (rows, columns))) = by_count.iter().enumerate().max_by_key(|(count, (rows, _))| (*rows, *count))
     else {
-        return Ok(Chosen { count: 0, column: None, unix: false, regular: Vec::new(), pairs: Vec::new() });
+        return Ok(Chosen::default());
     };
     let columns = &columns[..count];
     let regular: Vec<f64> = columns.iter().map(Column::regular).collect();
     let pairs = columns.iter().map(|column| column.pairing.pairs(&column.steps.counted())).collect();
     let Some(reference) = reference(columns, *rows) else {
-        return Ok(Chosen { count, column: None, unix: false, regular, pairs });
+        return Ok(Chosen { count, regular, pairs, ..Chosen::default() });
     };
     let mut column = reference;
     for earlier in (0..reference).rev() {
@@ -145,5 +197,7 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
         }
     }
     let unix = 2 * columns[column].unix >= *rows;
-    Ok(Chosen { count, column: Some(column), unix, regular, pairs })
+    let own_clock = |stamp_ns: &i64| (*stamp_ns >= UNIX_FROM_NS) == unix;
+    let stamps: Vec<i64> = columns[column].stamps.iter().copied().filter(own_clock).collect();
+    Ok(Chosen { count, column: Some(column), unix, regular, pairs, falls: Falls::of(&stamps), ..Chosen::default() })
 }

@@ -192,8 +192,8 @@ impl CsvRows {
     /// Its header tells whether rows have a stamp, the first rows of which clock.
     pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
         let column = self.header.stamp.is_some().then_some(0);
-        let unix = choose(&mut self)?.unix;
-        Ok(Chosen { count: usize::from(column.is_some()), column, unix, regular: Vec::new(), pairs: Vec::new() })
+        let Chosen { unix, falls, .. } = choose(&mut self)?;
+        Ok(Chosen { count: usize::from(column.is_some()), column, unix, falls, ..Chosen::default() })
     }
 
     /// The current line's stamp and values, where it is numbers and delimiters.

@@ -1,29 +1,25 @@
 //! Findings: what is remarkable about a recording's times and values, as figures and as sentences.
 
+use super::DEFAULT_VN_RATE_HZ;
 use super::detect::Kind;
 use super::doubts::shown;
+use super::grid::StampGrid;
 use super::info::RecordingInfo;
-use super::{DEFAULT_VN_RATE_HZ, GAP_PERIODS};
 use crate::sample::Channel;
 use crate::units::NANOS_PER_SECOND;
 use std::collections::BTreeMap;
 
-/// Mean and median rate that differ by more are told apart.
-const RATES_DIFFER: f64 = 0.02;
 /// A told rate that differs by more from the one found is said.
 const TOLD_DIFFERS: f64 = 0.005;
-/// From this share of short steps on, stamps come in pairs or bursts.
-const BURSTS_FROM: f64 = 0.05;
-/// Below this share of the rate that the median step tells, so few stamps a second come in bursts.
-const BURSTS_BELOW: f64 = 0.5;
 /// From this share of the samples on, late stamps are no strays but another run.
 const LATE_FROM: f64 = 0.05;
 /// From this share of repeating samples on they are no chance: a coarse sensor's values repeat now and then.
 const REPEATED_FROM: f64 = 1e-5;
 /// A sensor that sends less than this share of its default rate was set to it, or not all of it was recorded.
 const SLOW: f64 = 0.5;
-/// Jitter of a smaller share of the step is not worth a sentence.
-const JITTER_FROM: f64 = 1e-4;
+/// Jitter and rounding of a smaller share of the period are not worth a sentence.
+const JITTER_FROM: f64 = 1e-3;
+const ROUNDED_FROM: f64 = 1e-3;
 
 /// Figures of a first pass.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
@@ -32,19 +28,22 @@ pub struct Findings {
     pub steps: u64,
     /// The median step, s.
     pub median_step_s: Option<f64>,
-    /// How much steps differ from the median one, s: 1.4826 times the median distance, a standard deviation that a few odd
-    /// steps do not change.
-    pub jitter_s: Option<f64>,
-    /// The same as a root mean square over the whole record, without the steps that are gaps, s.
-    pub jitter_rms_s: Option<f64>,
     /// Steps over their time, Hz; below the rate where samples are missing.
     pub mean_rate_hz: Option<f64>,
-    /// Steps over 1.5 periods: each is a gap.
-    pub irregular_steps: u64,
-    /// The longest, s.
-    pub longest_step_s: Option<f64>,
+    /// Grid points without a sample.
+    pub missing: u64,
+    /// In so many gaps.
+    pub gaps: u64,
+    /// From sample to sample across the longest gap, s.
+    pub longest_gap_s: Option<f64>,
     /// When it began, UTC ns; `None` where stamps do not tell the time of day.
-    pub longest_step_utc_ns: Option<i64>,
+    pub longest_gap_utc_ns: Option<i64>,
+    /// Stamps that are late by half a period or more, beyond their rounding: the next ones make up for it.
+    pub delayed: u64,
+    /// The latest, s.
+    pub longest_delay_s: Option<f64>,
+    /// How often stamps left the grid: the clock was set, or the rate changed.
+    pub off_grid: u64,
     /// Steps below a tenth of the median step, or of the long one of pairs.
     pub short_steps: u64,
     /// The two steps that take turns, where stamps come in pairs.
@@ -154,18 +153,9 @@ impl RecordingInfo {
 
     fn pairs(&self) -> Option<String> {
         let Pairs { short_s, long_s } = self.findings.pairs?;
-        let likely = rate(2.0 / (short_s + long_s));
-        let way = match self.kind {
-            Kind::Csv => format!(
-                "leave the stamps out (a header without time_s, no column given as time by --columns) and tell --rate \
-                 {likely}, or give another column of stamps by --columns"
-            ),
-            Kind::VnText => format!("cut off what stands before `$VN` and tell --rate {likely}"),
-            _ => "the file has no better stamps".to_owned(),
-        };
         Some(format!(
-            "stamps come in pairs: steps of {} ms and of {} ms take turns, as where two messages are received at once. The \
-             rate of {} Hz and what is counted as missing are not to be believed, likely are {likely} Hz: {way}",
+            "stamps come in pairs: steps of {} ms and of {} ms take turns, as if two messages were received at once; the rate \
+             of {} Hz is that of the grid on which one of each pair lies",
             shown(1e3 * short_s),
             shown(1e3 * long_s),
             rate(self.rate_hz)
@@ -201,54 +191,73 @@ impl RecordingInfo {
                 rate(self.rate_hz)
             ));
         }
-        if let Some(mean_hz) = found.mean_rate_hz.filter(|mean| (mean / self.rate_hz - 1.0).abs() > RATES_DIFFER) {
-            let irregular = found.irregular_steps as f64 / found.steps.max(1) as f64;
-            let bursts = mean_hz < BURSTS_BELOW * self.rate_hz && irregular > BURSTS_FROM && found.pairs.is_none();
-            let bursts = if bursts { ": they come in bursts, or most samples are missing" } else { "" };
-            let (mean, median) = (rate(mean_hz), rate(self.rate_hz));
-            remarks.push(format!("{mean} stamps a second on average, {median} by the median step{bursts}"));
-        }
         if let Some(commented_hz) = found.commented_rate_hz {
             remarks.push(format!(
                 "the rate of {commented_hz} Hz is that of a comment before the header (--rate HZ tells another)"
             ));
         }
         if let Some(told_hz) = self.unused_rate_hz {
-            let differs = (told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS;
-            let but = if differs { format!(", which say {} Hz", self.rate_hz) } else { String::new() };
-            remarks.push(format!("the told rate of {told_hz} Hz was not used: the recording has stamps{but}"));
+            let (differs, hz) = ((told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS, rate(self.rate_hz));
+            let but = if differs { format!(", which lie on a grid of {hz} Hz") } else { String::new() };
+            remarks.push(format!("the rate of {told_hz} Hz of a comment is not used: the recording has stamps{but}"));
+        }
+        if let Some(stamps_hz) = self.overridden_rate_hz {
+            let (told_hz, hz) = (self.rate_hz, rate(stamps_hz));
+            remarks.push(match self.stamp_grid {
+                Some(_) => format!("--rate {told_hz} overrides the {hz} Hz of the stamps; gaps are still theirs"),
+                None => format!(
+                    "--rate {told_hz} overrides the stamps, which lie on a grid of {hz} Hz: they do not count, and no sample \
+                     is known to be missing"
+                ),
+            });
         }
     }
 
     fn remark_steps(&self, remarks: &mut Vec<String>) {
         let found = &self.findings;
-        let jitter = found.median_step_s.zip(found.jitter_s).zip(found.jitter_rms_s);
-        if let Some(((median_s, robust_s), rms_s)) = jitter
-            && robust_s.max(rms_s) > JITTER_FROM * median_s
-        {
-            remarks.push(format!(
-                "steps of {} ms jitter by {} ms (robust), {} ms rms without those over {GAP_PERIODS} periods",
-                shown(1e3 * median_s),
-                shown(1e3 * robust_s),
-                shown(1e3 * rms_s)
-            ));
-        }
-        if let Some(longest_s) = found.longest_step_s.filter(|_| found.irregular_steps > 0) {
+        remarks.extend(self.stamp_grid.as_ref().and_then(|grid| self.about_grid(grid)));
+        if let Some(longest_s) = found.longest_gap_s {
             let when =
-                found.longest_step_utc_ns.map_or_else(String::new, |utc_ns| format!(", from {}", rfc3339(utc_ns)));
+                found.longest_gap_utc_ns.map_or_else(String::new, |utc_ns| format!(", from {}", rfc3339(utc_ns)));
             remarks.push(format!(
-                "{} of {} steps {} over 1.5 periods, a gap each; the longest is {longest_s:.3} s{when}",
-                found.irregular_steps,
-                found.steps,
-                if found.irregular_steps == 1 { "is" } else { "are" }
+                "{} missing in {}; the longest is {longest_s:.3} s{when}",
+                counted(found.missing, "sample is", "samples are"),
+                counted(found.gaps, "gap", "gaps")
             ));
         }
-        if found.pairs.is_none() && found.short_steps as f64 > BURSTS_FROM * found.steps as f64 {
+        if found.off_grid > 0 {
             remarks.push(format!(
-                "stamps come in pairs or bursts: {} of {} steps are below a tenth of the median step",
-                found.short_steps, found.steps
+                "stamps leave their grid {}: the clock was set, or the rate changed, so the count of missing samples is not \
+                 exact",
+                counted(found.off_grid, "time", "times")
             ));
         }
+    }
+
+    /// What stamps are beside their grid.
+    fn about_grid(&self, grid: &StampGrid) -> Option<String> {
+        let found = &self.findings;
+        let milliseconds = |nanos: f64| shown(1e-6 * nanos);
+        let mut parts = Vec::new();
+        if grid.rounding_ns as f64 > ROUNDED_FROM * grid.period_ns {
+            parts.push(format!("rounded to {} ms", milliseconds(grid.rounding_ns as f64)));
+        }
+        if grid.jitter_ns > JITTER_FROM * grid.period_ns {
+            parts.push(format!("with a jitter of {} ms", milliseconds(grid.jitter_ns)));
+        }
+        if let Some(longest_s) = found.longest_delay_s {
+            let late = counted(found.delayed, "of them late", "of them late");
+            parts.push(format!("{late} by half a period to {} ms", shown(1e3 * longest_s)));
+        }
+        let hz = rate(self.overridden_rate_hz.unwrap_or(self.rate_hz));
+        if !grid.resolved {
+            return Some(format!(
+                "stamps are too coarse or jitter too much ({} ms) to tell single missing samples: the rate of {hz} Hz is their \
+                 mean, and only holes are counted as missing",
+                milliseconds(grid.jitter_ns.max(grid.rounding_ns as f64))
+            ));
+        }
+        (!parts.is_empty()).then(|| format!("stamps lie on a grid of {hz} Hz, {}", parts.join(", ")))
     }
 
     fn remark_rejected_stamps(&self, remarks: &mut Vec<String>) {
@@ -374,6 +383,11 @@ impl RecordingInfo {
             .collect();
         (!parts.is_empty()).then(|| format!("values come in steps: {}", parts.join(", ")))
     }
+}
+
+/// A count with its noun.
+fn counted(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 /// A rate as a person says it: 40.0, 1.0, 0.04245.

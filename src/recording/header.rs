@@ -103,7 +103,7 @@ impl Header {
         let line = without_comment_sign(line, map);
         let (delimiter, _) = delimiter(line, map);
         let cells = cells(line, delimiter);
-        let is_row = map.is_by_position() && is_numbers(&cells);
+        let is_row = map.is_by_position() && is_row(&cells, map);
         let mut header =
             Self { delimiter, columns: Vec::new(), ignored: Vec::new(), conversions: Vec::new(), stamp: None, is_row };
         let mut seen: Vec<(Channel, String)> = Vec::new();
@@ -234,9 +234,11 @@ fn cells(line: &str, delimiter: u8) -> Vec<String> {
     split.cells().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect()
 }
 
-fn is_numbers(cells: &[String]) -> bool {
-    let is_number = |cell: &String| cell.trim().is_empty() || cell.trim().parse::<f64>().is_ok();
-    cells.iter().all(is_number) && cells.iter().any(|cell| !cell.trim().is_empty())
+/// Whether every column that the user named by its place has a number, or nothing: other columns may hold text.
+fn is_row(cells: &[String], map: &ColumnMap) -> bool {
+    let told = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
+    let told: Vec<&str> = told.map(|(_, cell)| clean(cell)).collect();
+    told.iter().all(|cell| cell.is_empty() || cell.parse::<f64>().is_ok()) && told.iter().any(|cell| !cell.is_empty())
 }
 
 fn shown(cells: &[String]) -> String {

@@ -3,6 +3,7 @@
 use super::choice::StampChoice;
 use super::detect::Kind;
 use super::findings::Findings;
+use super::grid::StampGrid;
 use super::rows::Rejected;
 use crate::sample::{Channel, ChannelSet, DiscardCause, Timebase};
 use std::collections::BTreeMap;
@@ -93,12 +94,16 @@ pub struct RecordingInfo {
     pub stamp_choice: Option<StampChoice>,
     /// What is remarkable about it.
     pub findings: Findings,
-    /// Samples per second: of the median stamp step, told, or assumed.
+    /// Samples per second: of the grid on which the stamps lie, told, or assumed.
     pub rate_hz: f64,
     /// Whether the rate was neither in the file nor told.
     pub rate_assumed: bool,
-    /// A told rate that was not used because the file has stamps.
+    /// The rate of a comment in the file that was not used because the file has stamps.
     pub unused_rate_hz: Option<f64>,
+    /// The rate of the stamps, Hz, if a told one overrides it.
+    pub overridden_rate_hz: Option<f64>,
+    /// The grid on which the stamps lie; `None` without stamps.
+    pub stamp_grid: Option<StampGrid>,
     /// UTC of the first sample, ns since 1970: its stamp, else when the caller said that it starts.
     pub started_utc_ns: i64,
     /// Samples that the second pass will give.

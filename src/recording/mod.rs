@@ -33,12 +33,14 @@ mod told_tests;
 mod between;
 mod csv;
 mod doubts;
+mod grid;
 mod header;
 mod mapping;
 mod meter;
 mod number;
 mod order;
 mod pairs;
+mod placing;
 mod quantum;
 mod ros;
 mod stamps;
@@ -53,6 +55,7 @@ pub use choice::StampChoice;
 pub use detect::{Kind, detect};
 pub use error::RecordingError;
 pub use findings::{Doubt, Findings, Pairs, Quantisation};
+pub use grid::StampGrid;
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
 pub use input::{Input, open_regular};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
@@ -65,6 +68,7 @@ use crate::sample::{ChannelSet, Sample};
 use crate::units::{NANOS_PER_SECOND, period_ns};
 use choice::{Chosen, choose};
 use order::{Entry, Order};
+use placing::Placing;
 use rows::Rows;
 use stamps::UNIX_FROM_NS;
 use std::path::Path;
@@ -74,13 +78,16 @@ use survey::Survey;
 pub const DEFAULT_VN_RATE_HZ: f64 = 40.0;
 /// Rejected lines that are kept with their text.
 pub const REJECTED_KEPT: usize = 100;
-/// A step over this many periods is a gap (contract, section 3).
-pub const GAP_PERIODS: f64 = 1.5;
+/// A told rate that is nearer to that of the stamps is theirs by another clock; one farther off overrides them.
+const RATE_NEAR: f64 = 0.01;
+/// A grid that so large a share of the stamps leave is not that of the whole recording.
+const SLIPS_MOST: f64 = 2e-3;
 
 /// What the caller knows about a recording.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
-    /// Samples per second of a recording without stamps.
+    /// Samples per second. Of a recording with stamps it overrides theirs; stamps that are farther off than 1 % do not
+    /// count at all.
     pub rate_hz: Option<f64>,
     /// UTC of its start, ns since 1970, where it has no stamps since 1970: the time of the import, say.
     pub started_utc_ns: i64,
@@ -91,8 +98,8 @@ pub struct Options {
 /// One line's outcome.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Item {
-    /// A sample with its times.
-    Sample(Sample),
+    /// A sample with its times, and how many samples are missing before it; `None` where no stamps tell.
+    Sample(Sample, Option<u64>),
     /// A line that is none.
     Rejected(Rejected),
 }
@@ -123,11 +130,14 @@ impl Recording {
             return Err(RecordingError::Rate { found: rate_hz });
         }
         let file = input.path();
-        let layout = Layout::find(&input, &options.definitions)?;
+        let mut layout = Layout::find(&input, &options)?;
         let mut source = layout.open(&input)?;
-        let commented_rate_hz = source.told_rate_hz().filter(|_| options.rate_hz.is_none());
-        let told_rate_hz = options.rate_hz.or(commented_rate_hz);
-        let survey = Survey::of(source.rows(), &layout.chosen)?;
+        let mut survey = Survey::of(source.rows(), &layout.chosen)?;
+        if let Some(grid) = survey.another_grid(layout.chosen.grid.as_ref()) {
+            layout.chosen.grid = Some(grid);
+            source = layout.open(&input)?;
+            survey = Survey::of(source.rows(), &layout.chosen)?;
+        }
         if survey.samples == 0 {
             return Err(survey.no_sample(file));
         }
@@ -137,22 +147,25 @@ impl Recording {
             Some(_) => Stamps::Relative,
         };
         let stamped = stamps != Stamps::None;
-        let (rate_hz, rate_assumed) = if stamped {
-            let step_ns = survey.steps.median_ns();
-            let step_ns =
-                step_ns.ok_or_else(|| RecordingError::NoStep { file: file.to_owned(), samples: survey.samples })?;
-            (NANOS_PER_SECOND as f64 / step_ns, false)
-        } else {
-            match (told_rate_hz, layout.kind) {
+        let commented_rate_hz = source.told_rate_hz().filter(|_| options.rate_hz.is_none());
+        let no_step = || RecordingError::NoStep { file: file.to_owned(), samples: survey.samples };
+        let (rate_hz, rate_assumed) = match (options.rate_hz, layout.kind) {
+            (Some(told_hz), _) => (told_hz, false),
+            _ if stamped => (NANOS_PER_SECOND as f64 / survey.period_ns().ok_or_else(no_step)?, false),
+            (None, kind) => match (commented_rate_hz, kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
                 (None, Kind::VnText | Kind::Bag | Kind::Db3 | Kind::Mcap) => (DEFAULT_VN_RATE_HZ, true),
                 (None, Kind::Csv | Kind::RawBytes) => return Err(RecordingError::NoRate { file: file.to_owned() }),
-            }
+            },
         };
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
         let started_utc_ns = if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns };
         let (conversions, ignored_columns) = source.about();
         let findings = survey.findings(rate_hz, stamps, &conversions, source.rows().decimals());
+        let stamps_hz = match (options.rate_hz, layout.chosen.overridden_hz) {
+            (Some(_), None) if stamped => survey.period_ns().map(|period_ns| NANOS_PER_SECOND as f64 / period_ns),
+            (_, overridden_hz) => overridden_hz,
+        };
         let info = RecordingInfo {
             file: file.to_owned(),
             kind: layout.kind,
@@ -170,7 +183,9 @@ impl Recording {
             },
             rate_hz,
             rate_assumed,
-            unused_rate_hz: told_rate_hz.filter(|_| stamped),
+            unused_rate_hz: commented_rate_hz.filter(|_| stamped),
+            overridden_rate_hz: stamps_hz,
+            stamp_grid: layout.chosen.grid.clone().filter(|_| stamped),
             started_utc_ns,
             samples: survey.samples,
             rejected: survey.rejected,
@@ -193,7 +208,8 @@ impl Recording {
     pub fn items(&self) -> Result<Items, RecordingError> {
         Ok(Items {
             source: self.layout.open(&self.input)?,
-            order: Order::new(&self.layout.chosen),
+            placing: Placing::new(&self.layout.chosen),
+            last_ns: None,
             first_stamp_ns: self.info.first_stamp_ns,
             started_utc_ns: self.info.started_utc_ns,
             period_ns: period_ns(self.info.rate_hz),
@@ -206,7 +222,9 @@ impl Recording {
 /// A recording's samples and rejected lines.
 pub struct Items {
     source: Source,
-    order: Order,
+    placing: Placing,
+    /// The last sample's time since the first stamp, ns.
+    last_ns: Option<i64>,
     first_stamp_ns: i64,
     started_utc_ns: i64,
     period_ns: f64,
@@ -224,7 +242,7 @@ impl std::fmt::Debug for Items {
 impl Items {
     fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
         loop {
-            let Some(entry) = self.order.next_entry(self.source.rows())? else { return Ok(None) };
+            let Some((entry, placed)) = self.placing.next_entry(self.source.rows())? else { return Ok(None) };
             match entry {
                 Entry::Aside => {}
                 Entry::Rejected(mut rejected, stamp_ns) => {
@@ -241,6 +259,9 @@ impl Items {
                     let since_start_ns = match stamp_ns {
                         Some(stamp_ns) => {
                             let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
+                            // Times increase, whatever rounding and jitter do.
+                            let since_start_ns = self.last_ns.map_or(0, |last| since_start_ns.max(last + 1));
+                            self.last_ns = Some(since_start_ns);
                             sample.device_time_ns = u64::try_from(since_start_ns).ok();
                             since_start_ns
                         }
@@ -248,7 +269,7 @@ impl Items {
                     };
                     self.position += 1;
                     sample.host_utc_ns = self.started_utc_ns.saturating_add(since_start_ns);
-                    return Ok(Some(Item::Sample(sample)));
+                    return Ok(Some(Item::Sample(sample, placed.map(|placed| placed.missing))));
                 }
             }
         }
@@ -278,7 +299,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn find(input: &Input, definitions: &[MessageDefinition]) -> Result<Self, RecordingError> {
+    fn find(input: &Input, options: &Options) -> Result<Self, RecordingError> {
         let kind = detect(input)?;
         let told = !input.columns().is_empty();
         let of_no_csv = |found| RecordingError::ColumnsOfNoCsv { file: input.path().to_owned(), found };
@@ -290,11 +311,37 @@ impl Layout {
             Kind::VnText => (choose(&mut vn_text::VnRows::open(input, None)?)?, None),
             Kind::RawBytes => (choose(&mut vn_binary::BinaryRows::open(input)?)?, None),
             Kind::Bag | Kind::Db3 | Kind::Mcap => {
-                let topics = ros::Topics::find(kind, input, definitions)?;
+                let topics = ros::Topics::find(kind, input, &options.definitions)?;
                 (choose(&mut ros::RosRows::open(input, &topics)?)?, Some(topics))
             }
         };
-        Ok(Self { kind, chosen, topics })
+        let mut layout = Self { kind, chosen, topics };
+        layout.find_grid(input, options.rate_hz)?;
+        Ok(layout)
+    }
+
+    /// Finds the grid of the first stamps, unless the told rate overrides them.
+    fn find_grid(&mut self, input: &Input, told_hz: Option<f64>) -> Result<(), RecordingError> {
+        if self.chosen.column.is_none() {
+            return Ok(());
+        }
+        let mut source = self.open(input)?;
+        let (mut order, mut first) = (Order::new(&self.chosen), Vec::new());
+        while first.len() < grid::LOOK_AT
+            && let Some(entry) = order.next_entry(source.rows())?
+        {
+            if let Entry::Sample { stamp_ns: Some(stamp_ns), .. } = entry {
+                first.push(stamp_ns);
+            }
+        }
+        self.chosen.grid = grid::find(&first);
+        if let (Some(told_hz), Some(grid)) = (told_hz, &self.chosen.grid) {
+            let stamps_hz = NANOS_PER_SECOND as f64 / grid.period_ns;
+            if (told_hz / stamps_hz - 1.0).abs() > RATE_NEAR {
+                self.chosen = Chosen { overridden_hz: Some(stamps_hz), count: self.chosen.count, ..Chosen::default() };
+            }
+        }
+        Ok(())
     }
 
     fn open(&self, input: &Input) -> Result<Source, RecordingError> {

@@ -88,7 +88,7 @@ fn the_stamp_of_a_rejected_row_still_counts() {
         .unwrap()
         .filter_map(|item| match item.unwrap() {
             Item::Rejected(rejected) => Some(rejected.at.map(|(device_ns, _)| device_ns)),
-            Item::Sample(_) => None,
+            Item::Sample(..) => None,
         })
         .collect();
     assert_eq!(at, [Some(1_250_000_000), Some(1_275_000_000), Some(1_300_000_000)]);
@@ -160,7 +160,7 @@ fn a_line_number_or_a_constant_beside_the_time_is_no_time() {
 }
 
 #[test]
-fn stamps_in_pairs_are_said_first_with_the_likely_rate_and_what_to_do() {
+fn stamps_in_pairs_are_reported_first_and_have_the_rate_of_their_grid() {
     let mut text = String::from("time_s,gyro_x_rad_s\n");
     let mut time = 0.0;
     for index in 0..400 {
@@ -169,7 +169,9 @@ fn stamps_in_pairs_are_said_first_with_the_likely_rate_and_what_to_do() {
     }
     let recording = read(text.as_bytes(), Options::default()).unwrap();
     let first = &recording.info().remarks()[0];
-    for words in ["stamps come in pairs", "not to be believed", "likely are 40.0 Hz", "--rate 40.0", "--columns"] {
+    assert!((recording.info().rate_hz - 40.0).abs() < 1e-3, "{}", recording.info().rate_hz);
+    assert_eq!(recording.info().findings.missing, 0);
+    for words in ["stamps come in pairs", "0.01 ms and of 49.99 ms", "40.0 Hz is that of the grid"] {
         assert!(first.contains(words), "{words}: {first}");
     }
 }
@@ -211,4 +213,43 @@ fn channels_without_a_value_are_counted_and_said() {
     says(&recording, &["gyro_y has no value in 200 of 200 samples"]);
     let absent: Vec<u64> = recording.info().findings.absent.values().copied().collect();
     assert_eq!(absent, [20, 20, 200]);
+}
+
+#[test]
+fn columns_by_their_places_never_take_a_row_for_a_header() {
+    // As `rostopic echo -p` writes it: the header looks like a comment, and a column holds text.
+    let mut text = String::from("%time,field.header.seq,field.header.frame_id,field.angular_velocity.x\n");
+    for index in 0..100_u64 {
+        text += &format!("{},{index},imu_link,0.{index}\n", 1_710_358_267_000_000_000 + 25_000_000 * index);
+    }
+    for text in [text.as_str(), text.split_once('\n').unwrap().1] {
+        let columns = ColumnMap::parse(&["#1=time_ns,#4=gyro_x_rad_s"]).unwrap();
+        let input = Input::memory("echo.csv", text.as_bytes().to_vec()).with_columns(columns);
+        let recording = Recording::read(input, Options::default()).unwrap();
+        assert_eq!((recording.info().samples, recording.info().rate_hz), (100, 40.0));
+    }
+}
+
+#[test]
+fn rows_with_a_stamp_and_a_raw_line_in_a_cell_keep_their_stamps() {
+    for (header, open, close) in [
+        ("", "", ""),
+        ("time_s,raw\n", "", ""),
+        ("stamp,raw\n", "\"", "\""),
+        ("time_s,raw\n", "b'", "\\r\\n'"),
+        ("time_s,raw\n", "\"b'", "\\r\\n'\""),
+    ] {
+        let rows = (0..100_usize)
+            .map(|index| format!("{:.3},{open}{}{close}\n", 1_710_358_267.0 + 0.02 * index as f64, line(index)));
+        let text = header.to_owned() + &rows.collect::<String>();
+        let recording = read(text.as_bytes(), Options::default()).unwrap();
+        let info = recording.info();
+        assert_eq!(
+            (info.samples, info.stamps),
+            (100, Stamps::Unix),
+            "{header}{open}: {:?}",
+            info.first_rejected.first()
+        );
+        assert!((info.rate_hz - 50.0).abs() < 1e-6, "{header}{open}: {}", info.rate_hz);
+    }
 }

@@ -1,4 +1,4 @@
-//! The order of a recording's samples: their stamps are of one clock and increase. What is of another clock, lies ahead of
+//! The order of a recording's samples: their stamps are of one clock and increase, but for rounding and jitter ([`Falls`]). What is of another clock, lies ahead of
 //! those that follow, or is not later than the sample before is rejected.
 //!
 //! Which of two stamps that contradict each other is wrong, only the following ones tell: after `1 2 900 3 4 5` it is 900,
@@ -6,7 +6,7 @@
 //! one of a longest increasing run among them; of equal runs the one that keeps it. Rejected thus is never more than by
 //! taking each stamp at its word.
 
-use super::choice::Chosen;
+use super::choice::{Chosen, Falls};
 use super::error::RecordingError;
 use super::rows::{Rejected, Row, Rows};
 use super::stamps::UNIX_FROM_NS;
@@ -20,6 +20,7 @@ const WINDOW: usize = 16;
 const WAITING_MAX: usize = 256;
 
 /// A row, with the stamp that counts.
+#[derive(Debug)]
 pub(super) enum Entry {
     Sample {
         stamp_ns: Option<i64>,
@@ -55,7 +56,10 @@ pub(super) struct Order {
     column: Option<usize>,
     /// Whether stamps are times since 1970.
     unix: bool,
+    falls: Falls,
     last_stamp_ns: Option<i64>,
+    /// The last sample, where equal stamps may be of different ones.
+    last_sample: Option<Sample>,
     waiting: VecDeque<Waiting>,
     /// How many of those have a stamp.
     stamped: usize,
@@ -71,7 +75,9 @@ impl Order {
         Self {
             column: chosen.column,
             unix: chosen.unix,
+            falls: chosen.falls,
             last_stamp_ns: None,
+            last_sample: None,
             waiting: VecDeque::new(),
             stamped: 0,
             falling: 0,
@@ -125,7 +131,7 @@ impl Order {
                     Waiting::Rejected(Rejected { astray: true, ..malformed(line, &text) }, None)
                 }
                 (Some(_), Some(stamp_ns)) => {
-                    let falls = self.newest_stamp_ns.is_some_and(|newest| stamp_ns <= newest);
+                    let falls = self.newest_stamp_ns.is_some_and(|newest| !self.follows(newest, stamp_ns));
                     Waiting::Stamped { line, stamp_ns, sample, falls }
                 }
             },
@@ -143,7 +149,9 @@ impl Order {
             Waiting::Stamped { line, stamp_ns, sample, falls } => {
                 self.stamped -= 1;
                 self.falling -= usize::from(falls);
-                if let Some(last) = self.last_stamp_ns.filter(|last| stamp_ns <= *last) {
+                let repeats = self.last_stamp_ns == Some(stamp_ns)
+                    && self.last_sample.as_ref().is_some_and(|last| last.same_values(&sample));
+                if let Some(last) = self.last_stamp_ns.filter(|last| repeats || !self.follows(*last, stamp_ns)) {
                     let text = format!("stamp {} s is not later than the one before", seconds(stamp_ns));
                     let rejected = Rejected::new(line, DiscardCause::Duplicate, &text, false);
                     return Entry::Rejected(Rejected { late_ns: Some(last.abs_diff(stamp_ns)), ..rejected }, None);
@@ -153,10 +161,18 @@ impl Order {
                     let rejected = Rejected::new(line, DiscardCause::Malformed, &text, true);
                     return Entry::Rejected(Rejected { astray: true, ..rejected }, None);
                 }
-                self.last_stamp_ns = Some(stamp_ns);
+                // A stamp that jitter put back does not make room for another one.
+                self.last_stamp_ns = Some(self.last_stamp_ns.map_or(stamp_ns, |last| last.max(stamp_ns)));
+                if self.falls.equal {
+                    self.last_sample = Some(sample.clone());
+                }
                 Entry::Sample { stamp_ns: Some(stamp_ns), sample }
             }
         }
+    }
+
+    fn follows(&self, before_ns: i64, stamp_ns: i64) -> bool {
+        follows(self.falls, before_ns, stamp_ns)
     }
 
     /// Whether a longest increasing run from here on begins with this stamp, which is later than the last.
@@ -169,18 +185,25 @@ impl Order {
             _ => None,
         });
         let after = |from_ns: Option<i64>| {
-            longest_run(following.clone().filter(|stamp_ns| from_ns.is_none_or(|from_ns| *stamp_ns > from_ns)))
+            let later = |stamp_ns: &i64| from_ns.is_none_or(|from_ns| self.follows(from_ns, *stamp_ns));
+            longest_run(following.clone().filter(later), self.falls)
         };
         1 + after(Some(stamp_ns)) >= after(self.last_stamp_ns)
     }
 }
 
-/// The length of the longest strictly increasing run among the stamps, others left out.
-fn longest_run(stamps: impl Iterator<Item = i64>) -> usize {
+/// Whether a stamp may be that of a sample behind the one with the other.
+fn follows(falls: Falls, before_ns: i64, stamp_ns: i64) -> bool {
+    let by_ns = stamp_ns.saturating_sub(before_ns);
+    by_ns > 0 || (falls.equal && by_ns >= -falls.back_ns)
+}
+
+/// The length of the longest increasing run among the stamps, others left out.
+fn longest_run(stamps: impl Iterator<Item = i64>, falls: Falls) -> usize {
     // The smallest stamp with which a run of each length can end.
     let mut ends: Vec<i64> = Vec::with_capacity(WINDOW);
     for stamp_ns in stamps {
-        let length = ends.partition_point(|end| *end < stamp_ns);
+        let length = ends.partition_point(|end| follows(falls, *end, stamp_ns));
         match ends.get_mut(length) {
             Some(end) => *end = stamp_ns,
             None => ends.push(stamp_ns),
@@ -215,7 +238,7 @@ mod tests {
 
     /// The stamps that count, and the causes of what does not.
     fn judged(stamps: &[i64]) -> (Vec<i64>, Vec<DiscardCause>) {
-        let chosen = Chosen { count: 1, column: Some(0), unix: false, regular: Vec::new(), pairs: Vec::new() };
+        let chosen = Chosen { count: 1, column: Some(0), ..Chosen::default() };
         let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.iter(), Decimals::default()));
         let (mut kept, mut causes) = (Vec::new(), Vec::new());
         while let Some(entry) = order.next_entry(&mut rows).unwrap() {

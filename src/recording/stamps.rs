@@ -156,8 +156,8 @@ impl StepMedian {
         self.total
     }
 
-    /// The median in ns; of an even number the mean of the middle two.
-    pub(super) fn median_ns(&self) -> Option<f64> {
+    #[cfg(test)]
+    fn median_ns(&self) -> Option<f64> {
         median_of(&self.counted())
     }
 }

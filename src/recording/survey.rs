@@ -5,17 +5,19 @@ use super::choice::Chosen;
 use super::doubts::doubts;
 use super::error::RecordingError;
 use super::findings::{Findings, Quantisation};
+use super::grid::{self, StampGrid};
 use super::info::{Conversion, Decimals, Stamps};
-use super::order::{Entry, Order};
+use super::order::Entry;
 use super::pairs::{Pairing, SHORT};
+use super::placing::Placing;
 use super::quantum::step_of;
 use super::rows::{Rejected, Rows};
 use super::stamps::{StepMedian, median_of};
-use super::values::{STD_OF_SPREAD, Values};
-use super::{GAP_PERIODS, REJECTED_KEPT};
+use super::values::Values;
+use super::{REJECTED_KEPT, SLIPS_MOST};
 use crate::sample::{Channel, ChannelSet, DiscardCause};
-use crate::units::{NANOS_PER_SECOND, period_ns};
-use std::collections::BTreeMap;
+use crate::units::NANOS_PER_SECOND;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
 /// The decimals of text are a step where the greatest value has no more digits: beyond that they are a double's.
@@ -24,6 +26,11 @@ const DIGITS_MAX: f64 = 1e9;
 const DECIMALS_OWN: f64 = 1.5;
 /// A step that lies so near a multiple of the decimals' is that multiple.
 const MULTIPLE_WITHIN: f64 = 0.02;
+
+/// A stamp that is so much later than its rounding makes it is delayed, periods.
+const DELAYED: f64 = 0.5;
+/// A grid with a period below this share of another one's is finer.
+const FINER: f64 = 0.9;
 
 /// What the first pass counts.
 #[derive(Debug, Default)]
@@ -35,9 +42,17 @@ pub(super) struct Survey {
     pub(super) first_stamp_ns: Option<i64>,
     /// From stamp to stamp, those of rejected lines included.
     pub(super) steps: StepMedian,
-    /// Length and begin of the longest, ns.
-    longest: Option<(u64, i64)>,
     pairing: Pairing,
+    /// Samples missing by the grid, the gaps in which they are, and the longest gap: its points, ns when it begins.
+    missing: u64,
+    gaps: u64,
+    longest_gap: Option<(u64, i64)>,
+    /// Stamps that are late by half a period or more, and the latest, periods.
+    delayed: (u64, f64),
+    /// The mean period, ns, and how often stamps left the grid.
+    outcome: Option<(f64, u64)>,
+    /// The last stamps.
+    last_stamps_ns: VecDeque<i64>,
     last_stamp_ns: Option<i64>,
     between: Between,
     frozen: Frozen,
@@ -100,8 +115,9 @@ impl Present {
 impl Survey {
     pub(super) fn of(rows: &mut dyn Rows, chosen: &Chosen) -> Result<Self, RecordingError> {
         let mut survey = Self::default();
-        let mut order = Order::new(chosen);
-        while let Some(entry) = order.next_entry(rows)? {
+        let mut placing = Placing::new(chosen);
+        let half = chosen.grid.as_ref().map_or(0.0, |grid| 0.5 * grid.rounding_ns as f64 / grid.period_ns);
+        while let Some((entry, placed)) = placing.next_entry(rows)? {
             survey.lines += 1;
             match entry {
                 Entry::Aside => {}
@@ -111,13 +127,52 @@ impl Survey {
                     survey.channels = survey.channels.union(sample.channels());
                     survey.present.take(sample.channels());
                     survey.first_stamp_ns = survey.first_stamp_ns.or(stamp_ns);
+                    if let Some((placed, stamp_ns)) = placed.zip(stamp_ns) {
+                        survey.take_place(placed, half, stamp_ns);
+                    }
                     survey.take_stamp(stamp_ns);
                     survey.values.take(stamp_ns, sample);
                 }
                 Entry::Rejected(rejected, stamp_ns) => survey.take_rejected(rejected, stamp_ns),
             }
         }
+        survey.outcome = placing.outcome();
         Ok(survey)
+    }
+
+    fn take_place(&mut self, placed: grid::Placed, half: f64, stamp_ns: i64) {
+        if placed.missing > 0 {
+            self.missing += placed.missing;
+            self.gaps += 1;
+            if self.longest_gap.is_none_or(|(longest, _)| placed.missing > longest) {
+                self.longest_gap = Some((placed.missing, self.last_stamp_ns.unwrap_or(stamp_ns)));
+            }
+        }
+        if placed.error > half + DELAYED {
+            self.delayed = (self.delayed.0 + 1, self.delayed.1.max(placed.error));
+        }
+        if self.last_stamps_ns.len() == grid::LOOK_AT {
+            self.last_stamps_ns.pop_front();
+        }
+        self.last_stamps_ns.push_back(stamp_ns);
+    }
+
+    /// The mean period of the stamps, ns; `None` if they tell none.
+    pub(super) fn period_ns(&self) -> Option<f64> {
+        self.outcome.map(|(period_ns, _)| period_ns)
+    }
+
+    /// The grid of the last stamps, if those before left the one of the first stamps and this one is finer: a recording
+    /// whose rate rose.
+    pub(super) fn another_grid(&self, first: Option<&StampGrid>) -> Option<StampGrid> {
+        let (_, slips) = self.outcome?;
+        if slips as f64 <= SLIPS_MOST * self.samples as f64 {
+            return None;
+        }
+        let last: Vec<i64> = self.last_stamps_ns.iter().copied().collect();
+        grid::find(&last)
+            .filter(|last| first.is_some_and(|first| last.period_ns < FINER * first.period_ns))
+            .map(|last| StampGrid { start_ns: 0.0, first_late: 0, ..last })
     }
 
     fn take_rejected(&mut self, rejected: Rejected, stamp_ns: Option<i64>) {
@@ -163,9 +218,6 @@ impl Survey {
         let step_ns = to_ns.abs_diff(from_ns);
         self.steps.add(step_ns);
         self.pairing.add(step_ns);
-        if self.longest.is_none_or(|(longest, _)| step_ns > longest) {
-            self.longest = Some((step_ns, from_ns));
-        }
     }
 
     /// What is remarkable, now that the rate is known.
@@ -179,27 +231,28 @@ impl Survey {
         let steps = self.steps.total();
         let span_ns = self.first_stamp_ns.zip(self.last_stamp_ns).map_or(0, |(first, last)| last.abs_diff(first));
         let mean_ns = span_ns as f64 / steps.max(1) as f64;
-        let limit_ns = GAP_PERIODS * period_ns(rate_hz);
         let counted = self.steps.counted();
         let count_where = |condition: &dyn Fn(f64) -> bool| -> u64 {
             counted.iter().filter(|(step, _)| condition(*step as f64)).map(|(_, count)| count).sum()
         };
         let seconds = |nanos: f64| nanos / NANOS_PER_SECOND as f64;
         let median_ns = median_of(&counted);
-        let deviation = median_ns.map(|median_ns| deviation(&counted, median_ns, limit_ns));
         let pairs = self.pairing.pairs(&counted);
         // Holes lengthen the mean step; among pairs the median may be a short one.
         let typical_ns = pairs.map(|pairs| pairs.long_s * NANOS_PER_SECOND as f64).or(median_ns).unwrap_or(0.0);
         let turned_s = if stamps == Stamps::None { 1.0 / rate_hz } else { 1.0 };
+        let period_ns = self.period_ns().unwrap_or(0.0);
         Findings {
             steps,
             median_step_s: median_ns.map(seconds),
-            jitter_s: deviation.map(|(robust_ns, _)| seconds(robust_ns)),
-            jitter_rms_s: deviation.map(|(_, rms_ns)| seconds(rms_ns)),
             mean_rate_hz: (span_ns > 0).then(|| NANOS_PER_SECOND as f64 / mean_ns),
-            irregular_steps: count_where(&|step| step > limit_ns),
-            longest_step_s: self.longest.map(|(step_ns, _)| seconds(step_ns as f64)),
-            longest_step_utc_ns: self.longest.map(|(_, from_ns)| from_ns).filter(|_| stamps == Stamps::Unix),
+            missing: self.missing,
+            gaps: self.gaps,
+            longest_gap_s: self.longest_gap.map(|(missing, _)| seconds((missing + 1) as f64 * period_ns)),
+            longest_gap_utc_ns: self.longest_gap.map(|(_, from_ns)| from_ns).filter(|_| stamps == Stamps::Unix),
+            delayed: self.delayed.0,
+            longest_delay_s: (self.delayed.0 > 0).then(|| seconds(self.delayed.1 * period_ns)),
+            off_grid: self.outcome.map_or(0, |(_, slips)| slips),
             short_steps: count_where(&|step| step < SHORT * typical_ns),
             pairs,
             frozen_stamps: self.frozen.stamps,
@@ -251,20 +304,6 @@ impl Survey {
             }),
         }
     }
-}
-
-/// The steps' deviation from their median: robust, and the root mean square of those that are no gap.
-fn deviation(counted: &[(u64, u64)], median_ns: f64, limit_ns: f64) -> (f64, f64) {
-    let mut distances: Vec<(u64, u64)> =
-        counted.iter().map(|(step, count)| ((*step as f64 - median_ns).abs().round() as u64, *count)).collect();
-    distances.sort_unstable();
-    let robust_ns = STD_OF_SPREAD * median_of(&distances).unwrap_or(0.0);
-    let (mut squares, mut count) = (0.0, 0_u64);
-    for (step, times) in counted.iter().filter(|(step, _)| *step as f64 <= limit_ns) {
-        squares += *times as f64 * (*step as f64 - median_ns).powi(2);
-        count += times;
-    }
-    (robust_ns, (squares / count.max(1) as f64).sqrt())
 }
 
 /// The step of values in the file's own unit: of the values themselves, or their decimals.

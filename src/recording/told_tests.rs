@@ -143,7 +143,7 @@ fn a_told_rate_that_the_stamps_contradict_is_said_and_a_comment_tells_one_to_row
     let stamped = "# rate: 100 Hz\ntime_s,gyro_x_rad_s\n0,1\n0.025,2\n0.05,4\n";
     let recording = read(stamped, &[], Options::default()).unwrap();
     assert_eq!((recording.info().rate_hz, recording.info().unused_rate_hz), (40.0, Some(100.0)));
-    says(&recording.info().remarks(), &["the told rate of 100 Hz was not used", "which say 40 Hz"]);
+    says(&recording.info().remarks(), &["the rate of 100 Hz of a comment is not used", "a grid of 40.0 Hz"]);
     let plain = read("% sampling rate 100 Hz\ngyro_x_rad_s\n1\n2\n", &[], Options::default()).unwrap();
     assert_eq!((plain.info().rate_hz, plain.info().unused_rate_hz), (100.0, None));
     let options = Options { rate_hz: Some(50.0), ..Options::default() };

@@ -91,6 +91,7 @@ impl VnRows {
             return Row::Rejected(garbage(DiscardCause::GarbageBytes));
         };
         let (prefix, message) = line.split_at(start);
+        let message = unquoted(message);
         let (message, bad) = read_message(message, &mut self.decoder, &mut self.decimals);
         let (stamps, is_text) = stamps(prefix);
         let bad = bad.map(|cause| rejected(cause, true));
@@ -172,10 +173,23 @@ pub(super) fn read_message(
     (message, bad)
 }
 
+/// A message without the quotation marks behind it, and the line end that some programs write out: it was a table's cell.
+fn unquoted(message: &[u8]) -> &[u8] {
+    let bare =
+        |message: &'_ [u8]| message.len() - message.iter().rev().take_while(|byte| b"\"'".contains(byte)).count();
+    let message = &message[..bare(message)];
+    let message = message.strip_suffix(br"\n").unwrap_or(message);
+    message.strip_suffix(br"\r").unwrap_or(message)
+}
+
 /// The stamps before a message; whether something that is no stamp stands there too: then none of it counts.
 fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
     let mut stamps = RowStamps::default();
     let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };
+    // The message may be a table's cell in quotation marks, or Python's bytes.
+    let bare = text.trim_end_matches(['"', '\'']);
+    let text =
+        if bare.len() < text.len() { bare.strip_suffix('b').unwrap_or(bare).trim_end_matches('"') } else { text };
     for word in text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty()) {
         match parse_seconds(word) {
             Some(nanos) => stamps.push(nanos),

@@ -80,10 +80,10 @@ fn row(found: &LoadedRecording, told_hz: Option<f64>) -> String {
     let rejected: Vec<String> =
         info.rejected.iter().map(|(cause, count)| format!("{count} ({})", cause.name())).collect();
     let rejected = if rejected.is_empty() { "none".to_owned() } else { rejected.join(", ") };
-    let missing = match (found.missing, found.gaps.len(), info.findings.longest_step_s) {
+    let missing = match (found.missing, found.gaps.len(), info.findings.longest_gap_s) {
         (0, _, _) => "none".to_owned(),
-        (missing, 1, Some(longest_s)) => format!("{missing} in 1 gap, a step of {longest_s:.3} s"),
-        (missing, gaps, Some(longest_s)) => format!("{missing} in {gaps} gaps, the longest step {longest_s:.3} s"),
+        (missing, 1, Some(longest_s)) => format!("{missing} in 1 gap, of {longest_s:.3} s"),
+        (missing, gaps, Some(longest_s)) => format!("{missing} in {gaps} gaps, the longest of {longest_s:.3} s"),
         (missing, gaps, None) => format!("{missing} in {gaps} gaps"),
     };
     format!("{} | {} Hz{told} | {rejected} | {missing}", found.samples, shown_rate(info.rate_hz))

@@ -25,7 +25,7 @@ pub struct PlotArgs {
     /// Of a time series: before this time, RFC 3339 or seconds since the first sample
     #[arg(long, value_name = "T", value_parser = moment)]
     pub to: Option<Moment>,
-    /// Rate of a recording without stamps in Hz
+    /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Replace the file where it exists
@@ -41,7 +41,7 @@ pub struct ReportArgs {
     /// The file, which ends with .html; `-` is standard output
     #[arg(long, value_name = "FILE.html")]
     pub out: PathBuf,
-    /// Rate of a recording without stamps in Hz
+    /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Replace the file where it exists

@@ -12,7 +12,7 @@ pub struct ImportArgs {
     /// Recordings
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
-    /// Rate of a recording without stamps in Hz
+    /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// What the columns of a foreign CSV are: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
@@ -49,7 +49,7 @@ pub struct ExportArgs {
     /// Only these, with commas between, such as gyro_x,gyro_y (default: all that the capture has)
     #[arg(long, value_name = "NAMES", value_parser = channel_list)]
     pub channels: Option<ChannelList>,
-    /// Rate of a recording without stamps in Hz
+    /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// What time_s counts from in csv and ndjson

@@ -1,9 +1,8 @@
 //! Recordings: every entry becomes a sample or a rejected one, and the accounting's identities hold.
 
 use std::collections::{BTreeMap, BTreeSet};
-use vn100d::recording::{GAP_PERIODS, Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
+use vn100d::recording::{Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
 use vn100d::sample::{DiscardCause, Record};
-use vn100d::units::NANOS_PER_SECOND;
 
 /// A line that is longer is read in pieces.
 const LINE_BYTES: usize = 4096;
@@ -71,20 +70,22 @@ fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
     let mut records = Vec::new();
     let (mut items, mut rejected) = (Vec::new(), BTreeMap::<DiscardCause, u64>::new());
     let is_csv = info.kind == vn100d::recording::Kind::Csv;
-    let mut expected = Expected { period_ns: NANOS_PER_SECOND as f64 / info.rate_hz, ..Expected::default() };
+    let (mut samples, mut missing) = (0_u64, None::<u64>);
     for item in recording.items().expect("it was read once") {
         let item = item.expect("it was read once");
         match &item {
-            Item::Sample(sample) => {
+            Item::Sample(sample, before) => {
                 assert!(sample.channels().iter().all(|channel| info.channels.contains(channel)));
                 items.push((None, is_csv));
-                expected.sample(sample.device_time_ns);
+                samples += 1;
+                missing = missing.unwrap_or(0).checked_add(before.unwrap_or(0));
+                assert!(samples > 1 || before.unwrap_or(0) == 0, "nothing is missing before the first sample");
+                assert_eq!(before.is_some(), info.stamp_grid.is_some());
             }
             Item::Rejected(bad) => {
                 assert!(bad.text.chars().count() <= 256);
                 *rejected.entry(bad.cause).or_default() += bad.amount();
                 items.push((Some(bad.line), is_csv));
-                expected.rejected(bad.at.map(|(device_ns, _)| device_ns).filter(|_| bad.stands_for_sample));
             }
         }
         accountant.take(item, &mut records);
@@ -92,8 +93,9 @@ fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
     assert_eq!(rejected, info.rejected, "both passes");
     check_records(&records, &accountant);
     assert_eq!(accountant.received(), info.samples);
-    if let Some(expected) = expected.total {
-        assert_eq!(accountant.received() + accountant.missing(), expected, "received and missing");
+    if info.stamp_grid.is_some() {
+        assert_eq!(Some(accountant.missing()), missing, "what the grid tells is what is accounted for");
+        assert_eq!(info.findings.missing, accountant.missing(), "both passes");
     }
     let loaded = columns(&recording).expect("it was read once");
     assert_eq!((loaded.samples, loaded.missing), (accountant.received(), accountant.missing()));
@@ -126,43 +128,4 @@ fn check_records(records: &[Record], accountant: &RecordingAccountant) {
     }
     assert_eq!((samples, missing, gaps), (accountant.received(), accountant.missing(), accountant.gaps()));
     assert!(events <= REJECTED_KEPT);
-}
-
-/// 1 + Σ max(1, round(step/period)) over the stamps of samples and of rejected lines that stand for one.
-#[derive(Default)]
-struct Expected {
-    period_ns: f64,
-    total: Option<u64>,
-    last_ns: Option<u64>,
-    between: Vec<u64>,
-}
-
-impl Expected {
-    fn rejected(&mut self, stamp_ns: Option<u64>) {
-        // As many as the accountant keeps.
-        if let Some(stamp_ns) = stamp_ns
-            && self.between.len() < 1000
-            && self.between.last().is_none_or(|last| *last < stamp_ns)
-        {
-            self.between.push(stamp_ns);
-        }
-    }
-
-    fn sample(&mut self, stamp_ns: Option<u64>) {
-        let Some(stamp_ns) = stamp_ns else { return };
-        if let Some(last_ns) = self.last_ns {
-            let mut from_ns = last_ns;
-            let inside = |at: &u64| (last_ns..stamp_ns).contains(at) && *at > last_ns;
-            for at_ns in self.between.iter().copied().filter(inside).chain([stamp_ns]) {
-                let periods = (at_ns - from_ns) as f64 / self.period_ns;
-                let steps = if periods > GAP_PERIODS { periods.round() as u64 } else { 1 };
-                self.total = self.total.map(|total| total + steps);
-                from_ns = at_ns;
-            }
-        } else {
-            self.total = Some(1);
-        }
-        self.between.clear();
-        self.last_ns = Some(stamp_ns);
-    }
 }

@@ -1,0 +1,336 @@
+//! The period of the grid on which stamps lie, from the first of them. Pure.
+//!
+//! In a stretch without a loss W steps take W periods, whatever single steps do: jitter and rounding become W times smaller,
+//! and a late stamp is made up for. So the most frequent length of W steps (half-sample mode), for every W, proposes a
+//! period; it is sharpened by the phases of longer and longer stretches (Rayleigh); and of all proposals the one counts under
+//! which the stamps' errors and the losses together take the fewest nats.
+
+use super::StampGrid;
+use super::track::Tracker;
+
+/// Stamps that are looked at.
+pub(in crate::recording) const LOOK_AT: usize = 8192;
+/// Stamps on which a period is tried.
+const TRY_ON: usize = 4096;
+/// Numbers of steps whose length proposes a period: those of ten besides those of two, for stamps with few decimals.
+const WINDOWS: [usize; 15] = [1, 2, 4, 5, 8, 10, 16, 20, 32, 64, 100, 200, 256, 500, 1024];
+/// Lengths of stretches whose phases sharpen a period.
+const STRETCHES: [usize; 5] = [64, 256, 1024, 4096, 8192];
+/// Without any phase to begin with, stretches are not longer: that many periods would have to be tried.
+const STRETCHES_MOST: usize = 1024;
+/// Stamps whose steps are a smaller share of the period were delivered together.
+const TOGETHER: f64 = 0.3;
+/// How far from a proposal it is looked at first, of it.
+const FIRST_WITHIN: f64 = 0.01;
+/// Phases agree beyond chance where their sum's square, over their number, is above.
+const PHASES_AGREE: f64 = 14.0;
+/// Errors below this share of the mean step are all alike.
+const ERROR_LEAST: f64 = 1e-3;
+/// Stamps are coarse from this share of the mean step on: several samples have one.
+const COARSE_FROM: f64 = 0.95;
+/// A period that is so near a whole number of the stamps' steps is one.
+const EXACT: f64 = 1e-4;
+/// Of the samples that a period asks for so many are there, at least: of any steps a fine enough grid could be made.
+const RECEIVED_LEAST: f64 = 0.45;
+/// Deliveries are late often where so large a share of the stamps is.
+const LATE_OFTEN: f64 = 0.05;
+/// So many samples of one stamp are not counted, their mean is taken.
+const CELL_MOST: f64 = 16.0;
+/// What a period takes that is no whole number of the steps in which its stamps come, over the logarithm of their number:
+/// about four losses.
+const GUESS: f64 = 4.0;
+/// Gain with which a period is tried: so low that it does not follow losses.
+const GAIN: f64 = 1.0 / 2048.0;
+/// Jitters, in periods, with which a period is tried.
+const JITTERS: [f64; 2] = [0.03, 0.25];
+
+/// The grid of these stamps, ns, in the order of their samples; `None` where they do not advance.
+pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
+    let stamps = &stamps[..stamps.len().min(LOOK_AT)];
+    let (first, last) = (*stamps.first()?, *stamps.last()?);
+    let span_ns = last.checked_sub(first).filter(|span_ns| *span_ns > 0)? as f64;
+    let at_ns: Vec<f64> = stamps.iter().map(|stamp_ns| stamp_ns.saturating_sub(first) as f64).collect();
+    let mean_ns = span_ns / (stamps.len() - 1) as f64;
+    let rounding_ns = rounding(stamps);
+    let windows = WINDOWS.iter().filter(|window| 4 * **window < stamps.len() || **window == 1);
+    let lengths = |window: usize| -> Vec<f64> {
+        at_ns.windows(window + 1).map(|of| (of[window] - of[0]) / window as f64).collect()
+    };
+    let overall_ns = windows.clone().next_back().and_then(|window| median(&mut lengths(*window))).unwrap_or(mean_ns);
+    let proposals = windows.filter_map(|window| {
+        let mut lengths = lengths(*window);
+        lengths.retain(|length_ns| *length_ns > RECEIVED_LEAST * overall_ns);
+        mode(&mut lengths)
+    });
+    let mut tried: Vec<f64> = Vec::new();
+    if rounding_ns as f64 > COARSE_FROM * mean_ns {
+        if (rounding_ns as f64) < CELL_MOST * mean_ns {
+            tried.push(line(&at_ns, overall_ns));
+            tried.extend(whole_cells(stamps, rounding_ns));
+            tried.extend(proposals);
+        }
+    } else {
+        let mut looked: Vec<f64> = Vec::new();
+        for proposal in proposals.chain([overall_ns]) {
+            if looked.iter().any(|looked| (proposal / looked - 1.0).abs() < 0.5 * FIRST_WITHIN) {
+                continue;
+            }
+            looked.push(proposal);
+            // Few stamps have no phases to speak of.
+            tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
+        }
+    }
+    let mut best: Option<(f64, StampGrid)> = None;
+    for (place, period_ns) in tried.iter().enumerate() {
+        if tried[..place].iter().any(|tried| (period_ns / tried - 1.0).abs() < 1e-6) {
+            continue;
+        }
+        for jitter in JITTERS {
+            let Some((nats, grid)) = tried_with(stamps, &at_ns, *period_ns, jitter, rounding_ns) else { continue };
+            if best.as_ref().is_none_or(|(least, _)| nats < *least) {
+                best = Some((nats, grid));
+            }
+        }
+    }
+    let resolved = best.map(|(_, grid)| grid).filter(|grid| grid.jitter_ns < UNRESOLVED * grid.period_ns);
+    resolved.or_else(|| unresolved(&at_ns, overall_ns, rounding_ns))
+}
+
+/// Jitter from this share of the period on hides single losses.
+const UNRESOLVED: f64 = 0.6;
+
+/// The grid of stamps whose errors are as large as the period: its period is their mean step.
+fn unresolved(at_ns: &[f64], overall_ns: f64, rounding_ns: u64) -> Option<StampGrid> {
+    let period_ns = line(at_ns, overall_ns);
+    let half_ns = 0.5 * rounding_ns as f64;
+    let start_ns = median(&mut starts(at_ns, period_ns, half_ns))?;
+    let mut errors: Vec<f64> =
+        at_ns.iter().enumerate().map(|(index, at)| at - start_ns - index as f64 * period_ns).collect();
+    // A hole shifts all behind it: the spread is that of short stretches.
+    let mut spreads: Vec<f64> = errors
+        .chunks_mut(64)
+        .filter_map(|of| {
+            let center = median(of)?;
+            of.iter_mut().for_each(|error| *error = (*error - center).abs());
+            median(of)
+        })
+        .collect();
+    let jitter_ns = 1.4826 * median(&mut spreads)?;
+    Some(StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late: 0, late_often: false, resolved: false })
+}
+
+/// The slope of stamps over their number, holes left out: steps of more than a second beyond what the period explains.
+fn line(at_ns: &[f64], overall_ns: f64) -> f64 {
+    let longest = 64.0 * overall_ns + 1e9;
+    let mut left_out = 0.0;
+    let mut before = 0.0;
+    let (mut mean, mut count, mut squares, mut products) = ((0.0, 0.0), 0.0, 0.0, 0.0);
+    for (index, at) in at_ns.iter().enumerate() {
+        let step = at - before;
+        before = *at;
+        if step > longest {
+            left_out += step - overall_ns;
+        }
+        count += 1.0;
+        let (x, y) = (index as f64 - mean.0, at - left_out - mean.1);
+        mean = (mean.0 + x / count, mean.1 + y / count);
+        squares += x * (index as f64 - mean.0);
+        products += x * (at - left_out - mean.1);
+    }
+    if squares > 0.0 && products > 0.0 { products / squares } else { overall_ns }
+}
+
+/// The grid with about this period and jitter, and what stamps and losses take under it, nats per sample.
+fn tried_with(
+    stamps: &[i64],
+    at_ns: &[f64],
+    period_ns: f64,
+    jitter: f64,
+    rounding_ns: u64,
+) -> Option<(f64, StampGrid)> {
+    let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
+    let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
+    // A period of whole steps is rounded always alike: not at all.
+    let steps = period_ns / rounding_ns.max(1) as f64;
+    let rounding_ns = if (steps - steps.round()).abs() < EXACT && steps > 0.5 { 0 } else { rounding_ns };
+    let half_ns = 0.5 * rounding_ns as f64;
+    let (start_ns, first_late) = start(at_ns, period_ns, half_ns)?;
+    let jitter_ns = jitter * period_ns;
+    let mut grid =
+        StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
+    let mut nats = None;
+    for _ in 0..2 {
+        let mut tracker = Tracker::with_gain(&grid, GAIN);
+        stamps.iter().for_each(|stamp_ns| tracker.push(*stamp_ns));
+        tracker.finish();
+        let (mut errors, mut missing) = (Vec::with_capacity(stamps.len()), 0);
+        while let Some(placed) = tracker.next() {
+            errors.push(placed.error * grid.period_ns);
+            missing += placed.missing;
+        }
+        let count = errors.len() as f64;
+        let center = center(&mut errors.clone(), half_ns, grid.period_ns)?;
+        let beyond = |error: &f64| ((error - center).abs() - half_ns).max(0.0);
+        // Delays are late: what is early tells the jitter.
+        let mut early: Vec<f64> = errors.iter().filter(|error| **error <= center).map(beyond).collect();
+        let typical = 1.4826 * median(&mut early)? + 1e-3 * grid.period_ns;
+        let squares: f64 = early.iter().map(|error| error.min(5.0 * typical).powi(2)).sum();
+        grid.jitter_ns = (squares / early.len() as f64).sqrt();
+        let late = errors.iter().filter(|error| **error - center > 0.75 * grid.period_ns + half_ns).count();
+        grid.late_often = late as f64 > LATE_OFTEN * count;
+        // A late stamp costs the logarithm of its delay.
+        let scale = grid.jitter_ns + ERROR_LEAST * mean_ns;
+        let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
+        let points = count + missing as f64;
+        let lost = missing as f64 / points;
+        let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
+        // Rounding that hides the period explains any steps: it has to explain many losses.
+        let guess = if rounding_ns as f64 > COARSE_FROM * mean_ns { GUESS * count.ln() / count } else { 0.0 };
+        nats = Some(guess + scale.ln() + errors / count + entropy * points / count + 0.05 * tracker.slips as f64);
+        let mean = tracker.mean_period_ns().filter(|mean| (mean / grid.period_ns - 1.0).abs() < 0.01);
+        grid.period_ns = mean.unwrap_or(grid.period_ns);
+        (grid.start_ns, grid.first_late) = start(at_ns, grid.period_ns, half_ns)?;
+    }
+    nats.filter(|nats| nats.is_finite()).map(|nats| (nats, grid))
+}
+
+/// Where the errors lie that no delay made: their mode, or the middle of the densest stretch as long as the rounding.
+fn center(errors: &mut [f64], half_ns: f64, period_ns: f64) -> Option<f64> {
+    errors.sort_unstable_by(f64::total_cmp);
+    if 2.0 * half_ns < 0.1 * period_ns {
+        // Half of them may be late by the same time, as in pairs.
+        let lower = errors.len().div_ceil(2);
+        return mode(&mut errors[..lower]);
+    }
+    let (mut to, mut best) = (0, (0, 0.0));
+    for (from, first) in errors.iter().enumerate() {
+        while errors.get(to).is_some_and(|last| last - first <= 2.02 * half_ns) {
+            to += 1;
+        }
+        if to - from > best.0 {
+            best = (to - from, 0.5 * (first + errors[to - 1]));
+        }
+    }
+    (best.0 > 0).then_some(best.1)
+}
+
+/// The largest power of ten of which all steps are multiples, ns; 0 if that is below a microsecond.
+pub(in crate::recording) fn rounding(stamps: &[i64]) -> u64 {
+    let greatest = |of: &mut dyn Iterator<Item = u64>| {
+        of.fold(0_u64, |mut one, mut other| {
+            while other != 0 {
+                (one, other) = (other, one % other);
+            }
+            one
+        })
+    };
+    let common = greatest(&mut stamps.windows(2).map(|two| two[1].abs_diff(two[0])));
+    let powers = std::iter::successors(Some(1000_u64), |power| power.checked_mul(10));
+    powers.take_while(|power| common > 0 && common % power == 0).last().unwrap_or(0)
+}
+
+/// The period where samples come in cells of one stamp, of which most are whole: the cell over their number.
+fn whole_cells(stamps: &[i64], rounding_ns: u64) -> Option<f64> {
+    let mut counts: Vec<u64> = Vec::new();
+    let mut run = 1;
+    // The first cell and the last one may be cut.
+    for two in stamps.windows(2) {
+        if two[0] == two[1] {
+            run += 1;
+        } else {
+            counts.push(run);
+            run = 1;
+        }
+    }
+    counts.first()?;
+    counts.remove(0);
+    let most = *counts.iter().max()?;
+    // A count that hardly ever occurs is a slip.
+    let share = |of: u64| counts.iter().filter(|count| **count == of).count() as f64 / counts.len() as f64;
+    let most = (1..=most).rev().find(|count| share(*count) > 0.02)?;
+    (share(most) > 0.3).then(|| rounding_ns as f64 / most as f64)
+}
+
+/// When the grid point of the first stamp is, ns since it, and how many periods late that stamp is at most.
+fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
+    if 2.0 * half_ns > 0.5 * period_ns {
+        // Several stamps are one: the middle of all that may be.
+        return Some((center(&mut starts(at_ns, period_ns, half_ns), half_ns, period_ns)?, 0));
+    }
+    let looked = &at_ns[..at_ns.len().min(256)];
+    let mut phases: Vec<f64> = looked.iter().map(|at_ns| (at_ns / period_ns).rem_euclid(1.0)).collect();
+    // Around the circle once more: a mode may lie at its seam.
+    let around: Vec<f64> = phases.iter().map(|phase| phase + 1.0).collect();
+    phases.extend(around);
+    let phase = mode(&mut phases)?;
+    let phase = phase - phase.round();
+    let told = |(index, at_ns): (usize, &f64)| (at_ns / period_ns - phase - index as f64).round() as i64;
+    let lowest = at_ns.iter().take(1024).enumerate().map(told).min()?;
+    Some((phase * period_ns, lowest.min(0)))
+}
+
+/// When the first grid point was, by each of the first stamps, if nothing is missing.
+fn starts(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Vec<f64> {
+    let few = 32.max((4.0 * half_ns / period_ns) as usize).min(at_ns.len());
+    at_ns[..few].iter().enumerate().map(|(index, at_ns)| at_ns - index as f64 * period_ns).collect()
+}
+
+/// The period nearby under which the phases of longer and longer stretches agree best; `None` where they do not.
+fn sharpened(at_ns: &[f64], proposal_ns: f64) -> Option<f64> {
+    // Stamps delivered together have one phase whatever the period: the first of them counts.
+    let mut before = f64::NEG_INFINITY;
+    let apart: Vec<f64> =
+        at_ns.iter().copied().filter(|at| *at - std::mem::replace(&mut before, *at) > TOGETHER * proposal_ns).collect();
+    let (mut period_ns, mut within, mut sharp) = (proposal_ns, FIRST_WITHIN, false);
+    for stretch in STRETCHES {
+        let stamps = &apart[..apart.len().min(stretch)];
+        let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { return None };
+        let step = 0.25 * period_ns / (last - first).max(period_ns);
+        let tries = (within / step).ceil() as i64;
+        let power = |factor: f64| {
+            let turn = std::f64::consts::TAU / (period_ns * factor);
+            let (sine, cosine) = stamps.iter().fold((0.0, 0.0), |(sine, cosine), at_ns| {
+                let (s, c) = (at_ns * turn).sin_cos();
+                (sine + s, cosine + c)
+            });
+            (sine * sine + cosine * cosine) / stamps.len() as f64
+        };
+        let factors = (-tries..=tries).map(|place| 1.0 + place as f64 * step);
+        let best = factors.map(|factor| (power(factor), factor)).max_by(|one, other| one.0.total_cmp(&other.0))?;
+        if best.0 >= PHASES_AGREE {
+            period_ns *= best.1;
+            within = 2.0 * step;
+            sharp = true;
+        } else if stretch >= STRETCHES_MOST {
+            break;
+        }
+        if stamps.len() < stretch {
+            break;
+        }
+    }
+    sharp.then_some(period_ns)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The half-sample mode (Robertson and Cryer 1974): the densest half of the densest half, and so on; of equals the lowest.
+fn mode(values: &mut [f64]) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    let mut of: &[f64] = values;
+    while of.len() > 3 {
+        let half = of.len().div_ceil(2);
+        let from = (0..=of.len() - half)
+            .min_by(|one, other| (of[one + half - 1] - of[*one]).total_cmp(&(of[other + half - 1] - of[*other])))?;
+        of = &of[from..from + half];
+    }
+    match of {
+        [] => None,
+        [one] => Some(*one),
+        [one, two] => Some(0.5 * (one + two)),
+        [one, two, three] if two - one <= three - two => Some(0.5 * (one + two)),
+        [_, two, three, ..] => Some(0.5 * (two + three)),
+    }
+}

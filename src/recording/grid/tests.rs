@@ -1,0 +1,215 @@
+//! The grid on made-up stamps: 8 rates × rounding, jitter, delays, pairs × losses, and what clocks do.
+
+use super::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Exp1, StandardNormal};
+
+/// How stamps differ from their grid points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Exact,
+    /// To so many ns.
+    Rounded(i64),
+    /// Normal, of this standard deviation, ns.
+    Jitter(f64),
+    /// Deliveries are held up now and then, by up to 200 ms, and then come at once.
+    Late,
+    /// Two at a time.
+    Pairs,
+}
+
+const RATES_HZ: [f64; 8] = [25.0, 40.0, 50.0, 100.0, 128.0, 200.0, 400.0, 800.0];
+const LOSSES: [f64; 3] = [0.0, 0.01, 0.05];
+
+/// Stamps of samples in their order, ns, and how many samples are missing between the first and the last one.
+fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec<i64>, u64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let count = (rate_hz * length_s) as usize;
+    let period_ns = 1e9 / rate_hz;
+    let origin_ns: f64 = random.random_range(0.0..1e9);
+    let times: Vec<f64> = (0..count).map(|index| origin_ns + index as f64 * period_ns).collect();
+    let mut held_until_ns = 0.0;
+    let told: Vec<f64> = (0..count)
+        .map(|index| match kind {
+            Kind::Exact | Kind::Rounded(_) => times[index],
+            Kind::Jitter(sigma_ns) => {
+                let normal: f64 = StandardNormal.sample(&mut random);
+                times[index] + sigma_ns * normal
+            }
+            Kind::Late => {
+                // Not in the last second: what is held there is never delivered.
+                if times[index] > held_until_ns && index as f64 + rate_hz < count as f64 && random.random_bool(0.01) {
+                    held_until_ns = times[index] + random.random_range(0.0..2e8);
+                }
+                let delay: f64 = Exp1.sample(&mut random);
+                times[index].max(held_until_ns) + 1e5 * delay
+            }
+            Kind::Pairs => times[(index | 1).min(count - 1)] + if index % 2 == 1 { 1e4 } else { 0.0 },
+        })
+        .collect();
+    let step = if let Kind::Rounded(step) = kind { step } else { 1 };
+    let (mut stamps, mut places) = (Vec::new(), Vec::new());
+    for (index, told) in told.iter().enumerate() {
+        if random.random_bool(loss) {
+            continue;
+        }
+        let stamp = (told / step as f64).round() as i64 * step;
+        // As `Order` lets them through.
+        stamps.push(stamps.last().map_or(stamp, |last: &i64| stamp.max(*last)));
+        places.push(index);
+    }
+    let missing = places[places.len() - 1] - places[0] + 1 - places.len();
+    (stamps, missing as u64)
+}
+
+/// What the grid tells of stamps: itself, missing samples, the rate.
+fn told(stamps: &[i64]) -> (StampGrid, u64, f64) {
+    let grid = find(stamps).unwrap();
+    let mut tracker = Tracker::new(&grid);
+    let (mut missing, mut placed) = (0, 0);
+    for stamp in stamps {
+        tracker.push(*stamp);
+        while let Some(next) = tracker.next() {
+            missing += next.missing;
+            placed += 1;
+        }
+    }
+    tracker.finish();
+    while let Some(next) = tracker.next() {
+        missing += next.missing;
+        placed += 1;
+    }
+    assert_eq!(placed, stamps.len());
+    let rate_hz = 1e9 / tracker.mean_period_ns().unwrap();
+    (grid, missing, rate_hz)
+}
+
+/// Periods by which (samples + missing)/rate differs from last − first + one period.
+fn identity(stamps: &[i64], missing: u64, rate_hz: f64) -> f64 {
+    let span_s = (stamps[stamps.len() - 1] - stamps[0]) as f64 / 1e9;
+    (stamps.len() as u64 + missing) as f64 - 1.0 - span_s * rate_hz
+}
+
+fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
+    let (stamps, missing) = stamps(kind, rate_hz, loss, length_s, seed);
+    let (grid, found, found_hz) = told(&stamps);
+    let case =
+        format!("{kind:?} {rate_hz} Hz, {loss} lost, seed {seed}: {found_hz} Hz, {found} of {missing}, {grid:?}");
+    let period_ns = 1e9 / rate_hz;
+    let third = period_ns / 3.0;
+    let duration_s = |missing: u64, rate_hz: f64| (stamps.len() as u64 + missing) as f64 / rate_hz;
+    let apart_s = (duration_s(found, found_hz) - duration_s(missing, rate_hz)).abs();
+    let exact = match kind {
+        Kind::Exact | Kind::Late | Kind::Pairs => true,
+        Kind::Rounded(step) => (step as f64) < third,
+        Kind::Jitter(sigma_ns) => sigma_ns < third,
+    };
+    // Jitter as large as the period hides losses: then the rate is that of what is there.
+    let hidden = match kind {
+        Kind::Jitter(sigma_ns) => sigma_ns > 0.36 * period_ns,
+        _ => false,
+    };
+    if !hidden || loss == 0.0 {
+        assert!((found_hz / rate_hz - 1.0).abs() < 1e-4, "{case}");
+    }
+    if exact {
+        // A loss in what is held at an end is no more to be known than which of a pair it was.
+        let ends = match kind {
+            Kind::Late => 2,
+            Kind::Pairs if loss > 0.0 => 1,
+            _ => 0,
+        };
+        assert!(found.abs_diff(missing) <= ends, "{case}");
+    }
+    let ends = match kind {
+        Kind::Exact => 0.0,
+        Kind::Rounded(step) => 0.5 * step as f64 / period_ns,
+        Kind::Jitter(sigma_ns) => sigma_ns / period_ns + if hidden && loss > 0.0 { 3.0 } else { 0.0 },
+        Kind::Late | Kind::Pairs => 1.0,
+    };
+    assert!(apart_s * rate_hz < 1.1 + 1.5 * ends, "{case}: {} periods", apart_s * rate_hz);
+    assert!(identity(&stamps, found, found_hz).abs() < 0.6 + 2.0 * ends || kind == Kind::Late, "{case}");
+}
+
+#[test]
+fn exact_rounded_late_and_paired_stamps_tell_rate_duration_and_losses() {
+    for rate_hz in RATES_HZ {
+        for loss in LOSSES {
+            for kind in [Kind::Exact, Kind::Rounded(1_000_000), Kind::Rounded(10_000_000), Kind::Late, Kind::Pairs] {
+                is_told(kind, rate_hz, loss, 120.0, 11);
+            }
+        }
+    }
+}
+
+#[test]
+fn jittering_stamps_tell_rate_and_duration_and_losses_while_jitter_is_below_a_third_of_the_period() {
+    for rate_hz in RATES_HZ {
+        for loss in LOSSES {
+            for jitter_ms in [1.0, 3.0, 5.0] {
+                is_told(Kind::Jitter(1e6 * jitter_ms), rate_hz, loss, 120.0, 12);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_wandering_clock_is_followed() {
+    // 300 ppm with a period of ten minutes, and a steady drift.
+    let wander = |index: i64| {
+        let at = index as f64 * 25e6;
+        (at + 29e6 * (at / 600e9 * std::f64::consts::TAU).sin()) as i64
+    };
+    let drift = |index: i64| (index as f64 * 25e6 + 1e-4 * (index as f64 * 25e6).powi(2) / 3600e9) as i64;
+    for clock in [&wander as &dyn Fn(i64) -> i64, &drift] {
+        let stamps: Vec<i64> = (0..144_000).map(clock).collect();
+        let (_, missing, rate_hz) = told(&stamps);
+        assert_eq!(missing, 0);
+        assert!(identity(&stamps, missing, rate_hz).abs() < 0.2);
+    }
+}
+
+#[test]
+fn holes_are_counted_whatever_the_phase_behind_them() {
+    for (period_ns, shift_ns, missing) in [(25_000_000, 0, 2400), (25_002_500, 60_006_000_000, 2400)] {
+        for at in [700, 70_000] {
+            let hole_ns = if shift_ns == 0 { 2400 * period_ns } else { shift_ns };
+            let stamps: Vec<i64> = (0..144_000).map(|i| i * period_ns + if i > at { hole_ns } else { 0 }).collect();
+            let (_, found, rate_hz) = told(&stamps);
+            assert!(found.abs_diff(missing) <= 1, "{found}");
+            assert!(identity(&stamps, found, rate_hz).abs() < 0.5);
+        }
+    }
+    let slow: Vec<i64> = (0..221).map(|i| i * 1_000_000_000 + if i > 100 { 4_796_000_000_000 } else { 0 }).collect();
+    assert_eq!(told(&slow).1, 4796);
+}
+
+#[test]
+fn of_few_stamps_the_period_is_that_of_their_line() {
+    for count in [2, 3, 5, 10, 30, 100] {
+        let stamps: Vec<i64> = (0..count).map(|index| index * 25_000_000).collect();
+        let (_, missing, rate_hz) = told(&stamps);
+        assert!(missing == 0 && (rate_hz - 40.0).abs() < 1e-9, "{count}: {rate_hz}");
+    }
+    for stamps in [&[][..], &[5], &[5, 5], &[5, 4]] {
+        assert_eq!(find(stamps), None);
+    }
+}
+
+#[test]
+fn bursts_of_an_unsteady_reader_have_their_mean_rate() {
+    // Samples at 100 Hz that a busy host fetches every 40 to 60 ms, 2 ms apart.
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let (mut stamps, mut fetched) = (Vec::new(), 0_i64);
+    for index in 1..=30_000_i64 {
+        let at = index * 10_000_000;
+        if at > fetched {
+            fetched = at + random.random_range(40_000_000..60_000_000);
+        }
+        let last = stamps.last().copied().unwrap_or(0_i64);
+        stamps.push((last + 2_000_000).max(fetched) + random.random_range(0..300_000));
+    }
+    let (_, missing, rate_hz) = told(&stamps);
+    assert!((rate_hz - 100.0).abs() < 0.1 && missing < 3, "{rate_hz} Hz, {missing} missing");
+}

@@ -1,0 +1,422 @@
+//! Positions: which point of the grid each stamp belongs to. Pure.
+//!
+//! A stamp is the time of its grid point, rounded, with jitter, and sometimes late; each sample has a grid point of its own,
+//! later than that of the sample before. With u the stamp's distance from the first grid point in periods, less the number of
+//! samples before, u is the number of missing samples so far, plus the stamp's error: a level that never falls. So a long step
+//! that the next short ones make up for leaves the level as it is, and a missing sample raises it for good.
+//!
+//! The levels are those of the most likely path (Viterbi): a sample costs the square of its error beyond the rounding, a
+//! rise of the level costs what a loss is unlikely, and a late stamp costs at most [`LATE_MOST`], because delays are common and
+//! stamps before their time are not. Period and phase follow a slowly wandering clock by a loop of second order.
+
+use super::StampGrid;
+use std::collections::VecDeque;
+
+/// What a late stamp costs at most, nats.
+const LATE_MOST: f64 = 8.0;
+/// The same where deliveries are late often: less than a loss.
+const LATE_OFTEN: f64 = 3.0;
+/// What a stamp before its time costs at most, nats.
+const EARLY_MOST: f64 = 60.0;
+/// What a loss costs, nats.
+const LOSS: f64 = 4.0;
+/// Where single losses cannot be told a rise is at least so many times the errors' scale.
+const RISE_LEAST: f64 = 8.0;
+/// A path that costs more than the best one by so much is given up: fifty late stamps in a row are a loss.
+const GIVEN_UP: f64 = 50.0 * LATE_MOST;
+/// Paths that are kept.
+const PATHS_MAX: usize = 48;
+/// Samples that wait for their position at most.
+pub(in crate::recording) const PENDING_MAX: usize = 4096;
+/// Levels beyond are none: a thousand years at 30 kHz.
+const LEVEL_MOST: f64 = 1e15;
+/// How often, in samples, it is looked how far all paths are one.
+const LOOK_EVERY: usize = 64;
+/// Gain of the loop that follows the phase; that of the one that follows the period is a quarter of its square.
+const GAIN: f64 = 1.0 / 256.0;
+/// Stamps that the phase at the begin rests on.
+const BEGUN: u32 = 32;
+/// A rise by so many periods makes the phase uncertain: it is found again.
+const PHASE_LOST: i64 = 4096;
+/// Samples in a row that are beside the grid alike, after which the phase is found again.
+const BESIDE: u32 = 32;
+/// Errors that differ by less are alike, periods.
+const ALIKE: f64 = 0.2;
+/// Stamps whose centroid is an end of the line that gives the period.
+const END: usize = 256;
+/// The same where losses are not told: they may lie among them.
+const END_UNRESOLVED: usize = 16;
+/// Slack of the rounding where several samples have one stamp, periods.
+const SLACK: f64 = 0.1;
+/// A period so near a whole number of ns is that number.
+const WHOLE_NS: f64 = 1e-4;
+/// The least scale of errors, periods.
+const SCALE_LEAST: f64 = 0.02;
+
+/// A path's end.
+#[derive(Debug, Clone, Copy)]
+struct Path {
+    level: i64,
+    cost: f64,
+    /// Its place among the paths of the sample before.
+    parent: u16,
+}
+
+/// A sample that has its position.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::recording) struct Placed {
+    /// Grid points without a sample before it, since the sample before.
+    pub(in crate::recording) missing: u64,
+    /// The stamp's error in periods: positive where it is late.
+    pub(in crate::recording) error: f64,
+}
+
+/// Finds the positions of stamps, one after another.
+#[derive(Debug)]
+pub(in crate::recording) struct Tracker {
+    grid: StampGrid,
+    /// Half of the rounding and the jitter, ns.
+    half_ns: f64,
+    scale_ns: f64,
+    period_ns: f64,
+    /// Stamps count from here.
+    origin_ns: i64,
+    /// Index, level and time of the last grid point that is known.
+    base: (u64, i64, f64),
+    /// Stamps that the phase rests on.
+    settled: u32,
+    /// Stamps in a row that are beside the grid alike, and the error of the last.
+    beside: (u32, f64),
+    /// Paths at the sample read last, increasing in level and decreasing in cost.
+    paths: Vec<Path>,
+    spare: Vec<Path>,
+    /// Stamps that wait, and the paths at each.
+    waiting: VecDeque<f64>,
+    trellis: VecDeque<Vec<Path>>,
+    read: u64,
+    placed: VecDeque<Placed>,
+    level: i64,
+    begun: bool,
+    line: Line,
+    /// How often the phase had to be found again because stamps ran before their time.
+    pub(in crate::recording) slips: u64,
+    gain: f64,
+    late_most: f64,
+    /// The least rise of the level that counts.
+    rise_least: i64,
+}
+
+impl Tracker {
+    /// A tracker of stamps of which none was seen yet.
+    pub(in crate::recording) fn new(grid: &StampGrid) -> Self {
+        Self::with_gain(grid, GAIN)
+    }
+
+    /// The same with a loop of another gain.
+    pub(super) fn with_gain(grid: &StampGrid, gain: f64) -> Self {
+        // Where several samples have one stamp the first one's place among them is a guess.
+        let coarse = grid.rounding_ns as f64 > grid.period_ns;
+        Self {
+            grid: grid.clone(),
+            half_ns: 0.5 * grid.rounding_ns as f64 + if coarse { SLACK * grid.period_ns } else { 0.0 },
+            scale_ns: grid.jitter_ns.max(SCALE_LEAST * grid.period_ns),
+            period_ns: grid.period_ns,
+            origin_ns: 0,
+            base: (0, 0, 0.0),
+            settled: BEGUN,
+            beside: (0, 0.0),
+            paths: Vec::new(),
+            spare: Vec::new(),
+            waiting: VecDeque::new(),
+            trellis: VecDeque::new(),
+            read: 0,
+            placed: VecDeque::new(),
+            level: 0,
+            begun: false,
+            line: Line {
+                end: if grid.resolved { END } else { END_UNRESOLVED },
+                coarse: grid.rounding_ns as f64 > 2.0 * grid.period_ns,
+                ..Line::default()
+            },
+            slips: 0,
+            gain,
+            late_most: if grid.late_often { LATE_OFTEN } else { LATE_MOST },
+            rise_least: if grid.resolved {
+                1
+            } else {
+                ((RISE_LEAST * grid.jitter_ns + grid.rounding_ns as f64) / grid.period_ns).ceil().max(1.0) as i64
+            },
+        }
+    }
+
+    /// Takes the next stamp, ns.
+    pub(in crate::recording) fn push(&mut self, stamp_ns: i64) {
+        if self.read == 0 {
+            self.origin_ns = stamp_ns;
+            self.begin();
+        }
+        let at_ns = stamp_ns.saturating_sub(self.origin_ns) as f64;
+        let index = self.read;
+        self.read += 1;
+        if let ([only], true) = (self.paths.as_slice(), self.waiting.is_empty()) {
+            let error = self.error(index, only.level, at_ns);
+            if error.abs() < self.near() {
+                self.place(index, only.level, at_ns);
+                return;
+            }
+        }
+        self.extend(index, at_ns);
+        if self.paths.len() == 1 {
+            self.settle(self.waiting.len());
+        } else if self.waiting.len() > PENDING_MAX {
+            self.decide();
+        } else if self.waiting.len().is_multiple_of(LOOK_EVERY) {
+            self.settle(self.common());
+        }
+    }
+
+    /// Places all stamps that wait: none follows.
+    pub(in crate::recording) fn finish(&mut self) {
+        let best = self.best().and_then(|best| self.paths.get(best).copied());
+        self.settle(self.waiting.len());
+        self.paths = best.into_iter().collect();
+    }
+
+    /// The next sample's position, once it is known.
+    pub(in crate::recording) fn next(&mut self) -> Option<Placed> {
+        self.placed.pop_front()
+    }
+
+    /// The period that the stamps placed so far have on average, ns.
+    pub(in crate::recording) fn mean_period_ns(&self) -> Option<f64> {
+        let slope = self.line.slope()?;
+        // Stamps are whole ns, and so are most periods.
+        Some(if (slope - slope.round()).abs() < WHOLE_NS { slope.round() } else { slope })
+    }
+
+    /// The stamps behind the first one tell where its grid point is: it may be late itself.
+    fn begin(&mut self) {
+        self.base = (0, 0, self.grid.start_ns);
+        let lowest = self.grid.first_late;
+        let levels = lowest.max(-(PATHS_MAX as i64) / 2)..=0;
+        self.paths = levels.map(|level| Path { level, cost: 0.0, parent: 0 }).collect();
+        if let Some(first) = self.paths.first_mut() {
+            first.level = lowest;
+        }
+    }
+
+    /// A stamp's error, periods.
+    fn error(&self, index: u64, level: i64, at_ns: f64) -> f64 {
+        let (base_index, base_level, base_ns) = self.base;
+        let points = index.wrapping_sub(base_index) as i64 + level - base_level;
+        (at_ns - base_ns) / self.period_ns - points as f64
+    }
+
+    /// A stamp that is no farther from its point needs no other explanation.
+    fn near(&self) -> f64 {
+        let near = (self.half_ns + 2.0 * self.scale_ns) / self.period_ns;
+        if self.grid.resolved { near.min(0.4) } else { 2.0 * near }
+    }
+
+    fn cost(&self, error: f64) -> f64 {
+        let beyond = (error.abs() * self.period_ns - self.half_ns).max(0.0) / self.scale_ns;
+        let most = if error > 0.0 { self.late_most + error.ln_1p() } else { EARLY_MOST };
+        (0.5 * beyond * beyond).min(most)
+    }
+
+    /// Goes on with all paths to the next stamp.
+    fn extend(&mut self, index: u64, at_ns: f64) {
+        // A stamp's error at level 0 is the level that it tells.
+        let told = self.error(index, 0, at_ns).clamp(-LEVEL_MOST, LEVEL_MOST);
+        let half = self.half_ns / self.period_ns;
+        let lowest = self.paths.first().map_or(0, |path| path.level);
+        let near = if half > 1.0 { (told - half).ceil() } else { told.round() } as i64;
+        let mut levels: Vec<i64> = self.paths.iter().map(|path| path.level).collect();
+        levels.extend((near - 1..=near + 1).filter(|level| *level >= lowest + self.rise_least));
+        levels.sort_unstable();
+        levels.dedup();
+        let mut next = std::mem::take(&mut self.spare);
+        next.clear();
+        for level in levels {
+            let from = self.paths.iter().enumerate();
+            let from = from.filter(|(_, path)| path.level == level || path.level + self.rise_least <= level);
+            let ways = from.map(|(place, path)| (path.cost + loss(level - path.level), place));
+            let Some((cost, place)) = ways.min_by(|one, other| one.0.total_cmp(&other.0)) else { continue };
+            let cost = cost + self.cost(told - level as f64);
+            // A higher level is worth keeping only where it could not be reached later for less.
+            let dominated = next.iter().any(|path: &Path| path.cost + loss(level - path.level) <= cost);
+            if !dominated {
+                next.push(Path { level, cost, parent: u16::try_from(place).unwrap_or(0) });
+            }
+        }
+        let best = next.iter().map(|path| path.cost).fold(f64::INFINITY, f64::min);
+        next.retain(|path| path.cost <= best + GIVEN_UP);
+        while next.len() > PATHS_MAX {
+            let worst = (0..next.len()).max_by(|one, other| next[*one].cost.total_cmp(&next[*other].cost));
+            next.remove(worst.unwrap_or(0));
+        }
+        for path in &mut next {
+            path.cost -= best;
+        }
+        self.waiting.push_back(at_ns);
+        self.trellis.push_back(next.clone());
+        self.spare = std::mem::replace(&mut self.paths, next);
+    }
+
+    fn best(&self) -> Option<usize> {
+        // Of equals the lowest: nothing is missing that need not be.
+        (0..self.paths.len()).min_by(|one, other| self.paths[*one].cost.total_cmp(&self.paths[*other].cost))
+    }
+
+    /// Of each waiting stamp the place of the path that ends at `end`.
+    fn trace(&self, end: usize, from: usize) -> Vec<usize> {
+        let mut places = vec![0; self.trellis.len()];
+        let mut place = end;
+        for at in (from..self.trellis.len()).rev() {
+            places[at] = place;
+            place = usize::from(self.trellis[at][place].parent);
+        }
+        places
+    }
+
+    /// How many waiting stamps all paths agree on.
+    fn common(&self) -> usize {
+        let mut alive: Vec<usize> = (0..self.paths.len()).collect();
+        for at in (0..self.trellis.len()).rev() {
+            if alive.len() == 1 {
+                return at + 1;
+            }
+            alive = alive.iter().map(|place| usize::from(self.trellis[at][*place].parent)).collect();
+            alive.sort_unstable();
+            alive.dedup();
+        }
+        0
+    }
+
+    /// Follows the best path for half of what waits, and gives up those that parted from it before.
+    fn decide(&mut self) {
+        let half = self.waiting.len() / 2;
+        let Some(best) = self.best() else { return };
+        let kept = self.trace(best, half)[half];
+        let mut alive = vec![false; self.paths.len()];
+        for (end, alive) in alive.iter_mut().enumerate() {
+            *alive = self.trace(end, half)[half] == kept;
+        }
+        // Their places among the paths stay as they are: the others become unreachable.
+        let ends: Vec<Path> =
+            self.paths.iter().zip(&alive).filter(|(_, alive)| **alive).map(|(path, _)| *path).collect();
+        self.paths.clone_from(&ends);
+        if let Some(last) = self.trellis.back_mut() {
+            *last = ends;
+        }
+        self.settle(self.common().max(half));
+    }
+
+    /// Places so many of the waiting stamps: on them all paths agree.
+    fn settle(&mut self, count: usize) {
+        if count == 0 {
+            return;
+        }
+        let places = self.trace(self.best().unwrap_or(0), 0);
+        let first = self.read - self.waiting.len() as u64;
+        for at in 0..count {
+            let Some((paths, stamp)) = self.trellis.pop_front().zip(self.waiting.pop_front()) else { break };
+            let level = paths.get(places[at]).map_or(self.level, |path| path.level);
+            self.place(first + at as u64, level, stamp);
+        }
+    }
+
+    fn place(&mut self, index: u64, level: i64, at_ns: f64) {
+        if !self.begun {
+            self.begun = true;
+            self.level = level;
+        }
+        let rise = level - self.level;
+        self.level = level;
+        let error = self.error(index, level, at_ns);
+        self.follow(index, level, error, rise);
+        let gate = (self.half_ns + 4.0 * self.scale_ns) / self.period_ns;
+        if error.abs() <= gate.max(0.1) {
+            self.line.add((index as i64 + level) as f64, at_ns);
+        }
+        self.placed.push_back(Placed { missing: rise.max(0) as u64, error });
+    }
+
+    /// Period and phase follow.
+    fn follow(&mut self, index: u64, level: i64, error: f64, rise: i64) {
+        let gate = ((self.half_ns + 4.0 * self.scale_ns) / self.period_ns).max(0.1);
+        if rise >= PHASE_LOST {
+            self.settled = 0;
+        }
+        let (_, _, base_ns) = self.base;
+        let points = index.wrapping_sub(self.base.0) as i64 + level - self.base.1;
+        let mut at_ns = base_ns + points as f64 * self.period_ns;
+        // Behind a hole, or where the clock was set, all stamps are beside the grid alike.
+        let alike = error.abs() > gate && error < 1.0 && (error - self.beside.1).abs() <= gate.min(ALIKE);
+        self.beside = if alike || error < -gate.max(0.75) { (self.beside.0 + 1, error) } else { (0, error) };
+        if self.beside.0 >= BESIDE {
+            self.beside.0 = 0;
+            self.settled = BEGUN;
+            self.slips += u64::from(error.abs() > 0.5);
+            at_ns += error * self.period_ns;
+        } else if error.abs() <= gate {
+            self.settled = self.settled.saturating_add(1);
+            let gain = self.gain.max(1.0 / (f64::from(self.settled) + 2.0));
+            at_ns += gain * error * self.period_ns;
+            if f64::from(self.settled) > 2.0 / self.gain {
+                self.period_ns *= 1.0 + 0.25 * self.gain * self.gain * error;
+            }
+        }
+        self.base = (index, level, at_ns);
+    }
+}
+
+/// What a rise of the level costs, nats.
+fn loss(rise: i64) -> f64 {
+    if rise > 0 { LOSS + (rise as f64).ln() } else { 0.0 }
+}
+
+/// The line from the first stamps to the last ones: its slope is the mean period, whatever the clock did in between.
+#[derive(Debug, Default)]
+struct Line {
+    first: Vec<(f64, f64)>,
+    last: VecDeque<(f64, f64)>,
+    /// Stamps at either end.
+    end: usize,
+    /// Many samples have one stamp: all of them are needed.
+    coarse: bool,
+    /// Sums: number, means, squares of points, products.
+    fit: (f64, f64, f64, f64, f64),
+}
+
+impl Line {
+    fn add(&mut self, point: f64, at_ns: f64) {
+        let (count, mean_point, mean_ns, squares, products) = &mut self.fit;
+        *count += 1.0;
+        let (from_point, from_ns) = (point - *mean_point, at_ns - *mean_ns);
+        *mean_point += from_point / *count;
+        *mean_ns += from_ns / *count;
+        *squares += from_point * (point - *mean_point);
+        *products += from_point * (at_ns - *mean_ns);
+        if self.first.len() < self.end {
+            self.first.push((point, at_ns));
+        }
+        if self.last.len() == self.end {
+            self.last.pop_front();
+        }
+        self.last.push_back((point, at_ns));
+    }
+
+    fn slope(&self) -> Option<f64> {
+        let (count, _, _, squares, products) = self.fit;
+        if self.coarse || count < 4.0 * self.end as f64 {
+            return (squares > 0.0).then(|| products / squares);
+        }
+        let size = self.end as f64;
+        let centroid = |points: &mut dyn Iterator<Item = &(f64, f64)>| {
+            points.fold((0.0, 0.0), |(point, ns), next| (point + next.0 / size, ns + next.1 / size))
+        };
+        let (from, to) = (centroid(&mut self.first.iter()), centroid(&mut self.last.iter()));
+        (to.0 > from.0).then(|| (to.1 - from.1) / (to.0 - from.0))
+    }
+}
