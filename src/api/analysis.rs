@@ -7,7 +7,7 @@ use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
 use crate::datasheet::{Datasheet, FilterWindows, compare_report};
-use crate::export::{ImuNoise, Target};
+use crate::export::Target;
 use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator, TauSpacing};
@@ -56,7 +56,8 @@ pub(super) struct AllanQuery {
 pub(super) struct NoiseQuery {
     /// The result of this job, instead of the one with the usual parameters.
     job: Option<i64>,
-    /// `json`, or `kalibr`, `ros`, `gazebo`, `gnss-ins-sim`, `matlab`: text for these.
+    /// `json`, or text for a program: `kalibr`, `openvins`, `vins-fusion`, `orb-slam3`, `lio-sam`, `fast-lio`, `robot-localization`,
+    /// `px4`, `ardupilot`, `ros`, `gazebo`, `isaac`, `gnss-ins-sim`, `matlab`.
     format: Option<String>,
     /// Write text for a program even where parameters are not usable; a comment then says so.
     #[serde(default)]
@@ -184,13 +185,13 @@ pub(super) async fn noise(
     };
     let SoFar { mut report, caught_up } = so_far;
     if let Some(target) = target {
-        if let Some(why) = report.refusal().filter(|_| !query.force) {
+        if let Some(why) = target.refusal(&report).filter(|_| !query.force) {
             let reason =
                 format!("{} is not written, since it would be wrong: {why}. `force=true` writes it", target.name());
             return Err(JobError::InsufficientData { reason }.into());
         }
         let media = [(header::CONTENT_TYPE, HeaderValue::from_static(target.media_type()))];
-        let body = (media, target.write(&ImuNoise::of(&report)));
+        let body = (media, target.write_report(&report));
         return Ok(answer_of_form(&headers, result.as_ref(), target.name(), body));
     }
     let form = sheet.as_ref().map_or("json", |sheet| sheet.name);

@@ -1,10 +1,13 @@
 //! Arguments: the command line as `clap` reads it.
 
 use crate::datasheet::Datasheet;
+use crate::export::Target;
 use crate::model_fit::effects_named;
 use crate::units::parse_duration;
+use clap::builder::PossibleValue;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use std::sync::LazyLock;
 use std::time::Duration;
 
 mod pictures;
@@ -242,22 +245,42 @@ pub enum Taus {
 }
 
 /// Forms of noise parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum NoiseFormat {
     Table,
     Json,
     Csv,
-    /// Kalibr's imu.yaml
-    Kalibr,
-    /// Covariances of sensor_msgs/Imu
-    Ros,
-    /// Noise elements of an SDF sensor
-    Gazebo,
-    /// The imu_err dictionary
-    GnssInsSim,
-    /// JSON for imuSensor's loadparams
-    Matlab,
+    /// Text for a program.
+    For(Target),
+}
+
+impl ValueEnum for NoiseFormat {
+    fn value_variants<'a>() -> &'a [Self] {
+        const OWN: [NoiseFormat; 3] = [NoiseFormat::Table, NoiseFormat::Json, NoiseFormat::Csv];
+        static ALL: LazyLock<Vec<NoiseFormat>> =
+            LazyLock::new(|| OWN.into_iter().chain(Target::ALL.map(NoiseFormat::For)).collect());
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        match self {
+            Self::Table => Some(PossibleValue::new("table")),
+            Self::Json => Some(PossibleValue::new("json")),
+            Self::Csv => Some(PossibleValue::new("csv")),
+            Self::For(target) => target.to_possible_value(),
+        }
+    }
+}
+
+impl ValueEnum for Target {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.name()).help(self.about()))
+    }
 }
 
 /// Forms of a table.
@@ -537,28 +560,13 @@ pub enum ModelCommand {
         file: PathBuf,
         /// For which program
         #[arg(long, value_enum)]
-        format: ModelFormat,
+        format: Target,
     },
 }
 
 /// Effects by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EffectNames(pub Vec<&'static str>);
-
-/// Programs that models are exported for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ModelFormat {
-    /// imu.yaml
-    Kalibr,
-    /// Covariances of sensor_msgs/Imu
-    Ros,
-    /// Noise elements of an SDF sensor
-    Gazebo,
-    /// The imu_err dictionary
-    GnssInsSim,
-    /// JSON for imuSensor's loadparams
-    Matlab,
-}
 
 /// Arguments of `backup`.
 #[derive(Debug, Args)]

@@ -1,10 +1,10 @@
 //! `vn100d model`: sensor models of captures, shown, compared and exported.
 
-use super::args::{EffectNames, ModelArgs, ModelCommand, ModelFormat};
+use super::args::{EffectNames, ModelArgs, ModelCommand};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
-use crate::export::{ImuNoise, Target};
+use crate::export::ImuNoise;
 use crate::jobs::{self, TwoThreads};
 use crate::model_fit::{Difference, differences};
 use crate::simulator::SensorModel;
@@ -51,14 +51,7 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
         ModelCommand::Export { file, format } => {
             let mut model = load(file)?;
             without_gravity(&mut model, "the target");
-            let target = match format {
-                ModelFormat::Kalibr => Target::Kalibr,
-                ModelFormat::Ros => Target::Ros,
-                ModelFormat::Gazebo => Target::Gazebo,
-                ModelFormat::GnssInsSim => Target::GnssInsSim,
-                ModelFormat::Matlab => Target::Matlab,
-            };
-            write!(std::io::stdout().lock(), "{}", target.write(&ImuNoise::of_model(&model)))?;
+            write!(std::io::stdout().lock(), "{}", format.write(&ImuNoise::of_model(&model)))?;
         }
     }
     Ok(Outcome::Done)

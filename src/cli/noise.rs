@@ -4,7 +4,6 @@ use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
 use crate::datasheet::{Comparison, Verdict, compare_report};
-use crate::export::{ImuNoise, Target};
 use crate::jobs::direct;
 use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseReport};
 use crate::simulator::SensorModel;
@@ -21,20 +20,14 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     let mut report = direct::noise(&together.source, together.plan)?;
     let comparison = args.datasheet.map(|sheet| compare_report(&sheet, &report, windows));
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
-    let target = match args.format {
-        NoiseFormat::Table | NoiseFormat::Json | NoiseFormat::Csv => None,
-        NoiseFormat::Kalibr => Some(Target::Kalibr),
-        NoiseFormat::Ros => Some(Target::Ros),
-        NoiseFormat::Gazebo => Some(Target::Gazebo),
-        NoiseFormat::GnssInsSim => Some(Target::GnssInsSim),
-        NoiseFormat::Matlab => Some(Target::Matlab),
-    };
-    if let Some((target, why)) = target.filter(|_| !args.force).zip(report.refusal()) {
+    let target = if let NoiseFormat::For(target) = args.format { Some(target) } else { None };
+    let refusal = target.filter(|_| !args.force).and_then(|target| Some((target, target.refusal(&report)?)));
+    if let Some((target, why)) = refusal {
         return Err(refused(&format!("{} is not written", target.name()), &why));
     }
     match (context.json, args.format, target) {
         (true, ..) | (_, NoiseFormat::Json, _) => print_json(&report)?,
-        (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write(&ImuNoise::of(&report)))?,
+        (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write_report(&report))?,
         (_, NoiseFormat::Csv, _) => write_csv(std::io::stdout().lock(), &report)?,
         _ => write_table(std::io::stdout().lock(), &report)?,
     }

@@ -21,22 +21,27 @@ pub(super) fn write(noise: &ImuNoise) -> String {
          Gauss-Markov process as it was found. Bias instability B cannot be expressed. Where K is not identified there is none."
     );
     let _ = writeln!(text, "<!--\n{}-->", super::comment("     ", &said));
-    let _ = writeln!(
-        text,
-        "<sensor name=\"vn100\" type=\"imu\">\n  <update_rate>{:?}</update_rate>\n  <imu>",
-        noise.rate_hz
-    );
-    triad(&mut text, "angular_velocity", "    ", &noise.gyro, noise.rate_hz, 1.0);
-    triad(&mut text, "linear_acceleration", "    ", &noise.accel, noise.rate_hz, 1.0);
-    text.push_str("  </imu>\n</sensor>\n");
-    if noise.has_mag() {
+    if noise.gyro.is_some() || noise.accel.is_some() {
+        let _ = writeln!(
+            text,
+            "<sensor name=\"vn100\" type=\"imu\">\n  <update_rate>{:?}</update_rate>\n  <imu>",
+            noise.rate_hz
+        );
+        for (name, axes) in [("angular_velocity", &noise.gyro), ("linear_acceleration", &noise.accel)] {
+            if let Some(axes) = axes {
+                triad(&mut text, name, "    ", axes, noise.rate_hz, 1.0);
+            }
+        }
+        text.push_str("  </imu>\n</sensor>\n");
+    }
+    if let Some(mag) = &noise.mag {
         let _ = writeln!(
             text,
             "<sensor name=\"vn100_magnetometer\" type=\"magnetometer\">\n  <update_rate>{:?}</update_rate>\n  <magnetometer>",
             noise.rate_hz
         );
         // Tesla, as the simulator's world field.
-        axes(&mut text, "    ", &noise.mag, noise.rate_hz, TESLA_PER_GAUSS);
+        axes(&mut text, "    ", mag, noise.rate_hz, TESLA_PER_GAUSS);
         text.push_str("  </magnetometer>\n</sensor>\n");
     }
     text

@@ -34,17 +34,21 @@ pub(super) fn write(noise: &ImuNoise) -> String {
         _ => (0.0, walk_s),
     };
     let bias = |axes: &[Axis; 3], factor: f64| axes.map(|axis| axis.fixed.bias.unwrap_or(0.0) * factor);
-    row("gyro_b", "deg/hr", bias(&noise.gyro, DEG * SECONDS_PER_HOUR));
-    row("gyro_arw", &with_limits("deg/rt-hr", &noise.gyro), white(&noise.gyro, DEG * SQRT_HOUR));
-    row("gyro_b_stability", "deg/hr", noise.gyro.map(|axis| drift(&axis).0 * DEG * SECONDS_PER_HOUR));
-    row("gyro_b_corr", "s", noise.gyro.map(|axis| drift(&axis).1));
-    row("accel_b", "m/s^2", bias(&noise.accel, 1.0));
-    row("accel_vrw", &with_limits("m/s/rt-hr", &noise.accel), white(&noise.accel, SQRT_HOUR));
-    row("accel_b_stability", "m/s^2", noise.accel.map(|axis| drift(&axis).0));
-    row("accel_b_corr", "s", noise.accel.map(|axis| drift(&axis).1));
-    if noise.has_mag() {
+    if let Some(gyro) = &noise.gyro {
+        row("gyro_b", "deg/hr", bias(gyro, DEG * SECONDS_PER_HOUR));
+        row("gyro_arw", &with_limits("deg/rt-hr", gyro), white(gyro, DEG * SQRT_HOUR));
+        row("gyro_b_stability", "deg/hr", gyro.map(|axis| drift(&axis).0 * DEG * SECONDS_PER_HOUR));
+        row("gyro_b_corr", "s", gyro.map(|axis| drift(&axis).1));
+    }
+    if let Some(accel) = &noise.accel {
+        row("accel_b", "m/s^2", bias(accel, 1.0));
+        row("accel_vrw", &with_limits("m/s/rt-hr", accel), white(accel, SQRT_HOUR));
+        row("accel_b_stability", "m/s^2", accel.map(|axis| drift(&axis).0));
+        row("accel_b_corr", "s", accel.map(|axis| drift(&axis).1));
+    }
+    if let Some(mag) = &noise.mag {
         let factor = MICROTESLA_PER_GAUSS * noise.rate_hz.sqrt();
-        row("mag_std", &with_limits("uT", &noise.mag), white(&noise.mag, factor));
+        row("mag_std", &with_limits("uT", mag), white(mag, factor));
     }
     text.push_str("}\n");
     text

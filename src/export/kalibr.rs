@@ -16,6 +16,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
          # conservative. Not expressible here: bias instability B, Gauss-Markov, one value per axis.\n",
     );
     for (sensor, axes, unit) in [("accelerometer", &noise.accel, "m/s"), ("gyroscope", &noise.gyro, "rad/s")] {
+        let Some(axes) = axes else { continue };
         let (white, walk) = if sensor == "accelerometer" { ("m/s^2", "m/s^3") } else { (unit, "rad/s^2") };
         line(&mut text, &format!("{sensor}_noise_density"), axes, |axis| axis.n, &format!("{white}/sqrt(Hz)"));
         line(&mut text, &format!("{sensor}_random_walk"), axes, |axis| axis.k, &format!("{walk}/sqrt(Hz)"));

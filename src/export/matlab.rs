@@ -17,10 +17,14 @@ const REFERENCE_C: f64 = 25.0;
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut part = Map::new();
-    part.insert("Accelerometer".into(), sensor(&noise.accel, 1.0));
-    part.insert("Gyroscope".into(), sensor(&noise.gyro, 1.0));
-    if noise.has_mag() {
-        part.insert("Magnetometer".into(), sensor(&noise.mag, MICROTESLA_PER_GAUSS));
+    for (name, axes, factor) in [
+        ("Accelerometer", &noise.accel, 1.0),
+        ("Gyroscope", &noise.gyro, 1.0),
+        ("Magnetometer", &noise.mag, MICROTESLA_PER_GAUSS),
+    ] {
+        if let Some(axes) = axes {
+            part.insert(name.into(), sensor(axes, factor));
+        }
     }
     let note = format!(
         "{}. Part name: VN100. 0 where a parameter was not identified. Units m/s^2, rad/s, uT. \

@@ -1,14 +1,19 @@
 //! Exports: samples in the forms that other programs read ([`samples`]), and noise parameters in the forms that simulators
-//! and filters read, one target per file.
+//! and filters read, one target per file; filters that take one white noise and one walk share `filter`.
 //!
-//! Every maker takes [`ImuNoise`] and gives text. What a target cannot express is said in the text itself; a parameter that
-//! the data does not support is never written as if it were measured: where a target needs a number its 95 % upper limit
-//! stands there, with a comment. Units are those of each target's public documentation, named in its file.
+//! Every maker takes [`ImuNoise`] and gives text, which speaks of triads that the source has and of no other. A comment says what
+//! a target cannot express. A parameter that the data does not support is never written as if it were measured. A filter gets its
+//! 95 % upper limit, marked by a comment: a number for a filter is never too small. A simulator gets no walk then: a number for
+//! a simulator is never larger than what was measured, but for N, without which there would be no noise at all.
+//! Units are those of each target's public documentation or code, named in its file.
 
+mod filter;
 mod gazebo;
 mod gnss_ins_sim;
+mod isaac;
 mod kalibr;
 mod matlab;
+mod robot_localization;
 mod ros;
 pub mod samples;
 #[cfg(test)]
@@ -27,10 +32,28 @@ use serde_json::Value;
 pub enum Target {
     /// Kalibr's `imu.yaml`.
     Kalibr,
-    /// Covariances of `sensor_msgs/Imu`.
+    /// `kalibr_imu_chain.yaml` of `OpenVINS`.
+    Openvins,
+    /// Configuration of VINS-Fusion and VINS-Mono.
+    VinsFusion,
+    /// Settings of ORB-SLAM3.
+    OrbSlam3,
+    /// `params.yaml` of LIO-SAM.
+    LioSam,
+    /// Configuration of FAST-LIO.
+    FastLio,
+    /// Covariances for `robot_localization`.
+    RobotLocalization,
+    /// Parameters of PX4's EKF2.
+    Px4,
+    /// Parameters of ArduPilot's EKF3.
+    Ardupilot,
+    /// Covariances of `sensor_msgs/Imu` and `MagneticField`.
     Ros,
     /// Noise elements of an SDF IMU sensor.
     Gazebo,
+    /// Observation noise of Isaac Lab.
+    Isaac,
     /// The `imu_err` dictionary of gnss-ins-sim.
     GnssInsSim,
     /// JSON for `loadparams` of MATLAB's `imuSensor`.
@@ -39,18 +62,53 @@ pub enum Target {
 
 impl Target {
     /// All.
-    pub const ALL: [Self; 5] = [Self::Kalibr, Self::Ros, Self::Gazebo, Self::GnssInsSim, Self::Matlab];
+    pub const ALL: [Self; 14] = [
+        Self::Kalibr,
+        Self::Openvins,
+        Self::VinsFusion,
+        Self::OrbSlam3,
+        Self::LioSam,
+        Self::FastLio,
+        Self::RobotLocalization,
+        Self::Px4,
+        Self::Ardupilot,
+        Self::Ros,
+        Self::Gazebo,
+        Self::Isaac,
+        Self::GnssInsSim,
+        Self::Matlab,
+    ];
+
+    /// The name on the command line and in queries, and what the text is, for a person.
+    const fn words(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Kalibr => ("kalibr", "Kalibr's imu.yaml"),
+            Self::Openvins => ("openvins", "kalibr_imu_chain.yaml of OpenVINS"),
+            Self::VinsFusion => ("vins-fusion", "Configuration of VINS-Fusion and VINS-Mono"),
+            Self::OrbSlam3 => ("orb-slam3", "Settings of ORB-SLAM3"),
+            Self::LioSam => ("lio-sam", "params.yaml of LIO-SAM"),
+            Self::FastLio => ("fast-lio", "Configuration of FAST-LIO"),
+            Self::RobotLocalization => ("robot-localization", "Covariances for robot_localization"),
+            Self::Px4 => ("px4", "Parameters of PX4's EKF2"),
+            Self::Ardupilot => ("ardupilot", "Parameters of ArduPilot's EKF3"),
+            Self::Ros => ("ros", "Covariances of sensor_msgs/Imu and MagneticField"),
+            Self::Gazebo => ("gazebo", "Noise elements of an SDF sensor"),
+            Self::Isaac => ("isaac", "Observation noise of Isaac Lab"),
+            Self::GnssInsSim => ("gnss-ins-sim", "The imu_err dictionary of gnss-ins-sim"),
+            Self::Matlab => ("matlab", "JSON for imuSensor's loadparams"),
+        }
+    }
 
     /// The name on the command line and in queries.
     #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Kalibr => "kalibr",
-            Self::Ros => "ros",
-            Self::Gazebo => "gazebo",
-            Self::GnssInsSim => "gnss-ins-sim",
-            Self::Matlab => "matlab",
-        }
+    pub const fn name(self) -> &'static str {
+        self.words().0
+    }
+
+    /// A few words on the text that it writes.
+    #[must_use]
+    pub const fn about(self) -> &'static str {
+        self.words().1
     }
 
     /// The target of that name.
@@ -63,11 +121,35 @@ impl Target {
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
-            Self::Kalibr | Self::Ros => "application/yaml",
             Self::Gazebo => "application/xml",
-            Self::GnssInsSim => "text/x-python; charset=utf-8",
+            Self::GnssInsSim | Self::Isaac => "text/x-python; charset=utf-8",
             Self::Matlab => "application/json",
+            Self::Px4 | Self::Ardupilot => "text/plain; charset=utf-8",
+            _ => "application/yaml",
         }
+    }
+
+    /// Whether its text has numbers of a channel.
+    #[must_use]
+    pub fn holds(self, channel: Channel) -> bool {
+        match channel.triad() {
+            Some(Triad::Gyro | Triad::Accel) => true,
+            Some(Triad::Mag) => matches!(self, Self::Ros | Self::Gazebo | Self::GnssInsSim | Self::Matlab),
+            Some(Triad::Attitude) | None => false,
+        }
+    }
+
+    /// Why the parameters of a report should not be written: the channels that it would hold and that are not usable, with their
+    /// reasons. None where all of them are.
+    #[must_use]
+    pub fn refusal(self, report: &NoiseReport) -> Option<String> {
+        report.refusal(|channel| self.holds(channel))
+    }
+
+    /// The text of a report's parameters; a comment tells those that are not usable.
+    #[must_use]
+    pub fn write_report(self, report: &NoiseReport) -> String {
+        self.write(&ImuNoise { caution: self.refusal(report), ..ImuNoise::of(report) })
     }
 
     /// The text.
@@ -75,8 +157,17 @@ impl Target {
     pub fn write(self, noise: &ImuNoise) -> String {
         match self {
             Self::Kalibr => kalibr::write(noise),
+            Self::Openvins => filter::write(noise, &filter::OPENVINS),
+            Self::VinsFusion => filter::write(noise, &filter::VINS_FUSION),
+            Self::OrbSlam3 => filter::write(noise, &filter::ORB_SLAM3),
+            Self::LioSam => filter::write(noise, &filter::LIO_SAM),
+            Self::FastLio => filter::write(noise, &filter::FAST_LIO),
+            Self::Px4 => filter::write(noise, &filter::PX4),
+            Self::Ardupilot => filter::write(noise, &filter::ARDUPILOT),
+            Self::RobotLocalization => robot_localization::write(noise),
             Self::Ros => ros::write(noise),
             Self::Gazebo => gazebo::write(noise),
+            Self::Isaac => isaac::write(noise),
             Self::GnssInsSim => gnss_ins_sim::write(noise),
             Self::Matlab => matlab::write(noise),
         }
@@ -108,6 +199,14 @@ impl Known {
         match self {
             Self::Value(value) | Self::Below(value) => Some(value),
             Self::Nothing => None,
+        }
+    }
+
+    fn squared(self) -> Self {
+        match self {
+            Self::Value(value) => Self::Value(value * value),
+            Self::Below(limit) => Self::Below(limit * limit),
+            Self::Nothing => Self::Nothing,
         }
     }
 
@@ -191,25 +290,26 @@ pub struct ImuNoise {
     pub rate_hz: f64,
     /// Length of the record, s.
     pub duration_s: f64,
-    /// Accelerometer x, y, z in m/s².
-    pub accel: [Axis; 3],
+    /// Accelerometer x, y, z in m/s²; none where the source has no axis of it.
+    pub accel: Option<[Axis; 3]>,
     /// Gyroscope x, y, z in rad/s.
-    pub gyro: [Axis; 3],
+    pub gyro: Option<[Axis; 3]>,
     /// Magnetometer x, y, z in gauss.
-    pub mag: [Axis; 3],
+    pub mag: Option<[Axis; 3]>,
 }
 
 impl ImuNoise {
-    /// The parameters of a report.
-    #[must_use]
-    pub fn of(report: &NoiseReport) -> Self {
+    /// The parameters of a report, without a word on whether they may be used ([`Target::write_report`]).
+    fn of(report: &NoiseReport) -> Self {
         let axes = |triad: Triad| {
-            triad.channels().map(|channel: Channel| report.channels.get(&channel).map_or(Axis::UNKNOWN, Axis::of))
+            let known = |channel: Channel| report.channels.get(&channel);
+            let there = triad.channels().into_iter().any(|channel| known(channel).is_some());
+            there.then(|| triad.channels().map(|channel| known(channel).map_or(Axis::UNKNOWN, Axis::of)))
         };
         let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
             origin: format!("VN-100 capture {name}: {duration_s} s at {} Hz", report.rate_hz),
-            caution: report.refusal(),
+            caution: None,
             others: Vec::new(),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
@@ -258,11 +358,15 @@ impl ImuNoise {
             let folded = model.sampling.map_or(1.0, |sampling| sampling.density_factor(model.rate_hz));
             Axis { n: scaled(known(of.n, "N"), folded), b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov, fixed }
         };
-        let mut triads = [Triad::Accel, Triad::Gyro, Triad::Mag].map(|triad| triad.channels().map(&mut axis));
+        const PLACES: [Triad; 3] = [Triad::Accel, Triad::Gyro, Triad::Mag];
+        let mut triads = PLACES.map(|triad| {
+            let there = triad.channels().into_iter().any(|channel| model.channels.contains_key(&channel));
+            there.then(|| triad.channels().map(&mut axis))
+        });
         for (triad, of) in &model.triads {
-            let place = [Triad::Accel, Triad::Gyro, Triad::Mag].iter().position(|other| other == triad);
+            let place = PLACES.iter().position(|other| other == triad);
             for effect in &of.effects {
-                let axes = place.and_then(|place| triads.get_mut(place));
+                let axes = place.and_then(|place| triads.get_mut(place)).and_then(Option::as_mut);
                 if !axes.is_some_and(|axes| of_triad(axes, effect.name(), &effect.parameters())) {
                     others.push((effect.name().to_owned(), triad.name().to_owned()));
                 }
@@ -289,7 +393,7 @@ impl ImuNoise {
             None => left.push((name, vec![whose])),
         };
         for (triad, axes) in [(Triad::Accel, &self.accel), (Triad::Gyro, &self.gyro), (Triad::Mag, &self.mag)] {
-            for (channel, Axis { fixed, .. }) in triad.channels().iter().zip(axes) {
+            for (channel, Axis { fixed, .. }) in triad.channels().iter().zip(axes.iter().flatten()) {
                 for (part, there, name) in [
                     (Part::Bias, fixed.bias.is_some(), "bias"),
                     (Part::Resolution, fixed.resolution.is_some(), "resolution"),
@@ -311,10 +415,6 @@ impl ImuNoise {
         }
         let left: Vec<String> = left.iter().map(|(name, whose)| format!("{name} of {}", whose.join(" "))).collect();
         format!("{origin}. Left out here: {}", left.join(", "))
-    }
-
-    fn has_mag(&self) -> bool {
-        self.mag.iter().any(|axis| axis.n != Known::Nothing)
     }
 }
 

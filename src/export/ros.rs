@@ -16,17 +16,27 @@ pub(super) fn write(noise: &ImuNoise) -> String {
          # random walk K and Gauss-Markov cannot be expressed here and belong into the filter's process noise.",
         noise.rate_hz
     );
-    covariance(&mut text, "linear_acceleration_covariance", "(m/s^2)^2", &noise.accel, noise.rate_hz);
-    covariance(&mut text, "angular_velocity_covariance", "(rad/s)^2", &noise.gyro, noise.rate_hz);
-    covariance(&mut text, "magnetic_field_covariance", "tesla^2", &noise.mag, noise.rate_hz * TESLA_PER_GAUSS.powi(2));
-    let walks = |axes: &[Axis; 3]| super::each(axes, |axis| axis.k, 1.0);
-    let _ = writeln!(
-        text,
-        "# process noise, K of x, y, z: accel {} m/s^3/sqrt(Hz); gyro {} rad/s^2/sqrt(Hz)",
-        walks(&noise.accel),
-        walks(&noise.gyro)
-    );
+    inertial(&mut text, noise);
+    if let Some(mag) = &noise.mag {
+        covariance(&mut text, "magnetic_field_covariance", "tesla^2", mag, noise.rate_hz * TESLA_PER_GAUSS.powi(2));
+    }
+    for (sensor, axes, unit) in [("accel", &noise.accel, "m/s^3"), ("gyro", &noise.gyro, "rad/s^2")] {
+        if let Some(axes) = axes {
+            let walks = super::each(axes, |axis| axis.k, 1.0);
+            let _ = writeln!(text, "# process noise, K of x, y, z: {sensor} {walks} {unit}/sqrt(Hz)");
+        }
+    }
     text
+}
+
+/// The covariances of `sensor_msgs/Imu`, as far as the source has the triads.
+pub(super) fn inertial(text: &mut String, noise: &ImuNoise) {
+    if let Some(accel) = &noise.accel {
+        covariance(text, "linear_acceleration_covariance", "(m/s^2)^2", accel, noise.rate_hz);
+    }
+    if let Some(gyro) = &noise.gyro {
+        covariance(text, "angular_velocity_covariance", "(rad/s)^2", gyro, noise.rate_hz);
+    }
 }
 
 fn covariance(text: &mut String, key: &str, unit: &str, axes: &[Axis; 3], factor: f64) {

@@ -14,13 +14,13 @@ fn noise() -> ImuNoise {
         others: Vec::new(),
         rate_hz: 40.0,
         duration_s: 18000.0,
-        accel: [
+        accel: Some([
             axis(2e-3, 1e-4, Known::Value(1e-6)),
             axis(1.9e-3, 1e-4, Known::Below(3e-6)),
             axis(2.8e-3, 1e-4, Known::Nothing),
-        ],
-        gyro: [gyro, gyro, Axis { gauss_markov: Some((1e-5, 200.0)), ..gyro }],
-        mag: [Axis::UNKNOWN; 3],
+        ]),
+        gyro: Some([gyro, gyro, Axis { gauss_markov: Some((1e-5, 200.0)), ..gyro }]),
+        mag: None,
     }
 }
 
@@ -36,7 +36,7 @@ fn kalibr_has_the_worst_axis_in_continuous_time() {
     ] {
         assert!(text.contains(line), "{line}\nin\n{text}");
     }
-    let nothing = ImuNoise { gyro: [Axis::UNKNOWN; 3], ..noise() };
+    let nothing = ImuNoise { gyro: Some([Axis::UNKNOWN; 3]), ..noise() };
     assert!(Target::Kalibr.write(&nothing).contains("# gyroscope_noise_density: unknown"));
 }
 
@@ -50,7 +50,8 @@ fn ros_has_variances_of_one_sample() {
         "{text}"
     );
     assert!(text.contains("linear_acceleration_covariance: [1.600000e-4,"), "{text}");
-    assert!(text.contains("magnetic_field_covariance: [-1.0,"), "{text}");
+    let unknown = ImuNoise { mag: Some([Axis::UNKNOWN; 3]), ..noise() };
+    assert!(Target::Ros.write(&unknown).contains("magnetic_field_covariance: [-1.0,"));
 }
 
 #[test]
@@ -94,7 +95,7 @@ fn matlab_is_json_with_the_names_of_its_parameter_objects() {
 
 #[test]
 fn every_target_is_found_by_its_name_and_survives_knowing_nothing() {
-    let nothing = ImuNoise { accel: [Axis::UNKNOWN; 3], gyro: [Axis::UNKNOWN; 3], ..noise() };
+    let nothing = ImuNoise { accel: Some([Axis::UNKNOWN; 3]), gyro: Some([Axis::UNKNOWN; 3]), ..noise() };
     for target in Target::ALL {
         assert_eq!(Target::from_name(target.name()), Some(target));
         let text = target.write(&nothing);
@@ -120,9 +121,9 @@ fn what_is_no_number_is_found_wherever_it_stands() {
 #[test]
 fn a_limit_of_n_is_not_written_as_if_it_were_measured() {
     let limited = |axis: Axis| Axis { n: Known::Below(1e-4), ..axis };
-    let [x, y, z] = noise().gyro;
-    let mag = [x, limited(y), z];
-    let noise = ImuNoise { gyro: [limited(x), y, limited(z)], mag, ..noise() };
+    let [x, y, z] = noise().gyro.unwrap();
+    let mag = Some([x, limited(y), z]);
+    let noise = ImuNoise { gyro: Some([limited(x), y, limited(z)]), mag, ..noise() };
     for (target, expected) in [
         (
             Target::Ros,
@@ -163,7 +164,7 @@ fn a_model_is_exported_with_what_no_target_can_hold_in_words() {
     )
     .unwrap();
     let noise = ImuNoise::of_model(&model);
-    let [x, y, _] = noise.gyro;
+    let [x, y, _] = noise.gyro.unwrap();
     assert_eq!((x.k, x.gauss_markov), (Known::Below(3e-7), Some((1e-5, 200.0))));
     // Means of four of 800 samples, sent at 40 Hz: a density √5 times as high.
     let Known::Value(n) = x.n else { panic!("{:?}", x.n) };
@@ -193,7 +194,7 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     )
     .unwrap();
     let noise = ImuNoise::of_model(&model);
-    assert_eq!(noise.gyro.map(|axis| axis.fixed.bias), [Some(0.012), Some(-0.003), None]);
+    assert_eq!(noise.gyro.unwrap().map(|axis| axis.fixed.bias), [Some(0.012), Some(-0.003), None]);
     let matlab: Value = serde_json::from_str(&Target::Matlab.write(&noise)).unwrap();
     let gyro = &matlab["VN100"]["Gyroscope"];
     let numbers = |value: &Value| value.as_array().unwrap().iter().map(|of| of.as_f64().unwrap()).collect::<Vec<_>>();
@@ -242,14 +243,108 @@ fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
     let mut parameters = All::of(Channel::GyroX, 40.0, &sums, None).parameters;
     parameters.usable = false;
     parameters.reason = Some("the fitted noise predicts another deviation".to_owned());
-    let report: NoiseReport = serde_json::from_value(serde_json::json!({
+    let mut report: NoiseReport = serde_json::from_value(serde_json::json!({
         "format": NoiseReport::FORMAT, "capture": "night", "rate_hz": 40.0, "duration_s": 100.0, "samples": 4000, "missing": 0,
         "complete": true, "channels": { "gyro_x": parameters }, "datasheet": null }))
     .unwrap();
-    assert_eq!(report.refusal().as_deref(), Some("gyro_x: the fitted noise predicts another deviation"));
-    for target in [Target::Kalibr, Target::Ros, Target::Gazebo, Target::GnssInsSim, Target::Matlab] {
-        let text = target.write(&ImuNoise::of(&report));
-        let (caution, number) = (text.find("NOT USABLE").unwrap(), text.find("e-").unwrap());
-        assert!(caution < number, "{text}");
+    let why = "gyro_x: the fitted noise predicts another deviation";
+    for target in Target::ALL {
+        assert_eq!(target.refusal(&report).as_deref(), Some(why));
+        let text = target.write_report(&report);
+        let caution = text.find("NOT USABLE").unwrap();
+        // Covariances are of all three axes or not given.
+        assert!(text.find("e-").is_none_or(|number| caution < number), "{text}");
     }
+    // A magnetometer that is not usable is no reason to withhold what has no magnetometer.
+    let gyro = report.channels.get_mut(&Channel::GyroX).unwrap();
+    let mag = gyro.clone();
+    gyro.usable = true;
+    report.channels.insert(Channel::MagX, mag);
+    for target in Target::ALL {
+        let refused = target.refusal(&report).is_some();
+        let text = target.write_report(&report);
+        assert_eq!((refused, text.contains("NOT USABLE")), (target.holds(Channel::MagX), refused), "{target:?}");
+    }
+    assert!(report.refusal(|_| true).is_some());
+}
+
+/// Each program with what its code makes of the numbers: a second of white noise N and of a walk K has to come out as N² and K².
+#[test]
+fn every_filter_adds_the_variance_of_the_noise_in_a_second() {
+    let axis = Axis { n: Known::Value(2e-3), k: Known::Value(3e-4), ..Axis::UNKNOWN };
+    let only_gyro = ImuNoise { gyro: Some([axis; 3]), accel: None, ..noise() };
+    let number = |target: Target, key: &str| -> f64 {
+        let text = target.write(&only_gyro);
+        let line = text.lines().find(|line| line.trim_start().trim_start_matches("param set ").starts_with(key));
+        let line = line.unwrap_or_else(|| panic!("no {key} in\n{text}"));
+        line.split([' ', ':']).rfind(|word| !word.is_empty()).unwrap().parse().unwrap()
+    };
+    type Adds = fn(f64) -> f64;
+    const SAMPLE_S: f64 = 1.0 / 40.0;
+    let continuous: Adds = |number| number * number;
+    let per_sample: Adds = |number| (SAMPLE_S * number).powi(2) / SAMPLE_S;
+    let variance: Adds = |number| SAMPLE_S * SAMPLE_S * number / SAMPLE_S;
+    let ten_ms: Adds = |number| (0.01 * number).powi(2) / 0.01;
+    let twelve_ms: Adds = |number| (0.012 * number).powi(2) / 0.012;
+    for (target, white, walk, adds) in [
+        (Target::Kalibr, "gyroscope_noise_density", "gyroscope_random_walk", continuous),
+        (Target::Openvins, "gyroscope_noise_density", "gyroscope_random_walk", continuous),
+        (Target::VinsFusion, "gyr_n", "gyr_w", per_sample),
+        (Target::OrbSlam3, "IMU.NoiseGyro", "IMU.GyroWalk", continuous),
+        (Target::LioSam, "imuGyrNoise", "imuGyrBiasN", continuous),
+        (Target::FastLio, "gyr_cov", "b_gyr_cov", variance),
+        (Target::Px4, "EKF2_GYR_NOISE", "EKF2_GYR_B_NOISE", ten_ms),
+        (Target::Ardupilot, "EK3_GYRO_P_NSE", "EK3_GBIAS_P_NSE", twelve_ms),
+    ] {
+        if target == Target::Kalibr {
+            assert!(target.write(&only_gyro).contains("gyroscope_noise_density: 2.000000e-3  #"));
+            continue;
+        }
+        for (key, density) in [(white, 2e-3f64), (walk, 3e-4)] {
+            let found = adds(number(target, key));
+            assert!((found / density.powi(2) - 1.0).abs() < 1e-5, "{target:?} {key}: {found}");
+        }
+    }
+}
+
+#[test]
+fn no_text_speaks_of_a_triad_that_is_not_there() {
+    let only_gyro = ImuNoise { accel: None, ..noise() };
+    let only_accel = ImuNoise { gyro: None, ..noise() };
+    let numbers = |text: &str| {
+        let own = text.lines().filter(|line| !line.trim_start().starts_with('#') && !line.contains("Comment"));
+        own.collect::<Vec<_>>().join("\n").to_lowercase()
+    };
+    for target in Target::ALL {
+        let (gyro, accel) = (numbers(&target.write(&only_gyro)), numbers(&target.write(&only_accel)));
+        for word in ["acc", "m/s"] {
+            assert!(
+                !gyro.contains(word) && (accel.contains(word) || word == "m/s"),
+                "{target:?} {word}:\n{gyro}\n{accel}"
+            );
+        }
+        for word in ["gyr", "ang", "rad/s"] {
+            assert!(!accel.contains(word), "{target:?} {word}:\n{accel}");
+        }
+    }
+}
+
+#[test]
+fn files_for_filters_have_units_limits_and_why_others_publish_more() {
+    for target in [Target::Openvins, Target::VinsFusion, Target::OrbSlam3, Target::LioSam, Target::FastLio] {
+        let text = target.write(&noise());
+        assert!(text.contains("# accelerometer, random walk, ") && text.contains(", < "), "{text}");
+        assert!(text.contains("often ten times as") && text.contains("VN-100 capture night"), "{text}");
+    }
+    let vins = Target::VinsFusion.write(&noise());
+    // The larger of 1e-6 and the limit of 3e-6, times √40; 2.8e-3 √40.
+    assert!(vins.contains("\nacc_w: 1.897367e-5\n") && vins.contains("\nacc_n: 1.770875e-2\n"), "{vins}");
+    let px4 = Target::Px4.write(&noise());
+    assert!(px4.contains("\nparam set EKF2_ACC_NOISE 2.800000e-2\n") && px4.contains("EKF2_PREDICT_US"), "{px4}");
+    let orb = Target::OrbSlam3.write(&noise());
+    assert!(orb.contains("\nIMU.Frequency: 40.0\n") && orb.contains("\nIMU.NoiseAcc: 2.800000e-3\n"), "{orb}");
+    let isaac = Target::Isaac.write(&noise());
+    assert!(isaac.contains("RATE_HZ = 40.0 ") && isaac.contains("std=2.800000e-3 * math.sqrt(RATE_HZ))"), "{isaac}");
+    let fusion = Target::RobotLocalization.write(&noise());
+    assert!(fusion.contains("angular_velocity_covariance: [4.000000e-7,") && !fusion.contains("magnetic"), "{fusion}");
 }

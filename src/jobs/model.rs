@@ -30,7 +30,7 @@ pub fn fitted(
     let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan, room)).transpose()?;
     let report = direct::noise(source, plan)?;
     let plain = model_of(&report, &levels, name, SOFTWARE);
-    let Some(gridded) = gridded else { return Ok((plain, report.refusal())) };
+    let Some(gridded) = gridded else { return Ok((plain, report.refusal(|_| true))) };
     let options =
         diagnosis::Options { workers, effects: Some(wanted), believed: false, ..diagnosis::Options::default() };
     let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;

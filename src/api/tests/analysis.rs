@@ -187,7 +187,7 @@ fn what_is_made_of_noise_parameters_has_a_tag_and_none_while_the_capture_runs() 
     let world = World::new();
     world.capture("a", CaptureState::Complete, 4000);
     eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200);
-    let forms = ["", "?format=kalibr", "?format=ros", "?datasheet=vn-100"];
+    let forms = ["", "?format=kalibr", "?format=openvins", "?format=px4", "?datasheet=vn-100"];
     let mut tags = std::collections::BTreeSet::new();
     for form in forms {
         let path = format!("/v1/captures/a/noise{form}");

@@ -336,10 +336,11 @@ impl NoiseReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-noise-1";
 
-    /// Why parameters of this report should go nowhere: the channels that are not usable, with their reasons. None where all are.
+    /// Why parameters of this report should go nowhere: the `concerned` channels that are not usable, with their reasons. None
+    /// where all are.
     #[must_use]
-    pub fn refusal(&self) -> Option<String> {
-        let unusable = self.channels.iter().filter(|(_, of)| !of.usable);
+    pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
+        let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));
         let reasons: Vec<String> = unusable
             .map(|(channel, of)| {
                 format!("{channel}: {}", of.reason.as_deref().unwrap_or("the parameters are not usable"))
