@@ -5,7 +5,7 @@ use super::args::{NoiseArgs, NoiseFormat};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
 use crate::datasheet::{Comparison, Verdict, compare_report};
 use crate::jobs::direct;
-use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseReport};
+use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseParameters, NoiseReport};
 use crate::simulator::SensorModel;
 use serde_json::Value;
 use std::io::Write as _;
@@ -116,9 +116,13 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
         if let Some(lowest) = &found.minimum {
             writeln!(
                 to,
-                "{channel}: lowest Allan deviation {:.3e} {} at {:.4} s; over 0.664 that is {:.3e}, which B does not exceed",
+                "{channel}: lowest Allan deviation {:.3e} {} at {:.4} s; over 0.664 that is {:.3e}, which B does not exceed but for \
+                 the scatter of the curve",
                 lowest.deviation, found.unit, lowest.tau_s, lowest.over_0_664
             )?;
+        }
+        for sentence in of_the_record(found) {
+            writeln!(to, "{channel}: {sentence}")?;
         }
         for flag in &found.flags {
             writeln!(to, "{channel}: {}", sentence(flag))?;
@@ -134,6 +138,46 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
         }
     }
     Ok(())
+}
+
+/// How long to record, and why no walk is seen.
+fn of_the_record(of: &NoiseParameters) -> Vec<String> {
+    let mut all = Vec::new();
+    let times = [("B", of.record_needed.b), ("K", of.record_needed.k)];
+    let times: Vec<String> =
+        times.into_iter().filter_map(|(letter, s)| Some(format!("{letter} {}", long(s?)))).collect();
+    if !times.is_empty() {
+        all.push(format!("known to ±20 % after, at rest and without a gap: {}", times.join(", ")));
+    }
+    if of.b.upper_limit95.is_some() {
+        all.push("no flicker is seen: the record does not tell how long it takes to know B".to_owned());
+    }
+    if let Some((beyond_s, limit)) = of.walk_shows_beyond_s.zip(of.k.upper_limit95) {
+        let ends_s = of.fit.curve.as_ref().and_then(|curve| curve.tau_s.last().copied());
+        let ends = match ends_s {
+            Some(ends_s) if ends_s > beyond_s => {
+                format!(", where this record's curve, which ends at {}, is of too few averages to tell", long(ends_s))
+            }
+            Some(ends_s) => format!("; this record's curve ends at {}", long(ends_s)),
+            None => String::new(),
+        };
+        all.push(format!(
+            "no random walk is seen, hence no slope of +½: one of {limit:.2e} {}, its limit, would rise above the lowest deviation \
+             beyond {}{ends}",
+            of.k.unit,
+            long(beyond_s)
+        ));
+    }
+    all
+}
+
+/// A time in the unit that suits it.
+fn long(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.3} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
 }
 
 fn sentence(flag: &Flag) -> String {
@@ -374,6 +418,38 @@ mod tests {
         );
         assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true\n"), "{csv}");
         assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true\n"), "{csv}");
+    }
+
+    /// What every user asks of a record: B beside the lowest deviation, how long to record, why the curve does not rise.
+    #[test]
+    fn the_table_says_how_long_to_record_and_why_no_walk_is_seen() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut report = report(opened(recording(directory.path(), |_, value| value)));
+        let said = |report: &NoiseReport| {
+            let mut table = Vec::new();
+            write_table(&mut table, report).unwrap();
+            String::from_utf8(table).unwrap()
+        };
+        let white = said(&report);
+        for part in [
+            "gyro_x: lowest Allan deviation ",
+            "which B does not exceed but for the scatter of the curve",
+            "gyro_x: no flicker is seen",
+            "gyro_x: no random walk is seen, hence no slope of +½: one of ",
+            "this record's curve",
+        ] {
+            assert!(white.contains(part), "{part} is not in\n{white}");
+        }
+        let gyro = report.channels.get_mut(&Channel::GyroX).unwrap();
+        gyro.b = Estimate::of("rad/s", 2e-5, [1e-5, 3e-5]);
+        gyro.record_needed.b = Some(2400.0);
+        gyro.walk_shows_beyond_s = Some(1e5);
+        let flicker = said(&report);
+        assert!(flicker.contains("gyro_x: known to ±20 % after, at rest and without a gap: B 40 min\n"), "{flicker}");
+        assert!(
+            flicker.contains(" beyond 27.8 h; this record's curve ends at ") && !flicker.contains("no flicker"),
+            "{flicker}"
+        );
     }
 
     /// A sensor that sends means of four at its internal rate (finding A1).

@@ -8,6 +8,7 @@
 
 use super::allan::{AllanCurve, AllanPoint, confidence_factors};
 use super::fit::{Estimate, Minimum, NoiseParameters, Term, response};
+use super::needed::{RecordNeeded, walk_shows_beyond_s};
 use crate::sample::Channel;
 
 /// How often a true prediction may leave the measured curve at any averaging time.
@@ -31,12 +32,25 @@ struct Place {
     at: usize,
 }
 
-/// Holds the parameters against the measured points, and notes the lowest of these beside B.
+/// Holds the parameters against the measured points, and notes the lowest of these beside B, how long a record
+/// has to be, and from where on a walk would show.
 ///
 /// All averaging times together are one test at 1 %: each has its share of it (Bonferroni). `rate_hz` finite and above 0.
 /// `excluded_bands_hz`: where samples were brought down to a background that is known in part only; what white noise gives there to
 /// the variance of an averaging time widens its interval.
 pub fn hold_against(
+    parameters: &mut NoiseParameters,
+    points: &[AllanPoint],
+    rate_hz: f64,
+    channel: Channel,
+    excluded_bands_hz: &[[f64; 2]],
+) {
+    contradict(parameters, points, rate_hz, channel, excluded_bands_hz);
+    parameters.record_needed = RecordNeeded::of(parameters, rate_hz);
+    parameters.walk_shows_beyond_s = walk_shows_beyond_s(parameters);
+}
+
+fn contradict(
     parameters: &mut NoiseParameters,
     points: &[AllanPoint],
     rate_hz: f64,

@@ -28,6 +28,7 @@ pub use parameters::{
 pub use term::Term;
 pub(in crate::noise) use term::response;
 
+use crate::noise::RecordNeeded;
 use crate::noise::allan::AllanPoint;
 use crate::sample::Channel;
 use variance_fit::{Choice, MISFIT, VarianceFit};
@@ -119,6 +120,8 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
         usable: true,
         reason: None,
         minimum: None,
+        record_needed: RecordNeeded::default(),
+        walk_shows_beyond_s: None,
         fit: FitSummary {
             method: METHOD.to_owned(),
             chi2: choice.residual.map(|residual| residual.chi2),
@@ -145,6 +148,8 @@ pub(in crate::noise) fn nothing(channel: Channel, method: &str, flag: Flag) -> N
         usable: false,
         reason: Some(flag.note.clone()),
         minimum: None,
+        record_needed: RecordNeeded::default(),
+        walk_shows_beyond_s: None,
         fit: FitSummary { method: method.to_owned(), chi2: None, degrees_of_freedom: None, p_value: None, curve: None },
         flags: vec![flag],
     }

@@ -261,6 +261,13 @@ pub struct NoiseParameters {
     /// Lowest point of the measured Allan deviation; null where it is not known well enough.
     #[serde(default)]
     pub minimum: Option<Minimum>,
+    /// How long the sensor has to be at rest, without a gap, until B and K are known to ±20 %, s.
+    #[serde(default)]
+    pub record_needed: crate::noise::RecordNeeded,
+    /// Where no walk is identified: the averaging time from which on one as large as the limit of K would rise above the lowest
+    /// deviation with a slope of +½, s.
+    #[serde(default)]
+    pub walk_shows_beyond_s: Option<f64>,
     /// The fit.
     pub fit: FitSummary,
     /// What else is to be known.
@@ -279,7 +286,7 @@ pub struct Minimum {
     pub deviation: f64,
     /// Its averaging time, s.
     pub tau_s: f64,
-    /// The deviation over 0.664, which B does not exceed: the curve holds all other noise as well.
+    /// The deviation over 0.664, which B does not exceed but for the scatter of the curve: it holds all other noise as well.
     pub over_0_664: f64,
 }
 

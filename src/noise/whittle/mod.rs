@@ -28,6 +28,7 @@ pub use sums::DstSums;
 use super::fit::{
     Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, NoiseParameters, Term, gauss_markov_variance, nothing,
 };
+use crate::noise::RecordNeeded;
 use crate::sample::Channel;
 use choice::Choice;
 use likelihood::{Likelihood, SIGMA, place};
@@ -142,6 +143,8 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
         usable: true,
         reason: None,
         minimum: None,
+        record_needed: RecordNeeded::default(),
+        walk_shows_beyond_s: None,
         fit: FitSummary {
             method: METHOD.to_owned(),
             chi2: choice.residual.map(|residual| residual.chi2),

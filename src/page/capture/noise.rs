@@ -1,7 +1,8 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
 use super::{Capture, CaptureView, TRIADS, escaped, figure, opened, wide};
-use crate::page::figure::{parted, plain};
+use crate::page::figure::{parted, plain, span};
+use crate::plot::number::rounded;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -29,8 +30,39 @@ struct Parameters {
     #[serde(rename = "R")]
     r: Option<Estimate>,
     gauss_markov: Option<GaussMarkov>,
+    minimum: Option<Minimum>,
+    #[serde(default)]
+    record_needed: Needed,
+    walk_shows_beyond_s: Option<f64>,
+    #[serde(default)]
+    fit: Fit,
     #[serde(default)]
     flags: Vec<Flag>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Minimum {
+    deviation: f64,
+    tau_s: f64,
+    over_0_664: f64,
+}
+
+#[derive(Debug, Default, Deserialize)]
+struct Needed {
+    #[serde(rename = "B")]
+    b: Option<f64>,
+    #[serde(rename = "K")]
+    k: Option<f64>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+struct Fit {
+    curve: Option<Curve>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Curve {
+    tau_s: Vec<f64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -206,8 +238,53 @@ fn more(of: &Parameters) -> String {
     if let Some(GaussMarkov { sigma, tc_s }) = &of.gauss_markov {
         all.push(format!("Gauss–Markov process: σ {} correlation time {}", cell(Some(sigma)), cell(Some(tc_s))));
     }
+    all.extend(of_the_record(of));
     all.extend(of.flags.iter().map(|flag| escaped(&flag.note)));
     all.join("<br>")
+}
+
+/// The lowest deviation beside B, how long to record, and why no walk is seen.
+fn of_the_record(of: &Parameters) -> Vec<String> {
+    let mut all = Vec::new();
+    let unit = |of: Option<&Estimate>| of.map(|of| escaped(&of.unit)).unwrap_or_default();
+    if let Some(Minimum { deviation, tau_s, over_0_664 }) = of.minimum {
+        let b = unit(of.b.as_ref());
+        all.push(format!(
+            "Lowest Allan deviation {} {b} at {} s; over 0.664 that is {} {b}, which B does not exceed but for the scatter of the curve.",
+            plain(deviation),
+            rounded(tau_s, 3),
+            plain(over_0_664)
+        ));
+    }
+    let times = [("B", of.record_needed.b), ("K", of.record_needed.k)];
+    let times: Vec<String> =
+        times.into_iter().filter_map(|(letter, s)| Some(format!("{letter} {}", span(s?)))).collect();
+    if !times.is_empty() {
+        all.push(format!("Known to ±20 % after, at rest and without a gap: {}.", times.join(", ")));
+    }
+    let limit_of = |of: &Option<Estimate>| of.as_ref().and_then(|of| of.upper_limit95);
+    if limit_of(&of.b).is_some() {
+        all.push("No flicker is seen: the record does not tell how long it takes to know B.".to_owned());
+    }
+    let limit = limit_of(&of.k);
+    if let Some((beyond_s, limit)) = of.walk_shows_beyond_s.zip(limit) {
+        let ends_s = of.fit.curve.as_ref().and_then(|curve| curve.tau_s.last().copied());
+        let ends = match ends_s {
+            Some(ends_s) if ends_s > beyond_s => {
+                format!(", where this record's curve, which ends at {}, is of too few averages to tell", span(ends_s))
+            }
+            Some(ends_s) => format!("; this record's curve ends at {}", span(ends_s)),
+            None => String::new(),
+        };
+        all.push(format!(
+            "No random walk is seen, hence no slope of +½: one of {} {}, its limit, would rise above the lowest deviation beyond \
+             {}{ends}.",
+            plain(limit),
+            unit(of.k.as_ref()),
+            span(beyond_s)
+        ));
+    }
+    all
 }
 
 fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
@@ -227,8 +304,7 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
                    figure: &str,
                    [measured, sheet, expected, ratio]: [Option<f64>; 4],
                    told: [&str; 3]| {
-        let number =
-            |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| crate::plot::number::rounded(value, 3));
+        let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| rounded(value, 3));
         let [printed, unit, verdict] = told;
         let class = if verdict == "within" || verdict == "explained_by_sampling" { "good" } else { "bad" };
         let _ = write!(
@@ -260,7 +336,7 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
         }
         if let Some(bias) = &of.bias_stability {
             let Bias { allan_minimum, tau_s, datasheet, printed, ratio, unit, verdict, needed_s } = bias;
-            let figure = format!("Allan minimum, at {} s", crate::plot::number::rounded(*tau_s, 2));
+            let figure = format!("Allan minimum, at {} s", rounded(*tau_s, 2));
             let verdict = &match needed_s {
                 Some(needed_s) => format!("too short to tell: {:.0} min would do", needed_s / 60.0),
                 None => verdict.clone(),

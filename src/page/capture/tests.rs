@@ -22,7 +22,10 @@ fn noise() -> String {
         "unit": "rad/s/√Hz", "verdict": "explained_by_sampling"});
     let bias = json!({"allan_minimum": 9e-5, "tau_s": 100.0, "datasheet": 2e-5, "printed": "5 °/h", "ratio": 4.0, "unit": "rad/s",
         "verdict": "worse"});
-    json!({"channels": {"gyro_x": {"N": n, "K": k, "flags": [{"kind": "misfit", "note": "a <note>"}]}},
+    let b = json!({"value": 2.6e-5, "ci95": [2.4e-5, 2.8e-5], "unit": "rad/s"});
+    let minimum = json!({"deviation": 1.8e-5, "tau_s": 120.0, "over_0_664": 2.7e-5});
+    json!({"channels": {"gyro_x": {"N": n, "B": b, "K": k, "minimum": minimum, "record_needed": {"B": 2400.0, "K": null},
+        "walk_shows_beyond_s": 432.0, "fit": {"curve": {"tau_s": [0.025, 4500.0]}}, "flags": [{"kind": "misfit", "note": "a <note>"}]}},
         "datasheet": {"name": "VN-100", "source": "User manual.", "channels": {"gyro_x": {"noise_density": density,
         "bias_stability": bias}}}})
     .to_string()
@@ -71,6 +74,11 @@ fn everything_that_is_known_is_told_and_nothing_is_markup() {
         "0.344&nbsp;deg/√h <span class=\"interval\">0.309 to 0.378</span>",
         "below 1.5·10⁻⁶ rad/s/√s",
         "explained by sampling",
+        "Lowest Allan deviation 1.8·10⁻⁵ rad/s at 120 s; over 0.664 that is 2.7·10⁻⁵ rad/s, which B does not exceed but for the scatter of the \
+         curve.",
+        "Known to ±20 % after, at rest and without a gap: B 40 min.",
+        "No random walk is seen, hence no slope of +½: one of 1.5·10⁻⁶ rad/s/√s, its limit, would rise above the lowest deviation \
+         beyond 7 min 12 s, where this record's curve, which ends at 1 h 15 min, is of too few averages to tell.",
         "<span class=\"bad\">worse</span>",
         "normal (p = 0.3)",
         "a &lt;tone&gt; is missing",
