@@ -244,7 +244,7 @@ pub struct NoiseParameters {
     /// Quantization noise.
     #[serde(rename = "Q")]
     pub q: Estimate,
-    /// Rate ramp.
+    /// Rate ramp, with its sign; while a capture runs, its size alone.
     #[serde(rename = "R")]
     pub r: Estimate,
     /// Gauss–Markov process; null where there is none.

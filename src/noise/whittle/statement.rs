@@ -10,7 +10,7 @@ use crate::noise::fit::selection::{interval, upper_limit};
 /// What the data says of one coefficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Statement {
-    /// A value and its 95 % interval.
+    /// A value and its 95 % interval; a ramp's with its sign.
     Named(f64, [f64; 2]),
     /// A 95 % upper limit, where there is one.
     Limited(Option<f64>),
@@ -65,7 +65,13 @@ impl<'a> Profile<'a> {
         let value = self.choice.values.coefficient(term).abs();
         let named = chosen.terms.has(term) && value > 0.0 && self.stands(term);
         if named && let Some([low, high]) = course.interval(value) {
-            return Statement::Named(value, [low.min(value), high.max(value)]);
+            let ends = [low.min(value), high.max(value)];
+            // A ramp falls or rises; all others have no sign.
+            return if self.choice.values.coefficient(term) < 0.0 {
+                Statement::Named(-value, [-ends[1], -ends[0]])
+            } else {
+                Statement::Named(value, ends)
+            };
         }
         let limit = course.upper_limit();
         // Whether a process made the data or flicker and a walk is a matter of a few units of log L: a limit allows for both.

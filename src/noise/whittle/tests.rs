@@ -161,12 +161,19 @@ fn a_ramp_is_named_and_does_not_pass_for_a_random_walk() {
         *value -= 1.6e-5 * index as f64 / RATE_HZ;
     }
     let parameters = of(&samples);
-    assert!((parameters.r.value.unwrap() / 1.6e-5 - 1.0).abs() < 0.02 && holds(&parameters.r, 1.6e-5));
+    // It falls.
+    assert!((parameters.r.value.unwrap() / -1.6e-5 - 1.0).abs() < 0.02 && holds(&parameters.r, -1.6e-5));
     assert!(!parameters.k.identified && !parameters.b.identified, "{parameters:?}");
     // Cut in two, the halves share the ramp.
     let (left, right) = samples.split_at(41_234);
     let cut = fit(&sums_of(&[left, right]), RATE_HZ, Channel::GyroX, &[], None);
-    assert!((cut.r.value.unwrap() / 1.6e-5 - 1.0).abs() < 0.05 && holds(&cut.r, 1.6e-5), "{:?}", cut.r);
+    assert!((cut.r.value.unwrap() / -1.6e-5 - 1.0).abs() < 0.05 && holds(&cut.r, -1.6e-5), "{:?}", cut.r);
+    // Rising it is the same with the other sign, and the curve has its size.
+    samples.iter_mut().for_each(|value| *value = -*value);
+    let risen = of(&samples);
+    assert!((risen.r.value.unwrap() + parameters.r.value.unwrap()).abs() < 1e-9 && holds(&risen.r, 1.6e-5));
+    let parts = [&parameters, &risen].map(|of| of.fit.curve.as_ref().unwrap().parts["R"].clone());
+    assert!(parts[0].iter().zip(&parts[1]).all(|(fallen, risen)| *fallen > 0.0 && (fallen / risen - 1.0).abs() < 1e-6));
 }
 
 #[test]
