@@ -194,14 +194,14 @@ pub(super) async fn noise(
         let body = (media, target.write_report(&report));
         return Ok(answer_of_form(&headers, result.as_ref(), target.name(), body));
     }
-    let form = sheet.as_ref().map_or("json", |sheet| sheet.name);
+    let form = sheet.as_ref().map_or_else(|| "json".to_owned(), |sheet| sheet.name.clone());
     if let Some(sheet) = sheet {
         let job_id = result.as_ref().and_then(|result| result.job_id);
         let windows = state.read(move |reader| filter_windows(reader, &capture, job_id)).await?;
         let compared = compare_report(&sheet, &report, windows);
         report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
     }
-    Ok(answer_of_form(&headers, result.as_ref(), form, axum::Json(SoFar { report, caught_up })))
+    Ok(answer_of_form(&headers, result.as_ref(), &form, axum::Json(SoFar { report, caught_up })))
 }
 
 /// Register 85 as the first of a result's captures that knows it tells.

@@ -1,6 +1,6 @@
 //! Arguments: the command line as `clap` reads it.
 
-use crate::datasheet::Datasheet;
+use crate::datasheet::{Datasheet, DatasheetError};
 use crate::export::Target;
 use crate::model_fit::effects_named;
 use crate::units::parse_duration;
@@ -333,9 +333,26 @@ pub struct NoiseArgs {
     /// Write parameters that contradict the record all the same, with a comment
     #[arg(long)]
     pub force: bool,
-    /// Compare with this datasheet (vn-100)
-    #[arg(long, value_name = "NAME", value_parser = Datasheet::named)]
-    pub datasheet: Option<Datasheet>,
+    /// Compare with this datasheet: vn-100, or a file that ends with .toml
+    #[arg(long, value_name = "NAME|FILE.toml", value_parser = SheetChoice::parse)]
+    pub datasheet: Option<SheetChoice>,
+}
+
+/// A datasheet by its name, or its file.
+#[derive(Debug, Clone)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum SheetChoice {
+    Named(Box<Datasheet>),
+    File(PathBuf),
+}
+
+impl SheetChoice {
+    fn parse(text: &str) -> Result<Self, DatasheetError> {
+        if text.ends_with(".toml") {
+            return Ok(Self::File(text.into()));
+        }
+        Ok(Self::Named(Box::new(Datasheet::named(text)?)))
+    }
 }
 
 /// Arguments of `simulate`.

@@ -1,24 +1,26 @@
 //! `vn100d noise`: noise parameters.
 
 use super::analysis;
-use super::args::{NoiseArgs, NoiseFormat};
+use super::args::{NoiseArgs, NoiseFormat, SheetChoice};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
-use crate::datasheet::{Comparison, Verdict, compare_report};
+use crate::datasheet::{Comparison, Datasheet, Verdict, compare_report};
 use crate::jobs::direct;
 use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseParameters, NoiseReport};
 use crate::simulator::SensorModel;
+use anyhow::Context as _;
 use serde_json::Value;
 use std::io::Write as _;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
+    let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
     if let Some(window) = args.filter_window {
         together.sampled(window, args.internal_rate)?;
     }
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
-    let comparison = args.datasheet.map(|sheet| compare_report(&sheet, &report, windows));
+    let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows));
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
     let target = if let NoiseFormat::For(target) = args.format { Some(target) } else { None };
     let refusal = target.filter(|_| !args.force).and_then(|target| Some((target, target.refusal(&report)?)));
@@ -35,6 +37,17 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
         print_comparison(&comparison)?;
     }
     Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
+}
+
+/// The datasheet that was chosen.
+fn datasheet(choice: &SheetChoice) -> anyhow::Result<Datasheet> {
+    let path = match choice {
+        SheetChoice::Named(sheet) => return Ok(sheet.as_ref().clone()),
+        SheetChoice::File(path) => path,
+    };
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).with_context(|| format!("the datasheet {name} cannot be read"))?;
+    Ok(Datasheet::from_toml(&text, &name)?)
 }
 
 /// What says that parameters contradict the record, and how to have them all the same.
@@ -450,6 +463,24 @@ mod tests {
             flicker.contains(" beyond 27.8 h; this record's curve ends at ") && !flicker.contains("no flicker"),
             "{flicker}"
         );
+    }
+
+    /// A datasheet of the reader's own, and one that is none.
+    #[test]
+    fn a_datasheet_is_read_from_a_file_and_refused_with_its_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("own.toml");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            datasheet(&SheetChoice::File(path.clone()))
+        };
+        let sheet =
+            read("name = 'own'\n[gyro]\nnoise_density_rad_s_sqrt_hz = 2e-4\nbias_stability_rad_s = 1e-3").unwrap();
+        let compared = compare_report(&sheet, &report(opened(recording(directory.path(), |_, value| value))), None);
+        let found = &compared.channels[&Channel::GyroX];
+        assert_eq!((compared.name.as_str(), found.verdict), ("own", Verdict::Within), "{found:?}");
+        let error = read("name = 'own'\n[gyroscope]").unwrap_err().to_string();
+        assert!(error.contains("own.toml") && error.contains("gyroscope") && error.contains("`accel`"), "{error}");
     }
 
     /// A sensor that sends means of four at its internal rate (finding A1).

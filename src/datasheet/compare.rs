@@ -151,21 +151,21 @@ pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channe
         let factor = sampling.density_factor(triad);
         // From here on every quantity has the dimension of its triad.
         let compared = match triad {
-            Triad::Gyro => of_channel(&sheet.gyro, measured, factor),
-            Triad::Accel => of_channel(&sheet.accel, measured, factor),
-            Triad::Mag => of_channel(&sheet.mag, measured, factor),
+            Triad::Gyro => of_channel(sheet.gyro.as_ref()?, measured, factor),
+            Triad::Accel => of_channel(sheet.accel.as_ref()?, measured, factor),
+            Triad::Mag => of_channel(sheet.mag.as_ref()?, measured, factor),
             Triad::Attitude => None,
         };
         Some((*channel, compared?))
     });
-    Comparison { name: sheet.name.to_owned(), source: sheet.source.to_owned(), sampling, channels: channels.collect() }
+    Comparison { name: sheet.name.clone(), source: sheet.source.clone(), sampling, channels: channels.collect() }
 }
 
 /// Compares all that a report says with a datasheet; `windows` are the sensor's filter windows (register 85), where they are known.
 #[must_use]
 pub fn compare_report(sheet: &Datasheet, report: &NoiseReport, windows: Option<FilterWindows>) -> Comparison {
     let measured = report.channels.keys().map(|channel| (*channel, Measured::of(report, *channel))).collect();
-    compare(sheet, Sampling::new(report.rate_hz, windows), &measured)
+    compare(sheet, sheet.sampling(report.rate_hz, windows), &measured)
 }
 
 fn of_channel<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<ChannelComparison> {
@@ -181,20 +181,21 @@ fn of_channel<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f
 
 fn density<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<DensityComparison> {
     let (value, ci95) = measured.density?;
+    let (own, limit) = figures.density.zip(figures.density_limit)?;
     let lowest = Quantity::<D>::held(ci95[0]).per_root_hertz();
-    let verdict = if lowest <= figures.density_limit {
+    let verdict = if lowest <= limit {
         Verdict::Within
-    } else if lowest <= figures.density_limit.times(factor) {
+    } else if lowest <= limit.times(factor) {
         Verdict::ExplainedBySampling
     } else {
         Verdict::Above
     };
-    let (datasheet, predicted) = (figures.density.value(), figures.density.times(factor).value());
+    let (datasheet, predicted) = (own.value(), own.times(factor).value());
     Some(DensityComparison {
         measured: value,
         ci95,
         datasheet,
-        printed: figures.printed.0.to_owned(),
+        printed: figures.printed.0.clone(),
         sampling_factor: factor,
         predicted,
         predicted_one_sided: predicted * std::f64::consts::FRAC_1_SQRT_2,
@@ -241,7 +242,7 @@ fn bias<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) ->
         allan_minimum: minimum,
         tau_s,
         datasheet: limit.value(),
-        printed: figures.printed.1.to_owned(),
+        printed: figures.printed.1.clone(),
         without_folded_noise: less(minimum),
         ratio: minimum / limit.value(),
         unit: D::UNIT.to_owned(),

@@ -8,47 +8,69 @@
 //! as N is. Read as one-sided it is N = D/√2, which is the reading that predicts D·√(800/2W) for the deviation of one sample. For the gyroscope at 40 Hz and the factory's window the prediction is 1.37e-4 or
 //! 9.7e-5 rad/s/√Hz, 8.6e-4 or 6.1e-4 rad/s of a sample. Verdicts go by the larger; both stand in the comparison.
 //!
+//! The VN-100's is built in; those of other sensors are read from a file ([`Datasheet::from_toml`]).
+//!
 //! Quantities carry their dimension as a type
 //! ([`crate::units::Quantity`]): mg and m/s², rates and accelerations cannot be mixed.
 
 mod compare;
+mod file;
 mod sampling;
 mod vn100;
 
 pub use compare::{
     BiasComparison, ChannelComparison, Comparison, DensityComparison, Measured, Verdict, compare, compare_report,
 };
+pub use file::FileError;
 pub use sampling::{FilterWindows, Sampling};
 pub use vn100::vn_100;
 
 use crate::units::{Acceleration, AngularRate, Density, Dimension, MagneticField, Quantity};
 
 /// What a datasheet says of one triad.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Figures<D: Dimension> {
-    /// White noise of the sensor itself.
-    pub density: Density<D>,
+    /// White noise of the sensor itself; `None` where none is given.
+    pub density: Option<Density<D>>,
     /// The density is printed with so many digits: the largest that rounds to it.
-    pub density_limit: Density<D>,
+    pub density_limit: Option<Density<D>>,
     /// Bias stability in run, the limit; `None` where none is given.
     pub bias_stability: Option<Quantity<D>>,
     /// As the sheet prints density and stability.
-    pub printed: (&'static str, &'static str),
+    pub printed: (String, String),
+}
+
+/// How a sensor makes its samples of what its datasheet's density is of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Sampled {
+    /// As a VN-100: register 85 tells the windows, else they are the factory's.
+    Register85,
+    /// By means of that many samples of an internal rate; the magnetometer sends as it samples.
+    Told {
+        /// The internal rate, Hz.
+        internal_rate_hz: f64,
+        /// Samples to a mean.
+        filter_window: u32,
+    },
+    /// Without averaging and decimation.
+    AsSent,
 }
 
 /// A datasheet.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Datasheet {
     /// As `--datasheet` names it.
-    pub name: &'static str,
+    pub name: String,
     /// Which edition, and who quotes it.
-    pub source: &'static str,
+    pub source: String,
+    /// How samples come about.
+    pub sampled: Sampled,
     /// Gyroscope.
-    pub gyro: Figures<AngularRate>,
+    pub gyro: Option<Figures<AngularRate>>,
     /// Accelerometer.
-    pub accel: Figures<Acceleration>,
+    pub accel: Option<Figures<Acceleration>>,
     /// Magnetometer.
-    pub mag: Figures<MagneticField>,
+    pub mag: Option<Figures<MagneticField>>,
 }
 
 /// Why a datasheet was not found.
@@ -62,6 +84,18 @@ pub struct DatasheetError {
 }
 
 impl Datasheet {
+    /// The sampling of a capture at `rate_hz`; `windows` as its register 85 tells them, if the sensor has one.
+    #[must_use]
+    pub fn sampling(&self, rate_hz: f64, windows: Option<FilterWindows>) -> Sampling {
+        let (internal_rate_hz, window) = match self.sampled {
+            Sampled::Register85 => return Sampling::new(rate_hz, windows),
+            Sampled::Told { internal_rate_hz, filter_window } => (internal_rate_hz, filter_window),
+            Sampled::AsSent => (rate_hz, 1),
+        };
+        let filter_window = FilterWindows { mag: 1, accel: window, gyro: window };
+        Sampling { internal_rate_hz, mag_rate_hz: rate_hz, rate_hz, filter_window, assumed: false }
+    }
+
     /// The datasheet of that name.
     ///
     /// # Errors
