@@ -384,6 +384,12 @@ fn description(info: &RecordingInfo, told: &Told) -> serde_json::Value {
         "ignored_columns": info.ignored_columns,
         "conversions": info.conversions,
         "stamp_choice": info.stamp_choice,
+        "stamp_grid": info.stamp_grid.as_ref().map(|grid| serde_json::json!({
+            "period_s": 1e-9 * grid.period_ns,
+            "rounding_s": 1e-9 * grid.rounding_ns as f64,
+            "jitter_s": 1e-9 * grid.jitter_ns,
+            "losses_resolved": grid.resolved,
+        })),
         "findings": info.findings,
         "remarks": info.remarks(),
     })

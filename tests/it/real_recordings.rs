@@ -12,7 +12,7 @@ const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/recordings.md");
 const BEGIN: &str = "<!-- found by the program: cargo test --test it real_recordings -->\n";
 const END: &str = "<!-- end of what the program found -->\n";
 /// Recordings, and the rate of those without stamps whose rate is not the sensor's own.
-const RECORDINGS: [(&str, Option<f64>); 18] = [
+const RECORDINGS: [(&str, Option<f64>); 48] = [
     ("vn100-desk/live_capture.txt.gz", None),
     ("vn100-desk/calibration_square.bag", None),
     ("vn100-cart/circle_carter.bag", None),
@@ -28,6 +28,36 @@ const RECORDINGS: [(&str, Option<f64>); 18] = [
     ("broad/26_disturbed_phone_vibration_A.csv.gz", None),
     ("broad/28_disturbed_stationary_magnet_A.csv.gz", None),
     ("mpu6050/still-10min.csv.gz", None),
+    ("adis16405/adis_16405_imu3_first200k.csv.gz", Some(100.0)),
+    ("asen3801/ango_10-7-25_GYRO_MAN_F1_C0pt5.csv.gz", None),
+    ("asen3801/ango_GYRO_AUTO_F0pt2_C0pt5.csv.gz", None),
+    ("broad/02_undisturbed_slow_rotation_B.csv.gz", None),
+    ("broad/06_undisturbed_fast_rotation_A.csv.gz", None),
+    ("broad/21_undisturbed_fast_combined.csv.gz", None),
+    ("broad/25_disturbed_tapping_B.csv.gz", None),
+    ("broad/32_disturbed_attached_magnet_1cm.csv.gz", None),
+    ("imu_tk_xsens/xsens.counts.csv.gz", None),
+    ("memsense/turn_on_01.csv.gz", None),
+    ("memsense/turn_on_02.csv.gz", None),
+    ("memsense/turn_on_03.csv.gz", None),
+    ("memsense/turn_on_04.csv.gz", None),
+    ("memsense/turn_on_05.csv.gz", None),
+    ("memsense/turn_on_06.csv.gz", None),
+    ("mikoff_mpu9150/imu0.csv.gz", None),
+    ("mikoff_mpu9150/imu1.csv.gz", None),
+    ("mikoff_mpu9150/imu2.csv.gz", None),
+    ("px4_ulog/sample_log_small.ulg", None),
+    ("repoimu/Pendulum_Test03_Trial1_Segment_1.csv.gz", None),
+    ("repoimu/Pendulum_Test05_Trial1_Segment_3.csv.gz", None),
+    ("repoimu/TStick_Test01_Static.csv.gz", None),
+    ("repoimu/TStick_Test04_Trial1.csv.gz", None),
+    ("repoimu/TStick_Test07_Trial1.csv.gz", None),
+    ("repoimu/TStick_Test10_Trial1.csv.gz", None),
+    ("seoul_tumble/imu_good3.csv.gz", None),
+    ("xsens_dot/x_stat_1.csv.gz", None),
+    ("xsens_dot/x_stat_2.csv.gz", None),
+    ("xsens_dot/x_stat_3.csv.gz", None),
+    ("xsens_dot/x_stat_4.csv.gz", None),
     ("vn100-desk/oadev_gyro_x.csv.gz", None),
     ("allan-curves/ln200_av.csv", None),
     ("allan-curves/vn100_gyro_7h.csv", None),
@@ -101,8 +131,10 @@ fn every_recording_there_is_is_in_the_table() {
     for entry in folders(&folder) {
         let name = entry.strip_prefix(&folder).unwrap().display().to_string();
         let listed = RECORDINGS.iter().any(|(listed, _)| *listed == name);
-        // Curves and deviations are no recordings: one of each shows how they are refused.
-        assert!(listed || name.starts_with("allan-curves/") || name.contains("oadev"), "{name} is not in the table");
+        // Curves, deviations and references are no recordings: one curve of each kind shows how it is refused.
+        let is_reference = [".optical.", ".vicon.", ".encoder.", ".json"].iter().any(|mark| name.contains(mark));
+        let is_curve = name.starts_with("allan-curves/") || name.contains("oadev");
+        assert!(listed || is_reference || is_curve, "{name} is not in the table");
     }
 }
 

@@ -350,8 +350,9 @@ mod tests {
             let parameters = fit(&estimator.sums().points(), 40.0, channel);
             let n = &parameters.n;
             let misfit = parameters.flags.iter().any(|flag| flag.kind == "misfit");
-            // Vibration at 13.38 Hz adds to the gyroscope's N; where it does, the fit is flagged and the interval wide.
-            let allowed = if misfit { 2.7 } else { 1.05 };
+            // Vibration at 13.38 Hz adds 6 % to the gyroscope's N, which Allan variances cannot tell from white noise; if
+            // the fit is flagged the interval is wide.
+            let allowed = if misfit { 2.7 } else { 1.07 };
             let ratio = n.value.unwrap() / density;
             assert!((1.0 / allowed..allowed).contains(&ratio), "{channel}: {n:?}");
             let [low, high] = n.ci95.unwrap();

@@ -34,6 +34,12 @@ const EXACT: f64 = 1e-4;
 const RECEIVED_LEAST: f64 = 0.45;
 /// Deliveries are late often where so large a share of the stamps is.
 const LATE_OFTEN: f64 = 0.05;
+/// A step of so many median steps is a hole, beyond which the phase is not known.
+const HOLE: f64 = 64.0;
+/// Shorter ones may be deliveries that were held up.
+const HOLE_LEAST_NS: f64 = 2e9;
+/// The median step is this share of the mean one at least: of bursts most steps are short.
+const MEDIAN_LEAST: f64 = 0.25;
 /// So many samples of one stamp are not counted, their mean is taken.
 const CELL_MOST: f64 = 16.0;
 /// What a period takes that is no whole number of the steps in which its stamps come, over the logarithm of their number:
@@ -45,11 +51,33 @@ const GAIN: f64 = 1.0 / 2048.0;
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
 /// The grid of these stamps, ns, in the order of their samples; `None` where they do not advance.
+///
+/// Across a hole the number of periods is a guess, so the longest stretch without one tells the period.
 pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
     let stamps = &stamps[..stamps.len().min(LOOK_AT)];
+    let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
+    let typical_ns = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
+    let hole_ns = (HOLE * median(&mut steps)?.max(MEDIAN_LEAST * typical_ns)).max(HOLE_LEAST_NS);
+    let stretches = || stamps.chunk_by(|one, other| (other.saturating_sub(*one) as f64) < hole_ns);
+    // Of equals the first.
+    let longest = stretches().rev().max_by_key(|of| of.len())?;
+    let first = stretches().next()?;
+    let Some(mut grid) = find_in(longest) else { return find_in(stamps) };
+    if grid.resolved && first.len() < longest.len() {
+        (grid.start_ns, grid.first_late) = start(&since_first(first), grid.period_ns, 0.5 * grid.rounding_ns as f64)?;
+    }
+    Some(grid)
+}
+
+fn since_first(stamps: &[i64]) -> Vec<f64> {
+    let first = stamps.first().copied().unwrap_or(0);
+    stamps.iter().map(|stamp_ns| stamp_ns.saturating_sub(first) as f64).collect()
+}
+
+fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     let (first, last) = (*stamps.first()?, *stamps.last()?);
     let span_ns = last.checked_sub(first).filter(|span_ns| *span_ns > 0)? as f64;
-    let at_ns: Vec<f64> = stamps.iter().map(|stamp_ns| stamp_ns.saturating_sub(first) as f64).collect();
+    let at_ns = since_first(stamps);
     let mean_ns = span_ns / (stamps.len() - 1) as f64;
     let rounding_ns = rounding(stamps);
     let windows = WINDOWS.iter().filter(|window| 4 * **window < stamps.len() || **window == 1);
@@ -65,7 +93,7 @@ pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
     let mut tried: Vec<f64> = Vec::new();
     if rounding_ns as f64 > COARSE_FROM * mean_ns {
         if (rounding_ns as f64) < CELL_MOST * mean_ns {
-            tried.push(line(&at_ns, overall_ns));
+            tried.extend(line(&at_ns));
             tried.extend(whole_cells(stamps, rounding_ns));
             tried.extend(proposals);
         }
@@ -93,15 +121,15 @@ pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
         }
     }
     let resolved = best.map(|(_, grid)| grid).filter(|grid| grid.jitter_ns < UNRESOLVED * grid.period_ns);
-    resolved.or_else(|| unresolved(&at_ns, overall_ns, rounding_ns))
+    resolved.or_else(|| unresolved(&at_ns, rounding_ns))
 }
 
 /// Jitter from this share of the period on hides single losses.
 const UNRESOLVED: f64 = 0.6;
 
 /// The grid of stamps whose errors are as large as the period: its period is their mean step.
-fn unresolved(at_ns: &[f64], overall_ns: f64, rounding_ns: u64) -> Option<StampGrid> {
-    let period_ns = line(at_ns, overall_ns);
+fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
+    let period_ns = line(at_ns)?;
     let half_ns = 0.5 * rounding_ns as f64;
     let start_ns = median(&mut starts(at_ns, period_ns, half_ns))?;
     let mut errors: Vec<f64> =
@@ -119,25 +147,13 @@ fn unresolved(at_ns: &[f64], overall_ns: f64, rounding_ns: u64) -> Option<StampG
     Some(StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late: 0, late_often: false, resolved: false })
 }
 
-/// The slope of stamps over their number, holes left out: steps of more than a second beyond what the period explains.
-fn line(at_ns: &[f64], overall_ns: f64) -> f64 {
-    let longest = 64.0 * overall_ns + 1e9;
-    let mut left_out = 0.0;
-    let mut before = 0.0;
-    let (mut mean, mut count, mut squares, mut products) = ((0.0, 0.0), 0.0, 0.0, 0.0);
-    for (index, at) in at_ns.iter().enumerate() {
-        let step = at - before;
-        before = *at;
-        if step > longest {
-            left_out += step - overall_ns;
-        }
-        count += 1.0;
-        let (x, y) = (index as f64 - mean.0, at - left_out - mean.1);
-        mean = (mean.0 + x / count, mean.1 + y / count);
-        squares += x * (index as f64 - mean.0);
-        products += x * (at - left_out - mean.1);
-    }
-    if squares > 0.0 && products > 0.0 { products / squares } else { overall_ns }
+/// The slope of the line of stamps over their number.
+fn line(at_ns: &[f64]) -> Option<f64> {
+    let middle = 0.5 * (at_ns.len() as f64 - 1.0);
+    let from_middle = || at_ns.iter().enumerate().map(|(index, at)| (index as f64 - middle, at));
+    let (products, squares) =
+        from_middle().fold((0.0, 0.0), |(products, squares), (x, at)| (products + x * at, squares + x * x));
+    Some(products / squares).filter(|slope| *slope > 0.0)
 }
 
 /// The grid with about this period and jitter, and what stamps and losses take under it, nats per sample.

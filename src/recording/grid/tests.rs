@@ -181,6 +181,13 @@ fn holes_are_counted_whatever_the_phase_behind_them() {
             assert!(identity(&stamps, found, rate_hz).abs() < 0.5);
         }
     }
+    // Two minutes at 1 Hz on either side of a hole of an hour and more, with a jitter of 1 ms.
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let jitter = |_| random.random_range(-1_000_000..1_000_000);
+    let jitters: Vec<i64> = (0..222).map(jitter).collect();
+    let at = |index: usize| index as i64 * 1_000_030_000 + if index > 100 { 4_796_143_000_000 } else { 0 };
+    let slow: Vec<i64> = jitters.iter().enumerate().map(|(index, jitter)| at(index) + jitter).collect();
+    assert_eq!(told(&slow).1, 4796);
     let slow: Vec<i64> = (0..221).map(|i| i * 1_000_000_000 + if i > 100 { 4_796_000_000_000 } else { 0 }).collect();
     assert_eq!(told(&slow).1, 4796);
 }

@@ -354,7 +354,7 @@ impl Tracker {
         // Behind a hole, or where the clock was set, all stamps are beside the grid alike.
         let alike = error.abs() > gate && error < 1.0 && (error - self.beside.1).abs() <= gate.min(ALIKE);
         self.beside = if alike || error < -gate.max(0.75) { (self.beside.0 + 1, error) } else { (0, error) };
-        if self.beside.0 >= BESIDE {
+        if self.beside.0 >= BESIDE && self.grid.resolved {
             self.beside.0 = 0;
             self.settled = BEGUN;
             self.slips += u64::from(error.abs() > 0.5);
