@@ -144,7 +144,10 @@ fn withhold(parameters: &mut NoiseParameters, measured: &AllanCurve, channel: Ch
     for term in terms {
         let instead = match term {
             Term::N => white(measured).map(|(value, ci95)| Estimate::identified(channel, term, value, ci95)),
-            Term::B => parameters.minimum.map(|lowest| Estimate::unidentified(channel, term, Some(lowest.over_0_664))),
+            // With the scatter of the curve: its lowest point alone is often below what B makes.
+            Term::B => {
+                limit(measured, |_| 0.664 * 0.664).map(|limit| Estimate::unidentified(channel, term, Some(limit)))
+            }
             Term::K => {
                 limit(measured, |tau_s| tau_s / 3.0).map(|limit| Estimate::unidentified(channel, term, Some(limit)))
             }
