@@ -1,4 +1,4 @@
-//! The period of the grid on which stamps lie, from the first of them. Pure.
+//! Finds the period of the grid on which stamps lie, from the first of them. Pure.
 //!
 //! In a stretch without a loss W steps take W periods, whatever single steps do: jitter and rounding become W times smaller,
 //! and a late stamp is made up for. So the most frequent length of W steps (half-sample mode), for every W, proposes a
@@ -50,9 +50,9 @@ const GAIN: f64 = 1.0 / 2048.0;
 /// Jitters, in periods, with which a period is tried.
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
-/// The grid of these stamps, ns, in the order of their samples; `None` where they do not advance.
+/// Finds the grid of these stamps, ns, in the order of their samples; `None` if they do not advance.
 ///
-/// Across a hole the number of periods is a guess, so the longest stretch without one tells the period.
+/// Across a hole the number of periods is a guess, so the period is that of the longest stretch without one.
 pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
     let stamps = &stamps[..stamps.len().min(LOOK_AT)];
     let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
@@ -104,7 +104,7 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
                 continue;
             }
             looked.push(proposal);
-            // Few stamps have no phases to speak of.
+            // Few stamps have too few phases.
             tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
         }
     }
@@ -187,7 +187,7 @@ fn tried_with(
         let count = errors.len() as f64;
         let center = center(&mut errors.clone(), half_ns, grid.period_ns)?;
         let beyond = |error: &f64| ((error - center).abs() - half_ns).max(0.0);
-        // Delays are late: what is early tells the jitter.
+        // Delays only make stamps late, so the early ones show the jitter.
         let mut early: Vec<f64> = errors.iter().filter(|error| **error <= center).map(beyond).collect();
         let typical = 1.4826 * median(&mut early)? + 1e-3 * grid.period_ns;
         let squares: f64 = early.iter().map(|error| error.min(5.0 * typical).powi(2)).sum();

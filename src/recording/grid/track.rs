@@ -1,4 +1,4 @@
-//! Positions: which point of the grid each stamp belongs to. Pure.
+//! Finds the point of the grid to which each stamp belongs. Pure.
 //!
 //! A stamp is the time of its grid point, rounded, with jitter, and sometimes late; each sample has a grid point of its own,
 //! later than that of the sample before. With u the stamp's distance from the first grid point in periods, less the number of
@@ -36,8 +36,10 @@ const LOOK_EVERY: usize = 64;
 const GAIN: f64 = 1.0 / 256.0;
 /// Stamps that the phase at the begin rests on.
 const BEGUN: u32 = 32;
-/// A rise by so many periods makes the phase uncertain: it is found again.
-const PHASE_LOST: i64 = 4096;
+/// A rise by so many periods, and by so long, makes the phase uncertain: it is found again. Shorter ones may be deliveries
+/// that were held up.
+const HOLE: f64 = 64.0;
+const HOLE_LEAST_NS: f64 = 2e9;
 /// Samples in a row that are beside the grid alike, after which the phase is found again.
 const BESIDE: u32 = 32;
 /// Errors that differ by less are alike, periods.
@@ -87,6 +89,8 @@ pub(in crate::recording) struct Tracker {
     settled: u32,
     /// Stamps in a row that are beside the grid alike, and the error of the last.
     beside: (u32, f64),
+    /// Up to this sample the phase behind a hole is not known.
+    loose_until: u64,
     /// Paths at the sample read last, increasing in level and decreasing in cost.
     paths: Vec<Path>,
     spare: Vec<Path>,
@@ -125,6 +129,7 @@ impl Tracker {
             base: (0, 0, 0.0),
             settled: BEGUN,
             beside: (0, 0.0),
+            loose_until: 0,
             paths: Vec::new(),
             spare: Vec::new(),
             waiting: VecDeque::new(),
@@ -166,7 +171,10 @@ impl Tracker {
             }
         }
         self.extend(index, at_ns);
-        if self.paths.len() == 1 {
+        if index + 1 == self.loose_until {
+            // Behind a hole the phase is that of the best path, which the others have not.
+            self.finish();
+        } else if self.paths.len() == 1 {
             self.settle(self.waiting.len());
         } else if self.waiting.len() > PENDING_MAX {
             self.decide();
@@ -194,7 +202,7 @@ impl Tracker {
         Some(if (slope - slope.round()).abs() < WHOLE_NS { slope.round() } else { slope })
     }
 
-    /// The stamps behind the first one tell where its grid point is: it may be late itself.
+    /// Begins with the grid point that the stamps behind the first one show: it may be late itself.
     fn begin(&mut self) {
         self.base = (0, 0, self.grid.start_ns);
         let lowest = self.grid.first_late;
@@ -218,18 +226,27 @@ impl Tracker {
         if self.grid.resolved { near.min(0.4) } else { 2.0 * near }
     }
 
-    fn cost(&self, error: f64) -> f64 {
-        let beyond = (error.abs() * self.period_ns - self.half_ns).max(0.0) / self.scale_ns;
+    fn cost(&self, index: u64, error: f64) -> f64 {
+        let beyond = (error.abs() * self.period_ns - self.free_ns(index)).max(0.0) / self.scale_ns;
         let most = if error > 0.0 { self.late_most + error.ln_1p() } else { EARLY_MOST };
         (0.5 * beyond * beyond).min(most)
     }
 
+    /// How far a stamp may be from its point at no cost, ns: anywhere next to a point right behind a hole.
+    fn free_ns(&self, index: u64) -> f64 {
+        if index < self.loose_until { self.half_ns.max(0.5 * self.period_ns) } else { self.half_ns }
+    }
+
     /// Goes on with all paths to the next stamp.
     fn extend(&mut self, index: u64, at_ns: f64) {
-        // A stamp's error at level 0 is the level that it tells.
+        // A stamp's error at level 0 is the level that it shows.
         let told = self.error(index, 0, at_ns).clamp(-LEVEL_MOST, LEVEL_MOST);
         let half = self.half_ns / self.period_ns;
         let lowest = self.paths.first().map_or(0, |path| path.level);
+        let highest = self.paths.last().map_or(0, |path| path.level);
+        if told - highest as f64 >= self.hole() {
+            self.loose_until = index + u64::from(BEGUN);
+        }
         let near = if half > 1.0 { (told - half).ceil() } else { told.round() } as i64;
         let mut levels: Vec<i64> = self.paths.iter().map(|path| path.level).collect();
         levels.extend((near - 1..=near + 1).filter(|level| *level >= lowest + self.rise_least));
@@ -242,7 +259,7 @@ impl Tracker {
             let from = from.filter(|(_, path)| path.level == level || path.level + self.rise_least <= level);
             let ways = from.map(|(place, path)| (path.cost + loss(level - path.level), place));
             let Some((cost, place)) = ways.min_by(|one, other| one.0.total_cmp(&other.0)) else { continue };
-            let cost = cost + self.cost(told - level as f64);
+            let cost = cost + self.cost(index, told - level as f64);
             // A higher level is worth keeping only where it could not be reached later for less.
             let dominated = next.iter().any(|path: &Path| path.cost + loss(level - path.level) <= cost);
             if !dominated {
@@ -335,17 +352,25 @@ impl Tracker {
         self.level = level;
         let error = self.error(index, level, at_ns);
         self.follow(index, level, error, rise);
-        let gate = (self.half_ns + 4.0 * self.scale_ns) / self.period_ns;
-        if error.abs() <= gate.max(0.1) {
+        if error.abs() <= self.gate(index) || !self.grid.resolved {
             self.line.add((index as i64 + level) as f64, at_ns);
         }
         self.placed.push_back(Placed { missing: rise.max(0) as u64, error });
     }
 
+    fn hole(&self) -> f64 {
+        HOLE.max(HOLE_LEAST_NS / self.period_ns)
+    }
+
+    /// Errors beyond are delays, periods.
+    fn gate(&self, index: u64) -> f64 {
+        ((self.free_ns(index) + 4.0 * self.scale_ns) / self.period_ns).max(0.1)
+    }
+
     /// Period and phase follow.
     fn follow(&mut self, index: u64, level: i64, error: f64, rise: i64) {
-        let gate = ((self.half_ns + 4.0 * self.scale_ns) / self.period_ns).max(0.1);
-        if rise >= PHASE_LOST {
+        let gate = self.gate(index);
+        if rise as f64 >= self.hole() {
             self.settled = 0;
         }
         let (_, _, base_ns) = self.base;
