@@ -17,6 +17,8 @@ use std::sync::Arc;
 
 /// Fewest samples of which anything is said.
 pub const LEAST: usize = 1000;
+/// Least density behind a model's filters, as a part of the white noise's before them.
+const QUIET: f64 = 1e-6;
 /// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
 const STEPS: f64 = 15.0;
@@ -364,13 +366,24 @@ fn channel_of(
 
 /// A robust standard deviation of what is white, U: from differences of neighbours.
 pub(super) fn scale_of(values: &[f64]) -> f64 {
+    /// The part of the differences that spikes leave alone, and the root mean square of normal ones in it.
+    const MOST: f64 = 0.95;
+    const OF_MOST: f64 = 0.871;
     let mut distances: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
-    let square: f64 = distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64;
-    let middle = distances.len() / 2;
+    let rms = |of: &[f64]| (0.5 * of.iter().map(|d| d * d).sum::<f64>() / of.len().max(1) as f64).sqrt();
+    let all = rms(&distances);
+    let most = (MOST * distances.len() as f64) as usize;
+    let (middle, most) = (distances.len() / 2, most.min(distances.len() - 1));
+    let (lower, ..) = distances.select_nth_unstable_by(most, f64::total_cmp);
+    let trimmed = rms(lower) / OF_MOST;
     let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
     let robust = *median / (0.674_49 * 2f64.sqrt());
     // Where half the neighbours are equal, a step is wider than the noise.
-    if robust > 0.2 * (0.5 * square).sqrt() { robust } else { (0.5 * square).sqrt() }
+    match (robust > 0.2 * trimmed, trimmed > 0.0) {
+        (true, _) if robust > 0.0 => robust,
+        (_, true) => trimmed,
+        _ => all,
+    }
 }
 
 /// By how much a model's white part is louder, in ln of its variance, at a temperature than where its N is told for.
@@ -460,8 +473,10 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
     let of = |f: &f64| {
         let psd = |effect: &dyn Effect| effect.psd(*f, rate_hz).unwrap_or(0.0);
         let noise = model.effects.iter().filter(|effect| effect.stage() == Stage::Noise).map(|effect| psd(&**effect));
-        let gain: f64 = model.effects.iter().map(|effect| effect.power_gain(*f, rate_hz)).product();
-        rate_hz * gain * (levels.into_iter().map(psd).sum::<f64>() + noise.sum::<f64>())
+        let before = levels.into_iter().map(psd).sum::<f64>() + noise.sum::<f64>();
+        // What comes in behind a filter passes the filters after it.
+        let filters = model.effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
+        rate_hz * filters.fold(before, |sum, filter| sum * filter.power_gain(*f, rate_hz) + psd(&**filter))
     };
     grid.frequencies_hz().iter().map(of).collect()
 }
@@ -472,8 +487,9 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
     let channel = prepared.channel;
     let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
     let effects = sim.channels.get(&channel).map(|model| model.effects.clone()).unwrap_or_default();
+    let bandwidth = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
     let filters: Vec<Arc<dyn Effect>> =
-        effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth).cloned().collect();
+        bandwidth.clone().map(|effect| effect.noiseless().unwrap_or_else(|| Arc::clone(effect))).collect();
     let shape = |model: ChannelModel| -> Vec<f64> {
         if sim.sampling.is_none() {
             return plain_shape(&model, grid);
@@ -499,13 +515,17 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
         }
     }
     let rounding = prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
+    let mut after = shape(ChannelModel { effects: bandwidth.cloned().collect(), ..ChannelModel::default() });
+    // No record has a filter's exact zeros: numbers are rounded, and records end.
+    let quiet = if filters.is_empty() { 0.0 } else { QUIET * prepared.declared.levels[0].exp() * sim.rate_hz };
+    after.iter_mut().for_each(|behind| *behind = *behind / prepared.scale.powi(2) + rounding + quiet);
     // Before samples are decimated filters act at another rate: their phase at this one is small.
     let passed = |f: &f64| match sim.sampling {
         None => filters.iter().map(|filter| filter.power_gain(*f, sim.rate_hz)).product(),
         Some(_) => 1.0,
     };
     let passed = grid.frequencies_hz().iter().map(passed).collect();
-    Base { shapes, known, after: vec![rounding; bins], gain: vec![1.0; bins], passed }
+    Base { shapes, known, after, gain: vec![1.0; bins], passed }
 }
 
 #[cfg(test)]

@@ -223,3 +223,22 @@ fn a_step_that_takes_its_time_is_a_step_alone() {
     }
     assert_eq!(named(&real), (vec!["bias_step"], super::Verdict::Effects));
 }
+
+/// Corrupted samples are far out, and few: one of 70 standard deviations, twenty of 400, two hundred of 2000.
+#[test]
+fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
+    for (count, far) in [(1, 70.0), (20, 400.0), (200, 2000.0)] {
+        let mut real = recording(&model(None), 7, 20_000);
+        let values = &mut real.channels[0].1;
+        for spike in 0..count {
+            values[500 + 97 * spike + spike * spike * 31 % 89] +=
+                far * 0.0126 * if spike % 3 == 0 { 1.0 } else { -0.8 };
+        }
+        let outcome = diagnose(&real, &model(None), &Options::default()).unwrap();
+        let names: Vec<&str> = outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect();
+        // Of sizes that spread over two values alone, tails are named besides.
+        assert_eq!(names.first(), Some(&"spikes"), "{count} of {far}: {:#?}", outcome.diagnosis.parameters);
+        let n = outcome.augmented.channels[&Channel::AccelX].n;
+        assert!((n / 2e-3 - 1.0).abs() < 0.03, "{count} of {far}: N {n}");
+    }
+}

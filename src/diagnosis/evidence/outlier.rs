@@ -45,12 +45,9 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
             let inside = ln_rest - half_core - 0.5 * a / core;
             let outside = ln_share - half_wide - 0.5 * a / wide;
             let difference = outside - inside;
-            let (chance, log) = if difference < -30.0 {
-                (0.0, inside)
-            } else {
-                let odds = difference.exp();
-                (odds / (1.0 + odds), inside + odds.ln_1p())
-            };
+            // Neither form overflows, however far out the sample is.
+            let chance = 1.0 / (1.0 + (-difference).exp());
+            let log = inside.max(outside) + (-difference.abs()).exp().ln_1p();
             total += log + 0.5 * a;
             weight += chance;
             of_wide += chance * a;
