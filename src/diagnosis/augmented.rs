@@ -1,10 +1,9 @@
 //! Augmented: the model with its parameters corrected and what was found.
 
 use super::diagnose::{Findings, Found};
-use super::law::{FLOOR_MATTERS, Term};
 use super::named::Named;
 use super::shared::Shared;
-use crate::effects::{CommonMode, Effect};
+use crate::effects::CommonMode;
 use crate::simulator::SensorModel;
 use std::sync::Arc;
 
@@ -12,14 +11,6 @@ use std::sync::Arc;
 fn spread(of: &Findings, level: usize) -> Option<f64> {
     let variance = of.fitted.covariance.as_ref().map(|covariance| covariance[(level, level)])?;
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
-}
-
-/// The filters of a channel if there is so much white noise behind them that a model, which cannot have that, is better
-/// without them.
-pub(super) fn open_filters(of: &Findings) -> Vec<Box<dyn Effect>> {
-    let filters = of.explanation.law.terms.iter().filter(|term| term.is_filter());
-    let open = filters.clone().filter_map(Term::floor).any(|floor| floor.ln() > FLOOR_MATTERS);
-    filters.filter(|_| open).filter_map(Term::effect).collect()
 }
 
 /// The model with what was found.
@@ -42,18 +33,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 channel.set_interval(parameter, [value / factor, value * factor]);
             }
         }
-        let open = open_filters(of);
-        if !open.is_empty() {
-            // White noise as loud as what passes the filters and what is behind them, on average over the band.
-            let passed = |f: f64| open.iter().map(|effect| effect.power_gain(f, sim.rate_hz)).product::<f64>();
-            let bins = 500;
-            let at = |bin: i32| passed((f64::from(bin) + 0.5) / f64::from(2 * bins) * sim.rate_hz);
-            let gain = (0..bins).map(at).sum::<f64>() / f64::from(bins);
-            let floor: f64 = of.explanation.law.terms.iter().filter_map(Term::floor).sum();
-            channel.n *= (gain + floor).sqrt();
-        }
-        let left_out = |one: &&Named| open.iter().any(|effect| effect.name() == one.effect.name());
-        for one in named.iter().filter(|one| one.channel == of.prepared.channel && !left_out(one)) {
+        for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
             if one.effect.name() == "common_mode" {
                 // The first of all channels have one source, the second another: earlier sources are not this channel's.
                 let with = |shared: &Shared| {
@@ -68,7 +48,12 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 && let Some(sigma) = common.1.as_f64()
             {
                 // What is shared was part of the white noise.
-                channel.n = (channel.n * channel.n - sigma * sigma / sim.rate_hz).max(0.0).sqrt();
+                let own = |n: f64| (n * n - sigma * sigma / sim.rate_hz).max(0.0).sqrt();
+                let known = channel.interval("N");
+                channel.n = own(channel.n);
+                if let Some(ends) = known {
+                    channel.set_interval("N", ends.map(own));
+                }
             }
         }
     }

@@ -53,8 +53,8 @@ impl Term {
             Shape::Resonance => {
                 Box::new(Resonance { sigma: (0.5 * at(0)).exp(), frequency_hz: at(1), bandwidth_hz: at(2).exp() })
             }
-            Shape::LowPass(order) => Box::new(LowPass { cutoff_hz: at(0).exp(), order }),
-            Shape::MovingAverage(window) => Box::new(MovingAverage { window }),
+            Shape::LowPass(order) => Box::new(LowPass::new(at(0).exp(), order)),
+            Shape::MovingAverage(window) => Box::new(MovingAverage::new(window)),
             Shape::Slope(_) => return None,
         })
     }
@@ -176,6 +176,27 @@ pub struct Fitted {
     pub logarithms: Vec<f64>,
 }
 
+impl Fitted {
+    /// What a function of the law is uncertain by: its slopes by all numbers and their covariance (the delta method). None where
+    /// the covariance is not known.
+    pub(super) fn spread(&self, of: impl Fn(&Law) -> f64) -> Option<f64> {
+        const STEP: f64 = 1e-4;
+        let covariance = self.covariance.as_ref()?;
+        let numbers = self.law.numbers();
+        let slope = |at: usize, _: usize| {
+            let moved = |by: f64| {
+                let mut there = numbers.clone();
+                there[at] += by;
+                of(&self.law.with(&there))
+            };
+            (moved(STEP) - moved(-STEP)) / (2.0 * STEP)
+        };
+        let slopes = DVector::from_fn(numbers.len(), slope);
+        let variance = slopes.dot(&(covariance * &slopes));
+        variance.is_finite().then(|| variance.max(0.0).sqrt())
+    }
+}
+
 /// Power in bins, and what it is compared with.
 #[derive(Debug, Clone, Copy)]
 pub struct Data<'a> {
@@ -191,8 +212,6 @@ pub struct Data<'a> {
 
 /// Bounds of ln of the white noise's power behind a filter over that before it.
 const FLOOR: (f64, f64) = (-36.0, 0.0);
-/// Above this (6 % of N) a model whose filter has no noise behind it is no better than one without the filter.
-pub(super) const FLOOR_MATTERS: f64 = -5.6;
 
 /// Bounds of a level, ln of power per sample.
 pub(super) const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];
@@ -254,6 +273,18 @@ impl Law {
     #[must_use]
     pub fn logarithms(&self, data: Data<'_>) -> Vec<f64> {
         Pieces::of(self, data).spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect()
+    }
+
+    /// Two-sided density of what is white at low frequencies besides N²: what lies behind filters and the skirts of bands.
+    pub(super) fn beside(&self, rate_hz: f64) -> f64 {
+        /// A frequency below all others, in parts of the rate.
+        const LOWEST: f64 = 1e-9;
+        let of = |term: &Term| match (term.floor(), term.shape) {
+            (Some(floor), _) => self.levels[0].exp() * floor,
+            (None, Shape::Resonance) => term.added(&[LOWEST * rate_hz], rate_hz).iter().sum::<f64>() / rate_hz,
+            _ => 0.0,
+        };
+        self.terms.iter().map(of).sum()
     }
 
     fn numbers(&self) -> Vec<f64> {
@@ -532,7 +563,7 @@ mod tests {
     #[test]
     fn a_filter_is_found_with_the_noise_behind_it() {
         let n = 20_000;
-        let filter = LowPass { cutoff_hz: 9.0, order: 2 };
+        let filter = LowPass::new(9.0, 2);
         let mut values = drawn(&[&White { n: 1.0 / RATE_HZ.sqrt() }, &filter], n, 5);
         for (value, more) in values.iter_mut().zip(drawn(&[&White { n: 0.03 / RATE_HZ.sqrt() }], n, 6)) {
             *value += more;

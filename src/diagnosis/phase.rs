@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn a_spike_behind_a_filter_is_one_sample_again() {
-        let filters: [&dyn Effect; 2] = [&MovingAverage { window: 7 }, &LowPass { cutoff_hz: 6.0, order: 2 }];
+        let filters: [&dyn Effect; 2] = [&MovingAverage::new(7), &LowPass::new(6.0, 2)];
         for n in [4000usize, 4001] {
             for filter in filters {
                 let stream = Stream::new(1, StreamId { owner: 1, effect: 1, instance: 0 });

@@ -119,7 +119,8 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         add(Kind::Tone, Arc::new(effect), ci95);
     }
     for (term, errors) in explanation.law.terms.iter().zip(&spread.terms) {
-        if let Some((kind, effect, ci95)) = spectral(term, errors, scale) {
+        let white = (0.5 * explanation.law.levels[0]).exp() * scale;
+        if let Some((kind, effect, ci95)) = spectral(term, errors, scale, white) {
             add(kind, effect, ci95);
         }
     }
@@ -198,7 +199,14 @@ struct LineFound {
 /// An effect of the spectrum with the intervals of its parameters.
 type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
 
-fn spectral(term: &Term, errors: &[f64], scale: f64) -> Option<Spectral> {
+/// A term in the channel's unit; `white`: N of the channel, U/√Hz.
+fn spectral(term: &Term, errors: &[f64], scale: f64, white: f64) -> Option<Spectral> {
+    /// White noise behind a filter of less than this part of N (ln of the squares) is none: nothing tells it.
+    const SILENT: f64 = -16.0;
+    let behind = term.floor().filter(|floor| floor.ln() > SILENT).map_or(0.0, |floor| white * floor.sqrt());
+    // The last number of a filter.
+    let of_behind = |error: f64| (behind > 0.0 && error < 1.0).then(|| ("white_behind", times(behind, 0.5 * error)));
+
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
     let error = |index: usize| errors.get(index).copied().unwrap_or_default();
     let size = |index: usize| (0.5 * at(index)).exp() * scale;
@@ -223,10 +231,13 @@ fn spectral(term: &Term, errors: &[f64], scale: f64) -> Option<Spectral> {
         }
         Shape::LowPass(order) => {
             let cutoff_hz = at(0).exp();
-            let ci95 = vec![("cutoff_hz", times(cutoff_hz, error(0)))];
-            (Kind::LowPass, Arc::new(LowPass { cutoff_hz, order }), ci95)
+            let ci95 = [("cutoff_hz", times(cutoff_hz, error(0)))].into_iter().chain(of_behind(error(1)));
+            (Kind::LowPass, Arc::new(LowPass { cutoff_hz, order, white_behind: behind }), ci95.collect())
         }
-        Shape::MovingAverage(window) => (Kind::MovingAverage, Arc::new(MovingAverage { window }), Vec::new()),
+        Shape::MovingAverage(window) => {
+            let effect = MovingAverage { window, white_behind: behind };
+            (Kind::MovingAverage, Arc::new(effect), of_behind(error(0)).into_iter().collect())
+        }
         // No effect of the library.
         Shape::Slope(_) => return None,
     })

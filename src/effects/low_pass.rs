@@ -2,7 +2,8 @@
 
 use super::spec::{Form, Kind, Need, Parameter, Range, number};
 use super::stream::number as streams;
-use super::{Effect, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
+use super::white::WHITE_BEHIND;
+use super::{Effect, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, White};
 use serde_json::Value;
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use std::sync::Arc;
 /// A Butterworth filter of everything before it in the chain, motion and noise alike.
 ///
 /// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
-/// there for ever.
+/// there for ever. Noise of the electronics behind it is not filtered: `white_behind`.
 ///
 /// Source: the bilinear transform of Butterworth's filter, prewarped to its cutoff, in sections of first and second order.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,16 +20,24 @@ pub struct LowPass {
     pub cutoff_hz: f64,
     /// 1 to [`LowPass::ORDER_MAX`].
     pub order: u64,
+    /// White noise that comes in behind it, N in U/√Hz.
+    pub white_behind: f64,
 }
 
 impl LowPass {
     /// The highest order.
     pub const ORDER_MAX: u64 = 8;
+
+    /// A filter without noise behind it.
+    #[must_use]
+    pub fn new(cutoff_hz: f64, order: u64) -> Self {
+        Self { cutoff_hz, order, white_behind: 0.0 }
+    }
 }
 
 static SPEC: Spec = Spec {
     name: "low_pass",
-    stream: streams::NONE,
+    stream: streams::LOW_PASS,
     stage: Stage::Bandwidth,
     parameters: &[
         number("cutoff_hz", Range::Above(0.0), "−3 dB, Hz; below half the rate at which it acts"),
@@ -38,13 +47,20 @@ static SPEC: Spec = Spec {
             need: Need::Default(1.0),
             meaning: "of Butterworth's filter",
         },
+        WHITE_BEHIND,
     ],
     forms: &[],
     meaning: "the sensor's bandwidth: a Butterworth filter of motion and noise",
 };
 pub(super) static KIND: Kind<dyn Effect> = Kind {
     spec: &SPEC,
-    make: |values| Arc::new(LowPass { cutoff_hz: values.number("cutoff_hz"), order: values.whole("order") }),
+    make: |values| {
+        Arc::new(LowPass {
+            cutoff_hz: values.number("cutoff_hz"),
+            order: values.whole("order"),
+            white_behind: values.number(WHITE_BEHIND.name),
+        })
+    },
 };
 
 impl Effect for LowPass {
@@ -52,23 +68,27 @@ impl Effect for LowPass {
         &SPEC
     }
     fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("cutoff_hz", self.cutoff_hz.into()), ("order", self.order.into())]
+        let own = [("cutoff_hz", self.cutoff_hz.into()), ("order", self.order.into())];
+        own.into_iter().chain(White { n: self.white_behind }.behind()).collect()
     }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         SPEC.below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
     }
-    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
-        Some(0.0)
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        White { n: self.white_behind }.psd(frequency_hz, rate_hz)
     }
-    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
-        Some(0.0)
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        White { n: self.white_behind }.allan_variance(m, record)
     }
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let warped = |frequency_hz: f64| (PI * frequency_hz / rate_hz).tan();
         let ratio = warped(frequency_hz) / warped(self.cutoff_hz);
         1.0 / (1.0 + ratio.powi(2).powf(self.order as f64))
     }
-    fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+    fn noiseless(&self) -> Option<Arc<dyn Effect>> {
+        Some(Arc::new(Self { white_behind: 0.0, ..*self }))
+    }
+    fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         let warped = (PI * self.cutoff_hz / rate_hz).tan();
         let mut sections = Vec::new();
         if self.order % 2 == 1 {
@@ -82,7 +102,8 @@ impl Effect for LowPass {
             let back = [2.0 * (warped * warped - 1.0) / below, (1.0 - warped * damping + warped * warped) / below];
             sections.push(Section::new([gain, 2.0 * gain, gain], back));
         }
-        Box::new(LowPassSampler { sections, started: false })
+        let filter = LowPassSampler { sections, started: false };
+        White { n: self.white_behind }.after(Box::new(filter), rate_hz, record_length_s, stream)
     }
 }
 
@@ -139,14 +160,16 @@ mod tests {
     #[test]
     fn white_noise_behind_it_has_its_gain() {
         for (cutoff_hz, order) in [(6.0, 1), (3.0, 2), (8.0, 5)] {
-            check::agrees_with_its_closed_forms(&LowPass { cutoff_hz, order }, 40.0);
+            for white_behind in [0.0, 0.05] {
+                check::agrees_with_its_closed_forms(&LowPass { cutoff_hz, order, white_behind }, 40.0);
+            }
         }
     }
 
     #[test]
     fn the_gain_is_half_at_the_cutoff_and_a_level_passes() {
         for order in 1..=LowPass::ORDER_MAX {
-            let filter = LowPass { cutoff_hz: 5.0, order };
+            let filter = LowPass::new(5.0, order);
             assert!((filter.power_gain(5.0, 40.0) - 0.5).abs() < 1e-12);
             let mut values = vec![7.0; 1000];
             filter.sampler(40.0, 1.0, check::stream(1)).apply(&mut values);
@@ -156,8 +179,8 @@ mod tests {
 
     #[test]
     fn orders_and_cutoffs_outside_their_ranges_are_refused() {
-        assert!(LowPass { cutoff_hz: 20.0, order: 1 }.check(40.0).is_err());
-        assert!(LowPass { cutoff_hz: 5.0, order: 0 }.check(40.0).is_err());
-        assert!(LowPass { cutoff_hz: 5.0, order: 9 }.check(40.0).is_err());
+        assert!(LowPass::new(20.0, 1).check(40.0).is_err());
+        assert!(LowPass::new(5.0, 0).check(40.0).is_err());
+        assert!(LowPass::new(5.0, 9).check(40.0).is_err());
     }
 }

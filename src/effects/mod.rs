@@ -76,6 +76,7 @@ pub use warm_up::WarmUp;
 pub use white::White;
 
 use serde_json::Value;
+use std::sync::Arc;
 
 /// Temperature where none is told, °C: that of a laboratory, and of the reference in most data sheets.
 pub const USUAL_TEMPERATURE_C: f64 = 25.0;
@@ -274,6 +275,11 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let _ = (frequency_hz, rate_hz);
         1.0
+    }
+
+    /// A filter without the noise behind it; `None` for everything else.
+    fn noiseless(&self) -> Option<Arc<dyn Effect>> {
+        None
     }
 
     /// What the channel shows on average where it would show `input` (U, constant) without the effect.

@@ -2,40 +2,58 @@
 
 use super::spec::{Form, Kind, Need, Parameter};
 use super::stream::number as streams;
-use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
+use super::white::WHITE_BEHIND;
+use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature, White};
 use serde_json::Value;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// The mean of the last `window` samples of everything before it in the chain, at the rate at which it acts.
 ///
-/// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are.
+/// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are. Noise of the
+/// electronics behind it is not averaged: `white_behind`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MovingAverage {
     /// W in samples, 1 to [`MovingAverage::WINDOW_MAX`].
     pub window: u64,
+    /// White noise that comes in behind it, N in U/√Hz.
+    pub white_behind: f64,
 }
 
 impl MovingAverage {
     /// The longest window: more than a minute of the VN-100's internal samples.
     pub const WINDOW_MAX: u64 = 65_536;
+
+    /// A mean without noise behind it.
+    #[must_use]
+    pub fn new(window: u64) -> Self {
+        Self { window, white_behind: 0.0 }
+    }
 }
 
 static SPEC: Spec = Spec {
     name: "moving_average",
-    stream: streams::NONE,
+    stream: streams::MOVING_AVERAGE,
     stage: Stage::Bandwidth,
-    parameters: &[Parameter {
-        name: "window",
-        form: Form::Whole(1, MovingAverage::WINDOW_MAX),
-        need: Need::Always,
-        meaning: "samples that are averaged, at the rate at which it acts",
-    }],
+    parameters: &[
+        Parameter {
+            name: "window",
+            form: Form::Whole(1, MovingAverage::WINDOW_MAX),
+            need: Need::Always,
+            meaning: "samples that are averaged, at the rate at which it acts",
+        },
+        WHITE_BEHIND,
+    ],
     forms: &[],
     meaning: "the mean of the last samples of motion and noise",
 };
-pub(super) static KIND: Kind<dyn Effect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(MovingAverage { window: values.whole("window") }) };
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| {
+        let white_behind = values.number(WHITE_BEHIND.name);
+        Arc::new(MovingAverage { window: values.whole("window"), white_behind })
+    },
+};
 
 /// |H|² of the mean over `window` samples at `cycles` per sample.
 #[must_use]
@@ -49,19 +67,23 @@ impl Effect for MovingAverage {
         &SPEC
     }
     fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("window", self.window.into())]
+        [("window", self.window.into())].into_iter().chain(White { n: self.white_behind }.behind()).collect()
     }
-    fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
-        Some(0.0)
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        White { n: self.white_behind }.psd(frequency_hz, rate_hz)
     }
-    fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
-        Some(0.0)
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        White { n: self.white_behind }.allan_variance(m, record)
     }
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         boxcar_gain(self.window, frequency_hz / rate_hz)
     }
-    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(AverageSampler(RunningMean::new(self.window)))
+    fn noiseless(&self) -> Option<Arc<dyn Effect>> {
+        Some(Arc::new(Self { white_behind: 0.0, ..*self }))
+    }
+    fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+        let filter = AverageSampler(RunningMean::new(self.window));
+        White { n: self.white_behind }.after(Box::new(filter), rate_hz, record_length_s, stream)
     }
 }
 
@@ -122,7 +144,9 @@ mod tests {
     #[test]
     fn white_noise_behind_it_has_its_gain() {
         for window in [2, 5] {
-            check::agrees_with_its_closed_forms(&MovingAverage { window }, 40.0);
+            for white_behind in [0.0, 0.05] {
+                check::agrees_with_its_closed_forms(&MovingAverage { window, white_behind }, 40.0);
+            }
         }
     }
 
@@ -139,7 +163,7 @@ mod tests {
 
     #[test]
     fn an_empty_window_is_refused() {
-        assert!(MovingAverage { window: 0 }.check(40.0).is_err());
-        assert!(MovingAverage { window: 1 }.check(40.0).is_ok());
+        assert!(MovingAverage::new(0).check(40.0).is_err());
+        assert!(MovingAverage::new(1).check(40.0).is_ok());
     }
 }

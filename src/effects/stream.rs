@@ -43,6 +43,10 @@ pub mod number {
     pub const TIMING: u16 = 14;
     /// `timing`: the lost samples.
     pub const TIMING_LOSS: u16 = 15;
+    /// `low_pass`: the noise behind it.
+    pub const LOW_PASS: u16 = 16;
+    /// `moving_average`: the noise behind it.
+    pub const MOVING_AVERAGE: u16 = 17;
 }
 
 /// Owner of a triad's streams.

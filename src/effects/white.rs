@@ -1,6 +1,6 @@
 //! White noise (N): angle random walk of a gyroscope, velocity random walk of an accelerometer.
 
-use super::spec::{Parameter, Range, number};
+use super::spec::{Form, Need, Parameter, Range, number};
 use super::stream::number as streams;
 use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
 use serde_json::Value;
@@ -42,6 +42,42 @@ impl Effect for White {
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         Box::new(WhiteSampler { sigma: self.n * rate_hz.sqrt(), stream })
+    }
+}
+
+/// White noise behind a filter, which the filter does not shape.
+pub(super) const WHITE_BEHIND: Parameter = Parameter {
+    name: "white_behind",
+    form: Form::Number(Range::FromZero),
+    need: Need::Default(0.0),
+    meaning: "white noise that comes in behind the filter, N in U/√Hz",
+};
+
+impl White {
+    /// Its entry in a filter's parameters; none for a filter without noise behind it.
+    pub(super) fn behind(self) -> Option<(&'static str, Value)> {
+        (self.n > 0.0).then(|| (WHITE_BEHIND.name, self.n.into()))
+    }
+
+    /// A filter's sampler that adds this noise to what it passes.
+    pub(super) fn after(
+        self,
+        filter: Box<dyn Sampler>,
+        rate_hz: f64,
+        record_length_s: f64,
+        stream: Stream,
+    ) -> Box<dyn Sampler> {
+        if self.n > 0.0 { Box::new(InTurn([filter, self.sampler(rate_hz, record_length_s, stream)])) } else { filter }
+    }
+}
+
+/// One sampler after the other.
+#[derive(Debug)]
+struct InTurn([Box<dyn Sampler>; 2]);
+
+impl Sampler for InTurn {
+    fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>) {
+        self.0.iter_mut().for_each(|sampler| sampler.act(values, temperature));
     }
 }
 

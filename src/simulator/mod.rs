@@ -30,7 +30,7 @@ mod whole;
 pub use default_model::default_model;
 pub use model::{ChannelModel, Fault, ModelError, Sampling, SensorModel, TriadModel};
 pub use reference::{Motion, Reference, TemperatureCourse};
-pub use spectrum::Spectrum;
+pub use spectrum::{Spectrum, plateau};
 
 use crate::effects::stream::{SENSOR_OWNER, number};
 use crate::effects::{Stream, StreamId, Temperature, Timing, USUAL_TEMPERATURE_C};

@@ -1,10 +1,39 @@
 //! What a channel's spectrum is in closed form: the whole chain's, of the same effects that the simulator samples.
 
 use super::chain::effects_on;
-use super::model::SensorModel;
+use super::model::{ChannelModel, SensorModel};
 use crate::effects::moving_average::boxcar_gain;
 use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, White};
 use crate::sample::Channel;
+use std::sync::Arc;
+
+/// N of a channel as everybody tells it: the plateau of its spectrum as sent at low frequencies over a record of `samples`, the
+/// root of it in U/√Hz.
+///
+/// It is the sensor's own white noise, changes of its variance included, and whatever comes in beside it and is white there:
+/// noise that channels share, noise behind a filter, rounding, the skirt of a resonance, all that folds in sampling. What has a
+/// slope or a time of its own (B, K, slow processes, drifts) and what comes and goes (spikes, bursts) is none of it. A change
+/// of variance by the temperature counts as none. 0 for a channel that the model does not have.
+///
+/// It is what `noise` finds in a record of the model: `examples/one_n.rs`, docs/validation.md.
+#[must_use]
+pub fn plateau(model: &SensorModel, channel: Channel, samples: u64) -> f64 {
+    const WHITE: [&str; 6] =
+        ["resonance", "low_pass", "moving_average", "common_mode", "resolution", "variance_change"];
+    /// A frequency below all others, in parts of the rate.
+    const LOWEST: f64 = 1e-9;
+    let Some(of) = model.channels.get(&channel) else { return 0.0 };
+    let rate_hz = model.rate_hz;
+    let density = |without: &str| {
+        let own = |effect: &&Arc<dyn Effect>| WHITE.contains(&effect.name()) && effect.name() != without;
+        let white =
+            ChannelModel { n: of.n, effects: of.effects.iter().filter(own).cloned().collect(), ..Default::default() };
+        let channels = [(channel, white)].into();
+        let alone = SensorModel { rate_hz, channels, sampling: model.sampling, ..SensorModel::default() };
+        Spectrum::new(&alone, channel, Record { rate_hz, samples }).psd(LOWEST * rate_hz)
+    };
+    density("").or_else(|| density("variance_change")).unwrap_or(0.0).sqrt()
+}
 
 /// The closed forms of one channel of a model, for a record.
 #[derive(Debug)]
@@ -62,7 +91,7 @@ impl<'a> Spectrum<'a> {
         .collect()
     }
 
-    fn effects(&self) -> Vec<std::sync::Arc<dyn Effect>> {
+    fn effects(&self) -> Vec<Arc<dyn Effect>> {
         effects_on(self.model, self.channel).into_iter().map(|(effect, _)| effect).collect()
     }
 
@@ -83,14 +112,20 @@ impl<'a> Spectrum<'a> {
             // The mean square of their product is not the product of their mean squares.
             return None;
         }
+        // In the chain's order: what comes in behind a filter passes the filters after it.
         for effect in effects {
             match effect.stage() {
                 Stage::WhitePart => white *= effect.white_moments(record)?.variance,
                 Stage::Bias | Stage::Noise => noise += effect.psd(frequency_hz, internal_hz)?,
+                Stage::Bandwidth => {
+                    let gain = effect.power_gain(frequency_hz, internal_hz);
+                    white *= gain;
+                    noise = noise * gain + effect.psd(frequency_hz, internal_hz)?;
+                }
                 _ => {}
             }
         }
-        Some((white + noise) * self.bandwidth(frequency_hz, internal_hz))
+        Some(white + noise)
     }
 
     /// What comes after sampling.

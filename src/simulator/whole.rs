@@ -50,7 +50,7 @@ fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
             Box::new(Tone { frequency_hz: 3.0, amplitude: 1e-3 }),
             Box::new(Tone { frequency_hz: 4.0, amplitude: 1e-3 }),
             Box::new(HeavyTails { degrees_of_freedom: 6.0 }),
-            Box::new(LowPass { cutoff_hz: 12.0, order: 2 }),
+            Box::new(LowPass::new(12.0, 2)),
             Box::new(GaussMarkov { sigma: 1e-3, tc_s: 2.0 }),
             Box::new(TemperatureBias { per_c: 1e-4, reference_c: 20.0 }),
             Box::new(WarmUp { amplitude: 0.1, tau_s: 5.0 }),
@@ -171,7 +171,7 @@ fn noise_is_clipped_then_averaged_then_rounded() {
 
 #[test]
 fn a_bandwidth_filters_noise_and_a_limit_comes_behind_it() {
-    let filter = || Box::new(LowPass { cutoff_hz: 2.0, order: 1 });
+    let filter = || Box::new(LowPass::new(2.0, 1));
     let clip = Box::new(Saturation { low: -0.1, high: 0.1 });
     let plain = values(&model(40.0, [(Channel::GyroX, channel(1.0, vec![]))]), 1, Channel::GyroX, 20_000);
     let filtered = values(&model(40.0, [(Channel::GyroX, channel(1.0, vec![filter()]))]), 1, Channel::GyroX, 20_000);
@@ -286,7 +286,7 @@ fn the_whole_chain_has_the_spectrum_of_its_closed_form() {
     let effects = || -> Vec<Box<dyn Effect>> {
         vec![
             Box::new(GaussMarkov { sigma: 2e-3, tc_s: 0.2 }),
-            Box::new(LowPass { cutoff_hz: 15.0, order: 2 }),
+            Box::new(LowPass::new(15.0, 2)),
             Box::new(HeavyTails { degrees_of_freedom: 8.0 }),
             Box::new(Resolution { step: 2e-3 }),
         ]

@@ -73,7 +73,7 @@ pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
                     all.open[axis] = Some((all.of[axis].len(), error));
                 }
             }
-            all.of[axis].push(Arc::clone(effect));
+            all.of[axis].push(effect.noiseless().unwrap_or_else(|| Arc::clone(effect)));
         }
     }
     all

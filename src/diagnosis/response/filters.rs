@@ -67,7 +67,7 @@ impl Filters {
         // Of a Butterworth filter of order n the delay is 1/(2πf·sin(π/2n)).
         let lags = |seconds: f64| (TAU * seconds * (PI / (2 * order) as f64).sin()).recip();
         let told_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(UNTOLD * rate_hz, lags);
-        let other = (0..3).find_map(own).unwrap_or(LowPass { cutoff_hz: told_hz, order });
+        let other = (0..3).find_map(own).unwrap_or(LowPass::new(told_hz, order));
         let cutoff_hz = other.cutoff_hz.clamp(LOWEST * rate_hz, HIGHEST * rate_hz);
         if (0..3).all(|axis| own(axis).is_some()) {
             return None;
@@ -75,7 +75,7 @@ impl Filters {
         let mut all = self.clone();
         for axis in (0..3).filter(|axis| own(*axis).is_none()) {
             all.open[axis] = Some((all.of[axis].len(), WIDE_OPEN));
-            all.of[axis].push(Arc::new(LowPass { cutoff_hz, order: other.order }));
+            all.of[axis].push(Arc::new(LowPass::new(cutoff_hz, other.order)));
         }
         Some(all)
     }
@@ -99,7 +99,7 @@ impl Filters {
 fn low_pass(effect: &dyn Effect) -> Option<LowPass> {
     let of = |wanted: &str| effect.parameters().into_iter().find(|(name, _)| *name == wanted).map(|(_, value)| value);
     (effect.name() == "low_pass").then_some(())?;
-    Some(LowPass { cutoff_hz: of("cutoff_hz")?.as_f64()?, order: of("order")?.as_u64()? })
+    Some(LowPass::new(of("cutoff_hz")?.as_f64()?, of("order")?.as_u64()?))
 }
 
 #[cfg(test)]
@@ -114,7 +114,7 @@ mod tests {
     fn fitted(seed: u64, sent_hz: f64, told_hz: f64, error: f64) -> Fit {
         let case = Case::new(Triad::Gyro, rate_table(), &[]);
         let filters = |cutoff_hz| Filters {
-            of: std::array::from_fn(|_| vec![Arc::new(LowPass { cutoff_hz, order: 2 }) as Arc<dyn Effect>]),
+            of: std::array::from_fn(|_| vec![Arc::new(LowPass::new(cutoff_hz, 2)) as Arc<dyn Effect>]),
             open: [Some((0, error)); 3],
         };
         let mut samples = case.samples(seed);
@@ -168,8 +168,8 @@ mod tests {
     #[test]
     fn only_an_open_low_pass_is_moved() {
         let filters = |cutoff_hz, open: Option<f64>| {
-            let low_pass: Arc<dyn Effect> = Arc::new(LowPass { cutoff_hz, order: 3 });
-            let mean: Arc<dyn Effect> = Arc::new(MovingAverage { window: 4 });
+            let low_pass: Arc<dyn Effect> = Arc::new(LowPass::new(cutoff_hz, 3));
+            let mean: Arc<dyn Effect> = Arc::new(MovingAverage::new(4));
             let open = open.map(|error| (1, error));
             Filters { of: [vec![mean, low_pass], Vec::new(), Vec::new()], open: [open, Some((0, 0.1)), None] }
         };
@@ -193,7 +193,7 @@ mod tests {
         let supposed = none.supposed(1, Some(0.02), 100.0).unwrap();
         let of = low_pass(supposed.of[2][0].as_ref()).unwrap();
         assert!((of.cutoff_hz * TAU * 0.02 - 1.0).abs() < 1e-12 && supposed.open[2] == Some((0, WIDE_OPEN)));
-        let low_pass_at = |cutoff_hz| Arc::new(LowPass { cutoff_hz, order: 2 }) as Arc<dyn Effect>;
+        let low_pass_at = |cutoff_hz| Arc::new(LowPass::new(cutoff_hz, 2)) as Arc<dyn Effect>;
         let one = Filters { of: [vec![low_pass_at(5.0)], Vec::new(), Vec::new()], open: [Some((0, 0.02)), None, None] };
         let others = one.supposed(1, Some(0.02), 100.0).unwrap();
         assert_eq!(

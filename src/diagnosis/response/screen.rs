@@ -352,7 +352,7 @@ mod tests {
             sent: None,
         };
         let found = |error: f64| {
-            let low_pass = || vec![Arc::new(LowPass { cutoff_hz: 5.0, order: 1 }) as Arc<dyn Effect>];
+            let low_pass = || vec![Arc::new(LowPass::new(5.0, 1)) as Arc<dyn Effect>];
             let filters = Filters { of: [low_pass(), low_pass(), low_pass()], open: [Some((0, error)); 3] };
             let request = Request {
                 known: &[],

@@ -212,7 +212,7 @@ mod tests {
         let mut other = values.clone();
         low_pass(&mut values, 5.0, 40.0);
         let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
-        crate::effects::Effect::sampler(&LowPass { cutoff_hz: 5.0, order: 1 }, 40.0, 5.0, stream).apply(&mut other);
+        crate::effects::Effect::sampler(&LowPass::new(5.0, 1), 40.0, 5.0, stream).apply(&mut other);
         assert!(values.iter().zip(&other).all(|(one, other)| (one - other).abs() < 1e-12));
     }
 }
