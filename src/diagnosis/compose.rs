@@ -1,18 +1,21 @@
 //! Composition: what was found becomes a verdict, a report and a corrected model.
 
-use super::augmented::{augmented, open_filters};
-use super::diagnose::{Found, Options, Outcome};
+use super::augmented::augmented;
+use super::diagnose::{Findings, Found, Options, Outcome};
 use super::discrepancy::discrepancy;
 use super::evidence::Kind;
+use super::law::{Law, Shape};
 use super::named::{self, Named, is_fact, stamps};
 use super::omnibus::Statistic;
+use super::owned::{Known, Owned};
 use super::pairs;
 use super::places::places;
+use super::prepare::Prepared;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Verdict};
 use super::search::Step;
 use crate::sample::Channel;
-use crate::simulator::SensorModel;
+use crate::simulator::{SensorModel, plateau};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -51,12 +54,6 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let alternatives = alternatives(found, &named);
     let places = places(found, &named, real, verdict);
     notes.extend(foreign);
-    for of in found.channels.iter().filter(|of| !open_filters(of).is_empty()) {
-        notes.push(format!(
-            "{}: there is white noise behind the filter, which no effect describes; the corrected model leaves the filter out",
-            of.prepared.channel
-        ));
-    }
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
     }
@@ -150,33 +147,75 @@ fn foreign(found: &Found) -> Vec<String> {
     foreign_steps(found).map(said).collect()
 }
 
+/// ln of the square of N as `noise` finds it, of a law and what its model has besides: the plateau of the spectrum in terms of
+/// the model's N, its own effects and rounding included ([`plateau`]).
+fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
+    let Prepared { channel, scale, white_shift, step, ref has, ref samples, .. } = of.prepared;
+    let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz)).powi(2);
+    let without = {
+        let mut sim = sim.clone();
+        sim.channels.retain(|own, _| *own == channel);
+        sim.channels.values_mut().for_each(|of| of.n = 0.0);
+        plateau(&sim, channel, samples.len() as u64).powi(2)
+    };
+    let rounding = step.filter(|_| !has.contains(&"resolution")).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);
+    let own = (law.levels[0] - white_shift).exp();
+    ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
+}
+
+/// Whether something acts at low frequencies besides B and K, which the noise room has in B and K.
+fn is_slow(of: &Findings) -> bool {
+    let law = &of.explanation.law;
+    let slow = |shape: &Shape| matches!(shape, Shape::GaussMarkov | Shape::QuantizationNoise | Shape::Slope(_));
+    !of.explanation.courses.is_empty() || law.terms.iter().any(|term| slow(&term.shape))
+}
+
 /// N, B, K and bias that are off.
+///
+/// They are off if the law says so, in which effects have their part, and if their owner agrees ([`Owned`]): N is that of `noise`,
+/// the plateau of the spectrum with what channels share, what lies behind a filter and the skirts of bands. If `noise` has no N,
+/// it is the plateau of the law. B and K are the law's, which has slow effects beside them, where `noise` does not contradict.
 fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
     let mut off = Vec::new();
+    let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
+    let mut owned = None;
     for of in &found.channels {
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
+        let mut own = None;
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
-            let fitted = &of.fitted;
-            let Some(variance) = fitted.covariance.as_ref().map(|covariance| covariance[(level, level)]) else {
+            if of.held[level] <= 0.5 * OFF * OFF {
                 continue;
+            }
+            let fitted = &of.fitted;
+            let of_law = |law: &Law| match level {
+                0 => plateau_of(law, of, sim),
+                _ => law.levels[level] + 2.0 * of.prepared.scale.ln(),
             };
-            let (found, spread) = (fitted.law.levels[level], variance.max(0.0).sqrt());
-            // N is the white noise where nothing changes its variance.
-            let changed = if level == 0 { of.average_variance.ln() } else { 0.0 };
-            let found = found - changed;
-            let shift = if level == 0 { of.prepared.white_shift } else { 0.0 };
-            let capture = (0.5 * (found - shift)).exp() * of.prepared.scale;
-            let declared = of.prepared.declared.levels[level];
-            let certain = spread < 1.0;
+            let samples = of.prepared.samples.len() as u64;
+            let told = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { told };
+            let Some(spread) = fitted.spread(of_law).filter(|spread| *spread < 1.0) else { continue };
+            let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
+            let mut found = (end(0.0), [end(-1.0), end(1.0)]);
+            let own = own.get_or_insert_with(|| {
+                owned.get_or_insert_with(|| Owned::new(real, sim)).of(of.prepared.channel).unwrap_or_default()
+            });
+            match own[level] {
+                Some(Known { value: Some(value), ends }) if level == 0 => {
+                    found = (value / folded, ends.map(|end| end / folded));
+                }
+                Some(known) if level > 0 && !is_slow(of) && !known.meets(found.1) => continue,
+                _ => {}
+            }
+            let (capture, [low, high]) = found;
+            let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
+            let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
             // Told with an interval or a limit that reaches the capture's, it is not off.
-            let end = |sign: f64| capture * (0.5 * sign * 1.96 * spread).exp();
             let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
-            let within = known.is_some_and(|[low, high]| end(-1.0) <= high && end(1.0) >= low);
-            if certain && !within && of.held[level] > 0.5 * OFF * OFF && (found - declared).abs() > OFF * spread {
+            let within = known.is_some_and(|[least, most]| low <= most && high >= least);
+            if !within && apart > OFF * spread {
                 let ratio = (told > 0.0).then(|| capture / told);
-                let ci95 = Some([end(-1.0), end(1.0)]);
                 let channel = of.prepared.channel.name().to_owned();
-                off.push(Parameter { channel, parameter, model: told, capture, ratio, ci95 });
+                off.push(Parameter { channel, parameter, model: told, capture, ratio, ci95: Some([low, high]) });
             }
         }
     }

@@ -28,6 +28,7 @@ pub mod law;
 pub mod motion;
 mod named;
 pub mod omnibus;
+mod owned;
 mod pairs;
 mod phase;
 mod places;

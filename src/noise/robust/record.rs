@@ -146,6 +146,11 @@ impl Record {
         &self.points
     }
 
+    /// Where bands of vibration begin, Hz.
+    fn foot_hz(&self) -> impl Iterator<Item = f64> {
+        self.found.lines.iter().filter(|line| line.broad).map(|line| line.band_hz[0])
+    }
+
     fn bands(&self) -> impl Iterator<Item = (f64, f64)> {
         self.found.excluded_bands_hz.iter().copied()
     }
@@ -219,6 +224,16 @@ pub fn parameters_together(
     let said = all.parameters.flags.iter().filter(|flag| !is_misfit(flag) && !main.flags.contains(flag));
     let said: Vec<Flag> = said.cloned().collect();
     main.flags.extend(said);
+    if let Some(foot_hz) = records.iter().flat_map(Record::foot_hz).reduce(f64::min) {
+        // A vibration's skirts reach beyond its band: below half of where that begins there is least of them.
+        let below: Vec<[f64; 2]> = bands.iter().copied().chain([[0.5 * foot_hz, rate_hz]]).collect();
+        let mut sums = DstSums::new();
+        records.iter().filter_map(|record| record.noise.as_ref()).for_each(|own| sums.merge(own));
+        let low = fit(&sums, rate_hz, channel, &below, all.sampling);
+        if let (Some(ends), Some([least, most])) = (&mut main.n.ci95, low.n.ci95) {
+            *ends = [ends[0].min(least), ends[1].max(most)];
+        }
+    }
     let points = pooled(records);
     hold_against(&mut main, &points, rate_hz, channel, &bands);
     let depends = records.iter().any(|record| record.without_temperature.is_some());

@@ -1,0 +1,101 @@
+//! Owned: N, B and K of a record as the noise room has them.
+//!
+//! They have one owner. The law of a diagnosis has N, B and K beside effects, which share one spectrum with them: what a filter
+//! or the skirt of a band takes from N is a matter of the law's form. What is reported as the capture's is therefore what `noise`
+//! says of the same samples, wherever it says that it may be used.
+//!
+//! # Validation
+//! `examples/one_n.rs`, docs/validation.md.
+
+use super::recording::Recording;
+use crate::noise::NoiseParameters;
+use crate::noise::allan::FixedPoint;
+use crate::noise::fit::Estimate;
+use crate::noise::robust::{All, Company, Levels, Part, Record, spectral_sums};
+use crate::noise::stillness::Stillness;
+use crate::noise::whittle::Sampling;
+use crate::sample::Channel;
+use crate::simulator::SensorModel;
+use std::ops::Range;
+
+/// A record, ready to be asked; channels are looked at when they are asked for.
+pub(super) struct Owned<'a> {
+    real: &'a Recording,
+    sampling: Option<Sampling>,
+    /// Places at which the sensor moved.
+    moving: Vec<Range<u64>>,
+}
+
+/// A parameter's value, U or its density, and its 95 % interval; of one that is not identified no value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Known {
+    pub(super) value: Option<f64>,
+    pub(super) ends: [f64; 2],
+}
+
+impl Known {
+    fn of(estimate: &Estimate) -> Option<Self> {
+        let limit = || estimate.upper_limit95.map(|limit| [0.0, limit]);
+        Some(Self { value: estimate.value, ends: estimate.ci95.or_else(limit)? })
+    }
+
+    /// Whether an interval has a part in it.
+    pub(super) fn meets(&self, [low, high]: [f64; 2]) -> bool {
+        low <= self.ends[1] && self.ends[0] <= high
+    }
+}
+
+impl<'a> Owned<'a> {
+    /// Of a record that is compared with a model, which tells how its samples came about.
+    pub(super) fn new(real: &'a Recording, sim: &SensorModel) -> Self {
+        const TELLING: [Channel; 6] =
+            [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
+        let there = |channel: Channel| -> Vec<f64> {
+            let values = real.values(channel).unwrap_or_default().iter().enumerate();
+            values.map(|(place, value)| if real.is_missing(place) { f64::NAN } else { *value }).collect()
+        };
+        let columns = TELLING.map(there);
+        let mut stillness = Stillness::new(real.rate_hz, real.len() as u64);
+        stillness.push(0, columns.each_ref().map(Vec::as_slice));
+        let sampling = sim.sampling.map(|sampling| Sampling {
+            internal_rate_hz: sampling.internal_rate_hz,
+            window: u32::try_from(sampling.filter_window).unwrap_or(u32::MAX),
+            source: "model".to_owned(),
+        });
+        Self { real, sampling, moving: stillness.settle().unwrap_or_default() }
+    }
+
+    /// N (as sent), B and K of a channel; none where the noise room says that they are not to be used.
+    pub(super) fn of(&self, channel: Channel) -> Option<[Option<Known>; 3]> {
+        let rate_hz = self.real.rate_hz;
+        let parts = self.parts(channel);
+        let sums = spectral_sums(&parts, FixedPoint::for_channel(channel));
+        let all = All::of(channel, rate_hz, &sums, self.sampling.as_ref());
+        let samples = parts.iter().map(|part| part.values.len() as u64).sum();
+        let record = Record::of(channel, rate_hz, parts, &Levels::new(rate_hz, samples), Company::Alone);
+        let (NoiseParameters { usable, n, b, k, .. }, _) = record.alone(channel, rate_hz, &all);
+        usable.then(|| [&n, &b, &k].map(Known::of))
+    }
+
+    /// Samples without gaps, without those in motion and those that are no numbers.
+    fn parts(&self, channel: Channel) -> Vec<Part> {
+        let values = self.real.values(channel).unwrap_or_default();
+        let moves = |place: usize| {
+            let at = self.moving.partition_point(|range| range.end <= place as u64);
+            self.moving.get(at).is_some_and(|range| range.contains(&(place as u64)))
+        };
+        let mut parts: Vec<Part> = Vec::new();
+        let mut goes_on = false;
+        for (place, value) in values.iter().enumerate() {
+            let counts = value.is_finite() && !self.real.is_missing(place) && !moves(place);
+            if counts && !goes_on {
+                parts.push(Part { start_s: place as f64 / self.real.rate_hz, values: Vec::new() });
+            }
+            goes_on = counts;
+            if let Some(part) = parts.last_mut().filter(|_| counts) {
+                part.values.push(*value);
+            }
+        }
+        parts
+    }
+}
