@@ -22,7 +22,7 @@ mod tests;
 use crate::noise::NoiseReport;
 use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::{Channel, Triad};
-use crate::simulator::SensorModel;
+use crate::simulator::{SensorModel, plateau};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -354,9 +354,19 @@ impl ImuNoise {
                 Some(limit) if value == 0.0 => Known::Below(limit),
                 _ => Known::Value(value),
             };
-            // What is faster than half the output's rate folds into it; slow noise is left as it is.
+            // What is faster than half the output's rate folds into it; slow noise is left as it is. N is what is seen, with what
+            // lies behind a filter or beside the white noise, but for rounding, which has a place of its own.
             let folded = model.sampling.map_or(1.0, |sampling| sampling.density_factor(model.rate_hz));
-            Axis { n: scaled(known(of.n, "N"), folded), b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov, fixed }
+            let n = match known(of.n, "N") {
+                Known::Value(_) => {
+                    let mut unrounded = model.clone();
+                    unrounded.channels.retain(|own, _| *own == channel);
+                    unrounded.channels.values_mut().for_each(|of| of.effects.retain(|of| of.name() != "resolution"));
+                    Known::Value(plateau(&unrounded, channel, (model.rate_hz * 3600.0) as u64))
+                }
+                below => scaled(below, folded),
+            };
+            Axis { n, b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov, fixed }
         };
         const PLACES: [Triad; 3] = [Triad::Accel, Triad::Gyro, Triad::Mag];
         let mut triads = PLACES.map(|triad| {

@@ -13,8 +13,7 @@ use std::collections::BTreeMap;
 const CHUNK: usize = 65_536;
 
 /// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found in the part that
-/// there is `room` for ([`gridded`]); and, without effects, why it should not be
-/// used, where that is so.
+/// there is `room` for ([`gridded`]); and why it should not be used, where that is so.
 ///
 /// # Errors
 /// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
@@ -36,8 +35,13 @@ pub fn fitted(
     let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
     let temperature_c = levels.get(&Channel::Temperature).copied();
     let model = with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c);
-    // The diagnosis holds what it adds against the record itself.
-    Ok((model, None))
+    // What effects were added to is the law of the diagnosis, which holds it against the record itself. Nothing makes noise of a
+    // motion or of raw counts.
+    let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
+    let plainly = |channel| effects(&model, channel) == effects(&plain, channel);
+    let has_n = |channel| report.channels.get(&channel).is_some_and(|of| of.n.value.is_some());
+    let refusal = report.refusal(|channel| !has_n(channel) || plainly(channel));
+    Ok((model, refusal))
 }
 
 /// Mean of every channel of a plan, and of the temperature where it was recorded.

@@ -5,8 +5,11 @@
 //! `uncertainty`. Effects, where they are asked for, are what a diagnosis of the capture against that model finds; N, B and K
 //! are then those fitted beside them ([`with_effects`]).
 //!
-//! Models fitted from a capture are of what is seen at its rate: they have no `sampling`.
+//! Models fitted from a capture are of what is seen at its rate. A filter that shapes it is in the model: as `sampling` where
+//! all channels are known to lie behind the same boxcar, else as `moving_average` or `low_pass` of the channel; the
+//! provenance names the channels behind filters that no effect describes.
 
+mod bandwidth;
 mod diff;
 
 pub use diff::{Difference, differences};
@@ -17,6 +20,7 @@ use crate::noise::NoiseReport;
 use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
+use bandwidth::Front;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -42,29 +46,55 @@ pub fn effects_named(names: &str) -> Result<Vec<&'static str>, String> {
 /// `source` go into the provenance.
 #[must_use]
 pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &str, software: &str) -> SensorModel {
-    let channel = |(channel, found): (&Channel, &NoiseParameters)| {
+    let sampling = bandwidth::sampling(report);
+    let mut left_out = Vec::new();
+    let mut channel = |(channel, found): (&Channel, &NoiseParameters)| {
         let value = |estimate: &Estimate| estimate.value.unwrap_or(0.0);
-        let model = ChannelModel {
-            n: value(&found.n),
+        let front = match (&found.bandwidth, sampling) {
+            (_, Some(sampling)) => Front { share: 1.0 / sampling.density_factor(report.rate_hz), filter: None },
+            (Some(bandwidth), None) => Front::of(bandwidth, value(&found.n), report.rate_hz).unwrap_or_else(|| {
+                left_out.push(channel.name());
+                Front::OPEN
+            }),
+            (None, None) => Front::OPEN,
+        };
+        let mut model = ChannelModel {
+            n: front.share * value(&found.n),
             b: value(&found.b),
             k: value(&found.k),
             bias: levels.get(channel).copied(),
             effects: Vec::new(),
-            uncertainty: Some(uncertainty(found)),
+            uncertainty: Some(uncertainty(found, front.share)),
         };
+        if let Some(filter) = front.filter {
+            let known = found.bandwidth.as_ref().and_then(|of| of.ci95).filter(|_| !is_exponential(found));
+            let known: Vec<_> = known.into_iter().map(|ends| ("cutoff_hz", ends)).collect();
+            model.push_effect(filter, &known);
+        }
         (*channel, model)
     };
+    let channels = report.channels.iter().map(&mut channel).collect();
+    let mut provenance = provenance(report, software);
+    if !left_out.is_empty() {
+        provenance.insert("filters_left_out".to_owned(), json!(left_out));
+    }
     SensorModel {
         name: name.to_owned(),
         rate_hz: report.rate_hz,
-        channels: report.channels.iter().map(channel).collect(),
-        provenance: Some(provenance(report, software)),
+        channels,
+        sampling,
+        provenance: Some(provenance),
         ..SensorModel::default()
     }
 }
 
+/// Whether a channel's filter is told by another cutoff in the model than in the report.
+fn is_exponential(found: &NoiseParameters) -> bool {
+    found.bandwidth.as_ref().is_some_and(|of| of.exponential)
+}
+
 /// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels
-/// without effects keep what the noise report says of them. `looked_for`: the effects' names; the record began `from_s` after
+/// to which it added none keep what the noise report says of them. `looked_for`: the effects' names; the record began `from_s` after
 /// the capture, lasted `record_s` and had a mean temperature of `temperature_c`.
 #[must_use]
 pub fn with_effects(
@@ -76,7 +106,9 @@ pub fn with_effects(
 ) -> SensorModel {
     let mut model = plain.clone();
     for (channel, own) in &mut model.channels {
-        let Some(found) = augmented.channels.get(channel).filter(|found| !found.effects.is_empty()) else { continue };
+        let Some(found) = augmented.channels.get(channel).filter(|found| found.effects != own.effects) else {
+            continue;
+        };
         let level = own.bias.map(|level| level - mean_of(&found.effects, record_s, temperature_c));
         let limits = own.uncertainty.take().unwrap_or_default();
         *own = ChannelModel { bias: level, ..found.clone() };
@@ -112,15 +144,15 @@ fn mean_of(effects: &[Arc<dyn effects::Effect>], record_s: f64, temperature_c: O
     (0..INSTANTS).map(level).sum::<f64>() / f64::from(INSTANTS)
 }
 
-/// Intervals of what is identified, limits of what is not.
-fn uncertainty(found: &NoiseParameters) -> Map<String, Value> {
-    let of = |estimate: &Estimate| match (estimate.ci95, estimate.upper_limit95) {
-        (Some(ci95), _) => Some(json!({ "ci95": ci95 })),
-        (None, Some(limit)) => Some(json!({ "upper_limit95": limit })),
+/// Intervals of what is identified, limits of what is not; those of N times `share`.
+fn uncertainty(found: &NoiseParameters, share: f64) -> Map<String, Value> {
+    let of = |estimate: &Estimate, share: f64| match (estimate.ci95, estimate.upper_limit95) {
+        (Some(ci95), _) => Some(json!({ "ci95": ci95.map(|end| share * end) })),
+        (None, Some(limit)) => Some(json!({ "upper_limit95": share * limit })),
         (None, None) => None,
     };
-    let terms = [("N", &found.n), ("B", &found.b), ("K", &found.k)];
-    terms.into_iter().filter_map(|(letter, estimate)| Some((letter.to_owned(), of(estimate)?))).collect()
+    let terms = [("N", &found.n, share), ("B", &found.b, 1.0), ("K", &found.k, 1.0)];
+    terms.into_iter().filter_map(|(letter, estimate, share)| Some((letter.to_owned(), of(estimate, share)?))).collect()
 }
 
 fn provenance(report: &NoiseReport, software: &str) -> Map<String, Value> {

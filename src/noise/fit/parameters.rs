@@ -112,6 +112,12 @@ pub struct Bandwidth {
     /// Density of white noise that comes in behind the filter, U/√Hz; a part of N.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub white_behind: Option<f64>,
+    /// Of a known sampling: the rate that the samples of a moving average have, Hz.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub internal_rate_hz: Option<f64>,
+    /// A low pass of order 1 that is an exponential average, y += a (x − y), rather than Butterworth's.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub exponential: bool,
     /// Where it is known from: a register, an option, or `fitted`.
     pub source: String,
 }
@@ -291,6 +297,11 @@ pub struct Minimum {
 }
 
 impl NoiseParameters {
+    /// Says that the parameters may not be used, and why.
+    pub fn refuse(&mut self, reason: String) {
+        (self.usable, self.reason) = (false, Some(reason));
+    }
+
     /// The estimate of a term.
     #[must_use]
     pub fn estimate(&self, term: Term) -> &Estimate {

@@ -10,7 +10,7 @@
 use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
 use super::likelihood::{BEHIND, Held, Likelihood, Model};
 use super::residual::{MISFIT, Residual};
-use super::shape::{Shape, TILTS};
+use super::shape::{Gains, Shape, TILTS};
 use super::sums::DstSums;
 use crate::noise::fit::{Bandwidth, Term};
 
@@ -51,6 +51,27 @@ impl Sampling {
         Some(Shape::Decimated { window: self.window.max(1), every: self.every(rate_hz)? })
     }
 
+    /// What the document says of it.
+    pub(in crate::noise) fn bandwidth(&self) -> Bandwidth {
+        Bandwidth {
+            kind: "moving_average".to_owned(),
+            value: Some(f64::from(self.window)),
+            unit: "samples at the internal rate".to_owned(),
+            order: None,
+            ci95: None,
+            up_to_hz: None,
+            white_behind: None,
+            internal_rate_hz: Some(self.internal_rate_hz),
+            exponential: false,
+            source: self.source.clone(),
+        }
+    }
+
+    /// What it makes of the noise's terms, where it shapes white noise.
+    pub(in crate::noise) fn filter(&self, rate_hz: f64) -> Option<Filter> {
+        self.shape(rate_hz).filter(shapes).map(|shape| Filter { shape })
+    }
+
     /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the
     /// images k of the output rate R. None where the rates do not fit.
     #[must_use]
@@ -71,6 +92,42 @@ pub fn density_factor(window: u32, every: u32) -> f64 {
     (0..every).map(|image| response(image).powi(2)).sum::<f64>().sqrt()
 }
 
+/// Whether white noise is not white behind a shape.
+fn shapes(shape: &Shape) -> bool {
+    (1..=64).any(|at| (shape.gains(f64::from(at) / 128.0).white - 1.0).abs() > 1e-6)
+}
+
+/// A known filter and what it makes of each term, for fits to Allan variances.
+#[derive(Debug, Clone)]
+pub(in crate::noise) struct Filter {
+    shape: Shape,
+}
+
+impl Filter {
+    fn gain_of(term: Term) -> fn(Gains) -> f64 {
+        match term {
+            Term::N | Term::Q => |gains| gains.white,
+            Term::B => |gains| gains.flicker,
+            Term::K => |gains| gains.walk,
+            // Deterministic: it passes.
+            Term::R => |_| 1.0,
+        }
+    }
+
+    /// Power gain at u cycles a sample.
+    pub(in crate::noise) fn gain(&self, term: Term, u: f64) -> f64 {
+        Self::gain_of(term)(self.shape.gains(u))
+    }
+
+    /// What is left of the Allan variance at averaging factors.
+    pub(in crate::noise) fn ratios(&self, term: Term, factors: &[usize], dt_s: f64) -> Vec<f64> {
+        match term {
+            Term::R => vec![1.0; factors.len()],
+            _ => variance_ratios(&self.shape, factors, Self::gain_of(term), |u| term.spectrum(u, dt_s)),
+        }
+    }
+}
+
 /// The law that a fit begins with: the plain one, or that of the known sampling where it shapes white noise.
 pub(super) fn basic(
     sums: &DstSums,
@@ -78,8 +135,7 @@ pub(super) fn basic(
     excluded_bands_hz: &[[f64; 2]],
     sampling: Option<&Sampling>,
 ) -> Likelihood {
-    let shaped = |shape: &Shape| (1..=64).any(|at| (shape.gains(f64::from(at) / 128.0).white - 1.0).abs() > 1e-6);
-    match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(shaped) {
+    match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(shapes) {
         Some(shape) => Likelihood::filtered(sums, rate_hz, excluded_bands_hz, &shape, false),
         None => Likelihood::new(sums, rate_hz, excluded_bands_hz),
     }
@@ -138,8 +194,9 @@ impl Search<'_> {
             let model = likelihood.maximise(terms, 1.0, Held::Nothing, start.as_ref())?;
             let moved = model.tilt.iter().fold(0.0f64, |most, by| most.max(by.abs()));
             if moved < 1e-3 || round + 1 == ROUNDS {
-                // White noise behind the filter is a part of the plateau.
-                if model.squares[BEHIND] > model.squares[0] {
+                // White noise behind the filter is a part of the plateau. Where it is more than half of it, that is no filter: the
+                // skirt of a vibration looks so.
+                if 2.0 * model.squares[BEHIND] > model.squares[0] {
                     return None;
                 }
                 let price = price(&shape, behind);
@@ -246,15 +303,13 @@ pub(super) fn statement(
         ci95: None,
         up_to_hz: None,
         white_behind,
+        internal_rate_hz: None,
+        exponential: false,
         source: "fitted".to_owned(),
     };
     match shape {
         Shape::Open => None,
-        Shape::Decimated { window, .. } => Some(Bandwidth {
-            unit: "samples at the internal rate".to_owned(),
-            source: sampling.map_or_else(|| "known".to_owned(), |sampling| sampling.source.clone()),
-            ..of("moving_average", Some(f64::from(window)), None)
-        }),
+        Shape::Decimated { .. } => sampling.map(Sampling::bandwidth),
         Shape::MovingAverage(window) => Some(of("moving_average", Some(f64::from(window)), None)),
         Shape::Butterworth { order, cutoff } => {
             let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
@@ -262,7 +317,7 @@ pub(super) fn statement(
         }
         Shape::Exponential { cutoff } => {
             let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
-            Some(Bandwidth { ci95, ..of("low_pass", Some(cutoff * rate_hz), Some(1)) })
+            Some(Bandwidth { ci95, exponential: true, ..of("low_pass", Some(cutoff * rate_hz), Some(1)) })
         }
         Shape::Smooth { up_to, .. } => {
             let half = (1..=1000).map(|at| up_to * f64::from(at) / 1000.0).find(|u| shape.gains(*u).white < 0.5);
@@ -308,7 +363,7 @@ fn interval(likelihood: &Likelihood, choice: &Choice) -> Option<[f64; 2]> {
 pub(super) fn variance_ratios(
     shape: &Shape,
     factors: &[usize],
-    gain: fn(super::shape::Gains) -> f64,
+    gain: fn(Gains) -> f64,
     spectrum: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
     /// Up to here by quadrature; what a filter takes falls with m beyond.

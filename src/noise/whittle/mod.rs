@@ -20,6 +20,7 @@ mod sums;
 #[cfg(test)]
 mod tests;
 
+pub(in crate::noise) use bandwidth::Filter;
 pub use bandwidth::{Sampling, density_factor};
 pub use dst::Transform;
 pub use estimator::DstEstimator;
