@@ -7,7 +7,7 @@ use super::held::Held;
 use super::plan::{Plan, Shares};
 use super::threads::side_by_side;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
-use crate::noise::fit::{Flag, fit};
+use crate::noise::fit::{Flag, fit_as_sampled};
 use crate::noise::robust::All;
 use crate::noise::statistics::Statistics;
 use crate::noise::whittle::{DstSums, Sampling};
@@ -199,7 +199,11 @@ pub(super) fn noise(
     let found = examine(source, plan, &fitted.into_iter().collect(), held, go_on)?;
     for (channel, (mut parameters, disturbance)) in found.channels {
         if let Some(flag) = parameters.flags.iter().find(|flag| flag.kind == "not_at_rest") {
-            (parameters.usable, parameters.reason) = (false, Some(flag.note.clone()));
+            parameters.refuse(flag.note.clone());
+        }
+        let beyond = sums.iter().find(|(own, _)| *own == channel).map_or(0, |(_, sums)| sums.out_of_range());
+        if let Some(reason) = raw_counts(channel, beyond, extent.samples) {
+            parameters.refuse(reason);
         }
         channels.insert(channel, parameters);
         disturbances.insert(channel, disturbance);
@@ -219,6 +223,17 @@ pub(super) fn noise(
     })
 }
 
+/// Why values of which most are beyond anything that a channel measures are not to be used; none where they are few.
+fn raw_counts(channel: Channel, beyond: u64, samples: u64) -> Option<String> {
+    let unit = channel.unit();
+    (beyond > samples / 2).then(|| {
+        format!(
+            "{beyond} of {samples} values are beyond what {channel} can measure in {unit}: raw counts? give the scale, \
+             so that they are {unit}"
+        )
+    })
+}
+
 /// Noise parameters of octaves of a capture that still runs.
 pub(super) fn noise_of_points(
     points: &BTreeMap<Channel, Vec<AllanPoint>>,
@@ -228,9 +243,8 @@ pub(super) fn noise_of_points(
     extent: Extent,
 ) -> NoiseReport {
     let channels = points.iter().map(|(channel, octaves)| {
-        let mut parameters = fit(octaves, rate_hz, *channel);
-        let sampling = channel.triad().and_then(|triad| sampling.get(&triad)?.density_factor(rate_hz));
-        parameters.n.internal = parameters.n.value.zip(sampling).map(|(density, factor)| density / factor);
+        let sampling = channel.triad().and_then(|triad| sampling.get(&triad));
+        let mut parameters = fit_as_sampled(octaves, rate_hz, *channel, sampling);
         hold_against(&mut parameters, octaves, rate_hz, *channel, &[]);
         parameters.flags.extend(Flag::other_rate(rate_hz, other));
         (*channel, parameters)

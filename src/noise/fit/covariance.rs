@@ -3,6 +3,7 @@
 
 use super::term::{Term, response};
 use crate::noise::allan::AllanPoint;
+use crate::noise::whittle::Filter;
 use nalgebra::DMatrix;
 use std::f64::consts::LN_2;
 
@@ -39,8 +40,8 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl CovarianceForm {
-    /// Integrates for `points`, sampled every `dt_s`.
-    pub(super) fn new(points: &[AllanPoint], dt_s: f64) -> Self {
+    /// Integrates for `points`, sampled every `dt_s` behind a filter, where there is one.
+    pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Self {
         let count = points.len();
         let mut integrals = vec![DMatrix::<f64>::zeros(count, count); pairs().count()];
         let longest = points.iter().map(|point| point.m).max().unwrap_or(1) as f64;
@@ -56,7 +57,8 @@ impl CovarianceForm {
                 for ((response_at, point), scale) in responses.iter_mut().zip(points).zip(&scale) {
                     *response_at = response(point.m, u) * scale;
                 }
-                let spectra = NOISES.map(|term| term.spectrum(u, dt_s));
+                let gain = |term: Term| filter.map_or(1.0, |filter| filter.gain(term, u));
+                let spectra = NOISES.map(|term| gain(term) * term.spectrum(u, dt_s));
                 // Two for the negative frequencies, two of the formula.
                 let weight = 4.0 * u * LN_2 / PER_OCTAVE as f64 / dt_s;
                 for (integral, (first, second)) in integrals.iter_mut().zip(pairs()) {
@@ -150,7 +152,7 @@ mod tests {
     fn the_diagonal_agrees_with_greenhall() {
         let dt_s = 0.025;
         let points: Vec<AllanPoint> = points().into_iter().filter(|point| (64..=7_200).contains(&point.m)).collect();
-        let form = CovarianceForm::new(&points, dt_s);
+        let form = CovarianceForm::new(&points, dt_s, None);
         for (term, noise) in
             [(Term::N, NoiseType::WhiteRate), (Term::B, NoiseType::FlickerRate), (Term::K, NoiseType::RandomWalkRate)]
         {
@@ -168,7 +170,7 @@ mod tests {
     fn white_noise_at_one_sample_has_two_thirds_of_its_terms_as_degrees() {
         // Differences of neighbours correlate by −1/2: 2V²/C = n / (1 + 2/4).
         let points = [AllanPoint { m: 1, variance: 1.0, terms: 720_000, segments: 1, stride: 1 }];
-        let matrix = CovarianceForm::new(&points, 0.025).at(&[(Term::N, 1.0)]);
+        let matrix = CovarianceForm::new(&points, 0.025, None).at(&[(Term::N, 1.0)]);
         let edf = 2.0 * Term::N.allan_variance(1, 0.025).powi(2) / matrix[(0, 0)];
         assert!((edf / 480_000.0 - 1.0).abs() < 1e-3, "{edf}");
     }
@@ -179,7 +181,7 @@ mod tests {
         assert!((triangles(3.0, 3.0) - 2.0).abs() < 1e-3);
         assert!((triangles(1.0, 4.0) - 0.25).abs() < 1e-3);
         let point = AllanPoint { m: 4000, variance: 1.0, terms: 92_000, segments: 1, stride: 1 };
-        let form = CovarianceForm::new(&[point], 0.025);
+        let form = CovarianceForm::new(&[point], 0.025, None);
         let (noise, slope) = (1e-6, 1e-10);
         let added = form.at(&[(Term::N, noise), (Term::R, slope)])[(0, 0)] - form.at(&[(Term::N, noise)])[(0, 0)];
         let expected = slope * 100f64.powi(2) * noise * (4.0 / 3.0) * 100.0 / 2500f64.powi(2);
@@ -188,7 +190,7 @@ mod tests {
 
     #[test]
     fn adjacent_octaves_vary_together_as_the_literature_has_it() {
-        let matrix = CovarianceForm::new(&points(), 0.025).at(&[(Term::N, 1.0), (Term::K, 1e-8)]);
+        let matrix = CovarianceForm::new(&points(), 0.025, None).at(&[(Term::N, 1.0), (Term::K, 1e-8)]);
         for index in 4..10 {
             let variance = matrix[(index, index)] * matrix[(index + 1, index + 1)];
             let correlation = matrix[(index, index + 1)] / variance.sqrt();

@@ -30,6 +30,7 @@ pub(in crate::noise) use term::response;
 
 use crate::noise::RecordNeeded;
 use crate::noise::allan::AllanPoint;
+use crate::noise::whittle::{Filter, Sampling};
 use crate::sample::Channel;
 use variance_fit::{Choice, MISFIT, VarianceFit};
 
@@ -47,8 +48,30 @@ const BEYOND: usize = 3;
 /// flag says why.
 #[must_use]
 pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParameters {
+    fit_as_sampled(points, rate_hz, channel, None)
+}
+
+/// The same of samples that came about as `sampling` says, where that is known: its boxcar is then part of the law.
+#[must_use]
+pub fn fit_as_sampled(
+    points: &[AllanPoint],
+    rate_hz: f64,
+    channel: Channel,
+    sampling: Option<&Sampling>,
+) -> NoiseParameters {
+    let filter = sampling.and_then(|sampling| sampling.filter(rate_hz));
+    let mut parameters = of_law(points, rate_hz, channel, filter.as_ref());
+    parameters.bandwidth = sampling.filter(|_| filter.is_some()).map(Sampling::bandwidth);
+    let factor = sampling.and_then(|sampling| sampling.density_factor(rate_hz));
+    parameters.n.internal = parameters.n.value.zip(factor).map(|(density, factor)| density / factor);
+    parameters
+}
+
+fn of_law(points: &[AllanPoint], rate_hz: f64, channel: Channel, filter: Option<&Filter>) -> NoiseParameters {
     let constant = !points.is_empty() && points.iter().all(|point| point.variance == 0.0);
-    let of = |points: &[AllanPoint]| VarianceFit::new(points, 1.0 / rate_hz).and_then(|fit| Some((fit.choose()?, fit)));
+    let of = |points: &[AllanPoint]| {
+        VarianceFit::new(points, 1.0 / rate_hz, filter).and_then(|fit| Some((fit.choose()?, fit)))
+    };
     let fitted = if rate_hz.is_finite() && rate_hz > 0.0 { of(points) } else { None };
     let misfits = fitted.as_ref().is_some_and(|(choice, _)| !choice.describes());
     // A filter inside the band shapes the shortest averaging times alone.
@@ -200,6 +223,26 @@ mod tests {
         assert!(found.n.ci95.is_some_and(|[low, high]| low < density && density < high), "{density} {:?}", found.n);
         assert!(found.flags.iter().any(|flag| flag.kind == "shaped_band"), "{:?}", found.flags);
         assert!(found.k.value.is_none() && found.b.value.is_none(), "{found:?}");
+    }
+
+    #[test]
+    fn a_known_boxcar_is_part_of_the_law() {
+        let mut live = LiveAllan::new(FixedPoint::for_channel(Channel::GyroX));
+        let white: Vec<f64> = white().take(400_000).collect();
+        let means: Vec<f64> = white.windows(4).map(|four| four.iter().sum::<f64>() / 4.0 * 1e-3).collect();
+        live.push(&means);
+        let sampling = Sampling { internal_rate_hz: 800.0, window: 4, source: "register 85".to_owned() };
+        let found = fit_as_sampled(&live.points(), 800.0, Channel::GyroX, Some(&sampling));
+        let density = 1e-3 / (12.0f64 * 800.0).sqrt();
+        assert!(found.n.value.is_some_and(|n| (n / density - 1.0).abs() < 0.01), "{density} {:?}", found.n);
+        assert!(
+            found.n.ci95.is_some_and(|[low, high]| low < density && density < high && high / low < 1.03),
+            "{found:?}"
+        );
+        assert!(found.flags.is_empty() && found.b.value.is_none() && found.k.value.is_none(), "{found:?}");
+        assert_eq!(found.bandwidth.map(|of| (of.kind, of.value)), Some(("moving_average".to_owned(), Some(4.0))));
+        // At a fifth of the internal rate its boxcar of four leaves white noise white.
+        assert_eq!(fit_as_sampled(&live.points(), 160.0, Channel::GyroX, Some(&sampling)).bandwidth, None);
     }
 
     #[test]

@@ -90,7 +90,7 @@ fn scenario(name: &str, truth: [f64; 3], seeds: u64) -> [Tally; 3] {
         let mut estimator =
             Overlapping::new(FixedPoint::for_range(0, 6).unwrap(), TauGrid::octave(SAMPLES as u64).unwrap());
         estimator.push(&samples);
-        let fit = VarianceFit::new(&estimator.into_sums().points(), 1.0 / RATE_HZ).unwrap();
+        let fit = VarianceFit::new(&estimator.into_sums().points(), 1.0 / RATE_HZ, None).unwrap();
         let all = fit.fit(&[Term::N, Term::B, Term::K]).unwrap();
         let choice = fit.choose().unwrap();
         if let Some(residual) = choice.residual {

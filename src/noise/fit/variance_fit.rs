@@ -15,6 +15,7 @@ use super::least_squares::{non_negative, normal_inverse, unconstrained};
 use super::selection::{interval, upper_limit};
 use super::term::Term;
 use crate::noise::allan::AllanPoint;
+use crate::noise::whittle::Filter;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -37,6 +38,8 @@ const ITERATIONS: usize = 40;
 pub(super) struct VarianceFit {
     points: Vec<AllanPoint>,
     dt_s: f64,
+    /// Per point what each of [`Term::ALL`] of coefficient 1 gives to the variance.
+    parts: Vec<[f64; Term::ALL.len()]>,
     variances: DVector<f64>,
     form: CovarianceForm,
 }
@@ -84,29 +87,37 @@ impl VarianceFit {
 
     /// Takes the points nearest to octaves: points between them add little but cost, measured at under 1 % of the error.
     /// `None` where fewer than [`VarianceFit::LEAST_POINTS`] remain.
-    pub(super) fn new(points: &[AllanPoint], dt_s: f64) -> Option<Self> {
+    ///
+    /// `filter`: what lies between the noise and the samples, where that is known.
+    pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Option<Self> {
         let points = octaves(points);
         if points.len() < Self::LEAST_POINTS {
             return None;
         }
         let variances = DVector::from_iterator(points.len(), points.iter().map(|point| point.variance));
-        let form = CovarianceForm::new(&points, dt_s);
-        Some(Self { points, dt_s, variances, form })
+        let form = CovarianceForm::new(&points, dt_s, filter);
+        let factors: Vec<usize> = points.iter().map(|point| point.m).collect();
+        let ratios = filter.map(|filter| Term::ALL.map(|term| filter.ratios(term, &factors, dt_s)));
+        let ratio = |at: usize, row: usize| ratios.as_ref().map_or(1.0, |ratios| ratios[at][row]);
+        let of = |(row, m): (usize, &usize)| {
+            std::array::from_fn(|at| ratio(at, row) * Term::ALL[at].allan_variance(*m, dt_s))
+        };
+        let parts = factors.iter().enumerate().map(of).collect();
+        Some(Self { points, dt_s, parts, variances, form })
+    }
+
+    /// What a term of coefficient 1 gives to a point's variance.
+    fn part(&self, term: Term, row: usize) -> f64 {
+        Term::ALL.iter().position(|own| *own == term).map_or(0.0, |at| self.parts[row][at])
     }
 
     fn design(&self, terms: &[Term]) -> DMatrix<f64> {
-        DMatrix::from_fn(self.points.len(), terms.len(), |row, column| {
-            terms[column].allan_variance(self.points[row].m, self.dt_s)
-        })
+        DMatrix::from_fn(self.points.len(), terms.len(), |row, column| self.part(terms[column], row))
     }
 
     fn variances_of(&self, squares: &[(Term, f64)]) -> DVector<f64> {
-        DVector::from_iterator(
-            self.points.len(),
-            self.points.iter().map(|point| {
-                squares.iter().map(|(term, square)| square * term.allan_variance(point.m, self.dt_s)).sum::<f64>()
-            }),
-        )
+        let of = |row: usize, _: usize| squares.iter().map(|(term, square)| square * self.part(*term, row)).sum();
+        DVector::from_fn(self.points.len(), of)
     }
 
     /// Fits `terms`; those at their boundary have a square of 0. `None` where nothing is positive.
@@ -274,8 +285,8 @@ impl VarianceFit {
     /// The 95 % upper limit of a term that is not identified.
     pub(super) fn upper_limit(&self, model: &Model, term: Term, widen: f64) -> Option<f64> {
         let root = self.root(model, term, widen);
-        let alone = |point: &AllanPoint| (point.variance / term.allan_variance(point.m, self.dt_s)).sqrt();
-        let least = 1e-4 * self.points.iter().map(alone).fold(f64::INFINITY, f64::min);
+        let alone = |row: usize| (self.variances[row] / self.part(term, row)).sqrt();
+        let least = 1e-4 * (0..self.points.len()).map(alone).fold(f64::INFINITY, f64::min);
         upper_limit(least, root(0.0)?.max(0.0), SIGNIFICANT.sqrt(), &root)
     }
 
@@ -302,7 +313,9 @@ impl VarianceFit {
         let dt_s = self.dt_s;
         let parts = model.squares.iter().map(|(term, square)| {
             let (term, square) = (*term, *square);
-            (term.letter(), Box::new(move |m| square * term.allan_variance(m, dt_s)) as Box<dyn Fn(usize) -> f64>)
+            let row = |m: usize| self.points.iter().position(|point| point.m == m);
+            let variance = move |m| square * row(m).map_or(0.0, |row| self.part(term, row));
+            (term.letter(), Box::new(variance) as Box<dyn Fn(usize) -> f64 + '_>)
         });
         FittedCurve::at(factors, dt_s, parts)
     }
