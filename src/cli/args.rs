@@ -557,6 +557,9 @@ pub enum ModelCommand {
         out: Option<PathBuf>,
         /// Replace the file where it exists
         #[arg(long)]
+        overwrite: bool,
+        /// Write a model that should not be used, with the reason in its provenance
+        #[arg(long)]
         force: bool,
     },
     /// Show a model's parameters with their intervals

@@ -17,9 +17,10 @@ use std::path::Path;
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        ModelCommand::Fit { captures, rate, effects, name, out, force } => {
+        ModelCommand::Fit { captures, rate, effects, name, out, overwrite, force } => {
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
-            let out = out.as_deref().map(|path| Output::create(path, *force, &read)).transpose()?;
+            let output = |path: &Path| Output::create_by("--overwrite", path, *overwrite, &read);
+            let out = out.as_deref().map(output).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
             let Fit { mut model, name, rejected, refusal } = fitted(context, captures, *rate, &wanted, name.clone())?;
             if let Some(why) = refusal {

@@ -36,6 +36,14 @@ impl Output {
     /// # Errors
     /// [`CliError`] for a file in the way; what the system says about the folder.
     pub(super) fn create(path: &Path, force: bool, read: &[&Path]) -> anyhow::Result<Self> {
+        Self::create_by("--force", path, force, read)
+    }
+
+    /// The same where another option replaces a file.
+    ///
+    /// # Errors
+    /// As [`Output::create`].
+    pub(super) fn create_by(option: &str, path: &Path, force: bool, read: &[&Path]) -> anyhow::Result<Self> {
         let refuse = |failure, message| anyhow::Error::from(CliError { failure, message });
         let shown = path.display();
         if read.iter().any(|other| is_same(path, other)) {
@@ -43,13 +51,13 @@ impl Output {
         }
         if is_database(path) {
             let message =
-                format!("{shown} is a database of captures, which --force does not replace: choose another name");
+                format!("{shown} is a database of captures, which {option} does not replace: choose another name");
             return Err(refuse(Failure::Usage, message));
         }
         let cannot = || format!("{shown} cannot be written");
         let to = match path.metadata() {
             Ok(found) if found.is_file() && !force => {
-                let message = format!("{shown} exists already: choose another name, or say --force to replace it");
+                let message = format!("{shown} exists already: choose another name, or say {option} to replace it");
                 return Err(refuse(Failure::CannotCreate, message));
             }
             Ok(found) if !found.is_file() => To::Stream(File::create(path).with_context(cannot)?),

@@ -17,7 +17,7 @@ fn done(arguments: &[&str]) -> String {
 fn against_plain(world: &World, real: &Path, of: &Path, rate: &[&str]) -> Value {
     let plain = world.path("plain.json");
     let (real, of, plain) = (real.to_str().unwrap(), of.to_str().unwrap(), plain.to_str().unwrap());
-    done(&[&["model", "fit", of, "--out", plain, "--force"], rate].concat());
+    done(&[&["model", "fit", of, "--out", plain, "--overwrite", "--force"], rate].concat());
     serde_json::from_str(&done(&[&["--json", "diagnose", "--real", real, "--sim", plain], rate].concat())).unwrap()
 }
 
