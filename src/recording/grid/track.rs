@@ -177,7 +177,7 @@ impl Tracker {
         } else if self.paths.len() == 1 {
             self.settle(self.waiting.len());
         } else if self.waiting.len() > PENDING_MAX {
-            self.decide();
+            self.finish();
         } else if self.waiting.len().is_multiple_of(LOOK_EVERY) {
             self.settle(self.common());
         }
@@ -286,12 +286,12 @@ impl Tracker {
     }
 
     /// Of each waiting stamp the place of the path that ends at `end`.
-    fn trace(&self, end: usize, from: usize) -> Vec<usize> {
+    fn trace(&self, end: usize) -> Vec<usize> {
         let mut places = vec![0; self.trellis.len()];
-        let mut place = end;
-        for at in (from..self.trellis.len()).rev() {
-            places[at] = place;
-            place = usize::from(self.trellis[at][place].parent);
+        let mut at = end;
+        for (place, paths) in places.iter_mut().zip(&self.trellis).rev() {
+            *place = at;
+            at = usize::from(paths[at].parent);
         }
         places
     }
@@ -310,36 +310,17 @@ impl Tracker {
         0
     }
 
-    /// Follows the best path for half of what waits, and gives up those that parted from it before.
-    fn decide(&mut self) {
-        let half = self.waiting.len() / 2;
-        let Some(best) = self.best() else { return };
-        let kept = self.trace(best, half)[half];
-        let mut alive = vec![false; self.paths.len()];
-        for (end, alive) in alive.iter_mut().enumerate() {
-            *alive = self.trace(end, half)[half] == kept;
-        }
-        // Their places among the paths stay as they are: the others become unreachable.
-        let ends: Vec<Path> =
-            self.paths.iter().zip(&alive).filter(|(_, alive)| **alive).map(|(path, _)| *path).collect();
-        self.paths.clone_from(&ends);
-        if let Some(last) = self.trellis.back_mut() {
-            *last = ends;
-        }
-        self.settle(self.common().max(half));
-    }
-
     /// Places so many of the waiting stamps: on them all paths agree.
     fn settle(&mut self, count: usize) {
         if count == 0 {
             return;
         }
-        let places = self.trace(self.best().unwrap_or(0), 0);
+        let places = self.trace(self.best().unwrap_or(0));
         let first = self.read - self.waiting.len() as u64;
-        for at in 0..count {
-            let Some((paths, stamp)) = self.trellis.pop_front().zip(self.waiting.pop_front()) else { break };
-            let level = paths.get(places[at]).map_or(self.level, |path| path.level);
-            self.place(first + at as u64, level, stamp);
+        for (index, place) in (first..).zip(places.into_iter().take(count)) {
+            let Some((paths, at_ns)) = self.trellis.pop_front().zip(self.waiting.pop_front()) else { break };
+            let level = paths.get(place).map_or(self.level, |path| path.level);
+            self.place(index, level, at_ns);
         }
     }
 
