@@ -167,7 +167,7 @@ fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
 fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
     let told = at_rest_s.zip(moving_s);
     told.map_or_else(String::new, |(at_rest_s, moving_s)| {
-        format!("At rest {at_rest_s:.1} s, in motion {moving_s:.1} s; what follows is of what is at rest.\n")
+        format!("At rest {at_rest_s:.1} s, in motion {moving_s:.1} s; only the time at rest is analysed.\n")
     })
 }
 

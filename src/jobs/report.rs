@@ -169,7 +169,7 @@ fn motion(plan: &Plan) -> Option<Flag> {
         Flag::whole("in_motion", note)
     } else {
         let note =
-            format!("the sensor was not at rest: it moved for all of {moving_s:.1} s, which tell nothing of its noise");
+            format!("the sensor was not at rest: it moved for all {moving_s:.1} s, and noise is measured at rest");
         Flag::whole("not_at_rest", note)
     })
 }
