@@ -4,10 +4,12 @@
 //! that the record does not identify is written as its 95 % upper limit, with `<` in the comment: a filter whose bias cannot walk
 //! does not follow one that does. What differs is the convention, which each [`Layout`] states with its source.
 
-use super::{Axis, ImuNoise, each, worst};
+use super::form::{Entry, Form, Noise};
+use super::{ImuNoise, Known, largest};
+use crate::sample::Triad;
 use std::fmt::Write as _;
 
-/// Why the numbers that others publish are larger; a comment in every file for a filter.
+/// Why the numbers that others publish are larger; a comment in every file for a filter, and beside the summary of all programs.
 pub(super) const INFLATED: &str = "These are the sensor's own at rest. Published values are often ten times as large, since they \
     also cover what a filter does not model (vibration, temperature, scale factors, discretisation, correlated noise) and keep it \
     consistent: enlarge them until its innovations are as large as it expects (NIS), and not because Allan values looked small.";
@@ -26,18 +28,20 @@ pub(super) enum Step {
 /// How a program wants its numbers.
 pub(super) struct Layout {
     /// What it takes them for and which code reads them, as a comment.
-    convention: &'static str,
-    step: Step,
+    pub convention: &'static str,
+    /// That code.
+    pub source: &'static str,
+    pub step: Step,
     /// Whether it takes squares.
-    squared: bool,
+    pub squared: bool,
     /// The line above all keys, empty if there is none.
-    head: &'static str,
+    pub head: &'static str,
     /// What stands before a key and behind it.
-    around: [&'static str; 2],
+    pub around: [&'static str; 2],
     /// The keys: accelerometer white and walk, gyroscope white and walk.
-    keys: [[&'static str; 2]; 2],
+    pub keys: [[&'static str; 2]; 2],
     /// The key of the samples' rate, where there is one.
-    rate: Option<&'static str>,
+    pub rate: Option<&'static str>,
 }
 
 /// `OpenVINS`: continuous densities.
@@ -48,6 +52,7 @@ pub(super) struct Layout {
 pub(super) const OPENVINS: Layout = Layout {
     convention: "For kalibr_imu_chain.yaml of OpenVINS, whose other keys stay. Continuous-time densities: \
                  ov_msckf/src/state/Propagator.cpp divides the squares of the noise by dt and multiplies those of the walk with it.",
+    source: "rpng/open_vins, ov_msckf/src/state/Propagator.cpp",
     step: Step::Continuous,
     squared: false,
     head: "imu0:",
@@ -69,6 +74,7 @@ pub(super) const VINS_FUSION: Layout = Layout {
                  sqrt(rate), not densities: vins_estimator/src/factor/integration_base.h multiplies them with dt at every step. Each \
                  step counts half of its two samples as if no other step shared them, so that the covariance of white noise comes \
                  out half as large: sqrt(2) times acc_n and gyr_n make up for that.",
+    source: "HKUST-Aerial-Robotics/VINS-Fusion, vins_estimator/src/factor/integration_base.h",
     step: Step::Sample,
     squared: false,
     head: "",
@@ -85,6 +91,7 @@ pub(super) const VINS_FUSION: Layout = Layout {
 pub(super) const ORB_SLAM3: Layout = Layout {
     convention: "For the settings of ORB-SLAM3. Continuous-time densities: src/Tracking.cc multiplies the noises with \
                  sqrt(IMU.Frequency) and divides the walks by it, so that IMU.Frequency has to be the true rate.",
+    source: "UZ-SLAMLab/ORB_SLAM3, src/Tracking.cc",
     step: Step::Continuous,
     squared: false,
     head: "",
@@ -103,6 +110,7 @@ pub(super) const LIO_SAM: Layout = Layout {
     convention: "For config/params.yaml of LIO-SAM (ROS 2: below ros__parameters). Continuous-time densities: \
                  src/imuPreintegration.cpp hands their squares to GTSAM, which divides by dt, and multiplies the walks with the \
                  root of the time between two scans.",
+    source: "TixiaoShan/LIO-SAM, src/imuPreintegration.cpp",
     step: Step::Continuous,
     squared: false,
     head: "lio_sam:",
@@ -119,6 +127,7 @@ pub(super) const LIO_SAM: Layout = Layout {
 pub(super) const FAST_LIO: Layout = Layout {
     convention: "For the configuration of FAST-LIO and FAST-LIO2. Variances at this record's rate, N^2 rate and K^2 rate: \
                  IKFoM's predict adds dt^2 times them at every sample. Its own configurations have 0.1 and 0.0001.",
+    source: "hku-mars/FAST_LIO, src/IMU_Processing.hpp; IKFoM_toolkit/esekfom/esekfom.hpp",
     step: Step::Sample,
     squared: true,
     head: "mapping:",
@@ -136,6 +145,7 @@ pub(super) const PX4: Layout = Layout {
     convention: "For EKF2 of PX4 (commands of its shell). Standard deviations at one step of the filter, N/sqrt(dt) and K/sqrt(dt), \
                  whatever the sensor's rate: EKF/covariance.cpp adds (dt times them)^2 per step, and samples are joined to steps \
                  of EKF2_PREDICT_US = 10000 us before. Its defaults cover a flying vehicle.",
+    source: "PX4/PX4-Autopilot, src/modules/ekf2/EKF/covariance.cpp",
     step: Step::Filter(0.01),
     squared: false,
     head: "",
@@ -154,6 +164,7 @@ pub(super) const ARDUPILOT: Layout = Layout {
     convention: "For EKF3 of ArduPilot (a parameter file). Standard deviations at one step of the filter, N/sqrt(dt) and K/sqrt(dt), \
                  whatever the sensor's rate: AP_NavEKF3_core.cpp adds (dt times them)^2 per step, and samples are joined to steps \
                  of EKF_TARGET_DT = 12 ms before (20 ms where the main loop is at 50 Hz). Its defaults cover a flying vehicle.",
+    source: "ArduPilot/ardupilot, libraries/AP_NavEKF3/AP_NavEKF3_core.cpp",
     step: Step::Filter(0.012),
     squared: false,
     head: "",
@@ -161,6 +172,39 @@ pub(super) const ARDUPILOT: Layout = Layout {
     keys: [["EK3_ACC_P_NSE", "EK3_ABIAS_P_NSE"], ["EK3_GYRO_P_NSE", "EK3_GBIAS_P_NSE"]],
     rate: None,
 };
+
+/// The numbers for a program of that layout.
+pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
+    let (factor, step) = match layout.step {
+        Step::Continuous => (1.0, String::new()),
+        Step::Sample => (noise.rate_hz.sqrt(), format!("at {} Hz", super::short(noise.rate_hz))),
+        Step::Filter(dt_s) => (dt_s.sqrt().recip(), format!("at steps of {:.0} ms", 1e3 * dt_s)),
+    };
+    let takes = match (layout.step, layout.squared) {
+        (Step::Continuous, _) => "densities: N, K".to_owned(),
+        (Step::Sample, false) => format!("standard deviations {step}: N√rate, K√rate"),
+        (Step::Sample, true) => format!("variances {step}: N² rate, K² rate"),
+        (Step::Filter(_), _) => format!("standard deviations {step}: N/√dt, K/√dt"),
+    };
+    let (mut entries, sensors) = (
+        Vec::new(),
+        [(Triad::Accel, &noise.accel, ["m/s^2", "m/s^3"]), (Triad::Gyro, &noise.gyro, ["rad/s", "rad/s^2"])],
+    );
+    for ((triad, axes, units), keys) in sensors.into_iter().zip(layout.keys) {
+        let Some(axes) = axes else { continue };
+        for ((noise, unit), key) in Noise::ALL.into_iter().zip(units).zip(keys) {
+            let unit = match (layout.step, layout.squared) {
+                (Step::Continuous, _) => format!("{unit}/sqrt(Hz)"),
+                (_, false) => unit.to_owned(),
+                (_, true) => format!("({unit})^2"),
+            };
+            let own = |known: Known| known.map(|value| if layout.squared { value * value } else { value });
+            let axes = axes.map(|axis| own(noise.of(&axis).scaled(factor)));
+            entries.push(Entry { key, triad, noise, unit, axes });
+        }
+    }
+    Form { takes, source: layout.source, each_axis: false, entries }
+}
 
 /// The text for a program of that layout.
 pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
@@ -176,39 +220,25 @@ pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
     if !layout.head.is_empty() {
         let _ = writeln!(text, "{}", layout.head);
     }
-    let factor = match layout.step {
-        Step::Continuous => 1.0,
-        Step::Sample => noise.rate_hz.sqrt(),
-        Step::Filter(dt_s) => dt_s.sqrt().recip(),
-    };
     let [before, behind] = layout.around;
-    let sensors =
-        [("accelerometer", &noise.accel, ["m/s^2", "m/s^3"]), ("gyroscope", &noise.gyro, ["rad/s", "rad/s^2"])];
-    for ((sensor, axes, units), keys) in sensors.into_iter().zip(layout.keys) {
-        let Some(axes) = axes else { continue };
-        for (((what, walks), unit), key) in
-            [("white noise", false), ("random walk", true)].into_iter().zip(units).zip(keys)
-        {
-            let unit = match (layout.step, layout.squared) {
-                (Step::Continuous, _) => format!("{unit}/sqrt(Hz)"),
-                (_, false) => unit.to_owned(),
-                (_, true) => format!("({unit})^2"),
-            };
-            let own = |axis: &Axis| {
-                let known = super::scaled(if walks { axis.k } else { axis.n }, factor);
-                if layout.squared { known.squared() } else { known }
-            };
-            let _ = writeln!(text, "{}# {sensor}, {what}, {unit}; x, y, z: {}", indent(before), each(axes, own, 1.0));
-            let _ = match worst(axes, own) {
-                Some(value) => writeln!(text, "{before}{key}{behind}{value:.6e}"),
-                None => writeln!(text, "{}# {key}: unknown, take it from a longer record", indent(before)),
-            };
-        }
+    for entry in form(noise, layout).entries {
+        let Entry { key, unit, .. } = &entry;
+        let (sensor, what, words) = (sensor(entry.triad), entry.noise.words(), entry.words());
+        let _ = writeln!(text, "{}# {sensor}, {what}, {unit}; x, y, z: {words}", indent(before));
+        let _ = match largest(entry.axes).bound() {
+            Some(value) => writeln!(text, "{before}{key}{behind}{value:.6e}"),
+            None => writeln!(text, "{}# {key}: unknown, take it from a longer record", indent(before)),
+        };
     }
     if let Some(key) = layout.rate {
         let _ = writeln!(text, "{before}{key}{behind}{:?}", noise.rate_hz);
     }
     text
+}
+
+/// The instrument of a triad.
+pub(super) fn sensor(triad: Triad) -> &'static str {
+    if triad == Triad::Gyro { "gyroscope" } else { "accelerometer" }
 }
 
 /// What of the text before a key is only there to set it in.

@@ -5,8 +5,14 @@
 //! random walk of the bias (m/s³/√Hz, rad/s²/√Hz, which is our K in U/√s), one number for all three axes, discretised by
 //! the reader as σ/√Δt.
 
-use super::{Axis, ImuNoise, Known, each, worst};
+use super::filter::{INFLATED, Layout, OPENVINS, form, sensor};
+use super::{ImuNoise, each, largest};
+use crate::sample::Triad;
 use std::fmt::Write as _;
+
+/// The keys and what they mean are those that `OpenVINS` took over.
+pub(super) const LAYOUT: Layout =
+    Layout { source: "ethz-asl/kalibr, wiki page IMU Noise Model", head: "", around: ["", ": "], ..OPENVINS };
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
@@ -15,32 +21,24 @@ pub(super) fn write(noise: &ImuNoise) -> String {
          # `<`: not identified in this record, 95 % upper limit; where it is the largest it stands as the number, which is\n\
          # conservative. Not expressible here: bias instability B, Gauss-Markov, one value per axis.\n",
     );
-    for (sensor, axes, unit) in [("accelerometer", &noise.accel, "m/s"), ("gyroscope", &noise.gyro, "rad/s")] {
+    text += &super::comment("# ", INFLATED);
+    let entries = form(noise, &LAYOUT).entries;
+    for (triad, axes, unit) in [(Triad::Accel, &noise.accel, "m/s"), (Triad::Gyro, &noise.gyro, "rad/s")] {
         let Some(axes) = axes else { continue };
-        let (white, walk) = if sensor == "accelerometer" { ("m/s^2", "m/s^3") } else { (unit, "rad/s^2") };
-        line(&mut text, &format!("{sensor}_noise_density"), axes, |axis| axis.n, &format!("{white}/sqrt(Hz)"));
-        line(&mut text, &format!("{sensor}_random_walk"), axes, |axis| axis.k, &format!("{walk}/sqrt(Hz)"));
-        let _ = writeln!(
-            text,
-            "# {sensor} bias instability B (IEEE 952 coefficient), {white}: {}",
-            each(axes, |axis| axis.b, 1.0)
-        );
-        let _ = writeln!(
-            text,
-            "# {sensor} discrete white sigma at {} Hz, {white}: {}",
-            noise.rate_hz,
-            each(axes, |axis| axis.n, noise.rate_hz.sqrt())
-        );
+        for entry in entries.iter().filter(|entry| entry.triad == triad) {
+            let (key, comment) = (entry.key, format!("# {}; {}", entry.unit, entry.words()));
+            // Writing to a text cannot fail.
+            let _ = match largest(entry.axes).bound() {
+                Some(value) => writeln!(text, "{key}: {value:.6e}  {comment}"),
+                None => writeln!(text, "# {key}: unknown, take it from a longer record  {comment}"),
+            };
+        }
+        let (b, sigma) = (axes.map(|axis| axis.b), axes.map(|axis| axis.n.scaled(noise.rate_hz.sqrt())));
+        let sensor = sensor(triad);
+        let _ = writeln!(text, "# {sensor} bias instability B (IEEE 952 coefficient), {unit}: {}", each(b));
+        let _ = writeln!(text, "# {sensor} discrete white sigma at {} Hz, {unit}: {}", noise.rate_hz, each(sigma));
     }
     let _ = writeln!(text, "update_rate: {:?}  # Hz", noise.rate_hz);
     text.push_str("rostopic: /imu/data  # set to your topic\n");
     text
-}
-
-fn line(text: &mut String, key: &str, axes: &[Axis; 3], of: impl Fn(&Axis) -> Known + Copy, unit: &str) {
-    let comment = format!("# {unit}; {}", each(axes, of, 1.0));
-    let _ = match worst(axes, of) {
-        Some(value) => writeln!(text, "{key}: {value:.6e}  {comment}"),
-        None => writeln!(text, "# {key}: unknown, take it from a longer record  {comment}"),
-    };
 }

@@ -1,30 +1,37 @@
 //! Exports: samples in the forms that other programs read ([`samples`]), and noise parameters in the forms that simulators
 //! and filters read, one target per file; filters that take one white noise and one walk share `filter`.
 //!
-//! Every maker takes [`ImuNoise`] and gives text, which speaks of triads that the source has and of no other. A comment says what
+//! Every maker takes [`ImuNoise`] and gives its numbers in the program's convention (`form`), which the summary of all programs
+//! ([`paste`]) shows too, and text, which speaks of triads that the source has and of no other. A comment says what
 //! a target cannot express. A parameter that the data does not support is never written as if it were measured. A filter gets its
 //! 95 % upper limit, marked by a comment: a number for a filter is never too small. A simulator gets no walk then: a number for
 //! a simulator is never larger than what was measured, but for N, without which there would be no noise at all.
 //! Units are those of each target's public documentation or code, named in its file.
 
 mod filter;
+mod form;
 mod gazebo;
 mod gnss_ins_sim;
 mod isaac;
 mod kalibr;
 mod matlab;
+pub mod paste;
 mod robot_localization;
 mod ros;
 pub mod samples;
 #[cfg(test)]
 mod tests;
 
+pub use form::Noise;
+
 use crate::noise::NoiseReport;
 use crate::noise::fit::{Estimate, NoiseParameters};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{SensorModel, plateau};
+use form::Form;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Where parameters can go.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -172,6 +179,26 @@ impl Target {
             Self::Matlab => matlab::write(noise),
         }
     }
+
+    /// The numbers in the program's convention.
+    fn form(self, noise: &ImuNoise) -> Form {
+        match self {
+            Self::Kalibr => filter::form(noise, &kalibr::LAYOUT),
+            Self::Openvins => filter::form(noise, &filter::OPENVINS),
+            Self::VinsFusion => filter::form(noise, &filter::VINS_FUSION),
+            Self::OrbSlam3 => filter::form(noise, &filter::ORB_SLAM3),
+            Self::LioSam => filter::form(noise, &filter::LIO_SAM),
+            Self::FastLio => filter::form(noise, &filter::FAST_LIO),
+            Self::Px4 => filter::form(noise, &filter::PX4),
+            Self::Ardupilot => filter::form(noise, &filter::ARDUPILOT),
+            Self::RobotLocalization => robot_localization::form(noise),
+            Self::Ros => ros::form(noise),
+            Self::Gazebo => gazebo::form(noise),
+            Self::Isaac => isaac::form(noise),
+            Self::GnssInsSim => gnss_ins_sim::form(noise),
+            Self::Matlab => matlab::form(noise),
+        }
+    }
 }
 
 /// One parameter as far as it is known.
@@ -194,6 +221,11 @@ impl Known {
         }
     }
 
+    /// What was measured, and no limit.
+    fn measured(self) -> Self {
+        if let Self::Value(_) = self { self } else { Self::Nothing }
+    }
+
     /// A number that is not too small: the value, else the limit.
     fn bound(self) -> Option<f64> {
         match self {
@@ -202,12 +234,16 @@ impl Known {
         }
     }
 
-    fn squared(self) -> Self {
+    fn map(self, of: impl Fn(f64) -> f64) -> Self {
         match self {
-            Self::Value(value) => Self::Value(value * value),
-            Self::Below(limit) => Self::Below(limit * limit),
+            Self::Value(value) => Self::Value(of(value)),
+            Self::Below(limit) => Self::Below(of(limit)),
             Self::Nothing => Self::Nothing,
         }
+    }
+
+    fn scaled(self, factor: f64) -> Self {
+        self.map(|value| value * factor)
     }
 
     fn words(self) -> String {
@@ -284,6 +320,9 @@ pub struct ImuNoise {
     pub origin: String,
     /// Why the numbers should not be used; none where they may be.
     pub caution: Option<String>,
+    /// Channels whose values lie behind a filter that shapes white noise, with the filter in words: one sample of these deviates
+    /// less than N√rate.
+    pub behind: BTreeMap<Channel, String>,
     /// What of it no target can hold, each by its name and whose it is.
     pub others: Vec<(String, String)>,
     /// Rate of the samples, Hz.
@@ -308,8 +347,13 @@ impl ImuNoise {
         };
         let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
-            origin: format!("VN-100 capture {name}: {duration_s} s at {} Hz", report.rate_hz),
+            origin: format!("Capture {name}: {} s at {} Hz", short(duration_s), short(report.rate_hz)),
             caution: None,
+            behind: report
+                .channels
+                .iter()
+                .filter_map(|(own, of)| Some((*own, of.bandwidth.as_ref()?.words())))
+                .collect(),
             others: Vec::new(),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
@@ -324,7 +368,7 @@ impl ImuNoise {
     /// left out. A magnetometer's level is the field where it lay, and no bias.
     #[must_use]
     pub fn of_model(model: &SensorModel) -> Self {
-        let mut others = Vec::new();
+        let (mut others, mut behind) = (Vec::new(), BTreeMap::new());
         let mut axis = |channel: Channel| {
             let Some(of) = model.channels.get(&channel) else { return Axis::UNKNOWN };
             let (mut gauss_markov, mut fixed) = (None, Fixed::default());
@@ -333,6 +377,9 @@ impl ImuNoise {
                     let found = effect.parameters().into_iter().find(|(name, _)| *name == key);
                     found.and_then(|(_, value)| value.as_f64())
                 };
+                if let filter @ ("low_pass" | "moving_average") = effect.name() {
+                    behind.insert(channel, format!("a {}", filter.replace('_', " ")));
+                }
                 // The first of a kind; two of them no target takes.
                 let held = match effect.name() {
                     "gauss_markov" => first(&mut gauss_markov, number("sigma").zip(number("tc_s"))),
@@ -364,7 +411,7 @@ impl ImuNoise {
                     unrounded.channels.values_mut().for_each(|of| of.effects.retain(|of| of.name() != "resolution"));
                     Known::Value(plateau(&unrounded, channel, (model.rate_hz * 3600.0) as u64))
                 }
-                below => scaled(below, folded),
+                below => below.scaled(folded),
             };
             Axis { n, b: known(of.b, "B"), k: known(of.k, "K"), gauss_markov, fixed }
         };
@@ -386,13 +433,43 @@ impl ImuNoise {
         if let Some(sampling) = model.sampling {
             let (own_hz, window) = (sampling.internal_rate_hz, sampling.filter_window);
             origin = format!("{origin}, N with what folds from {own_hz} Hz through means of {window}");
+            // Means that overlap.
+            if window as f64 * model.rate_hz > own_hz * (1.0 + 1e-3) {
+                let inertial = [Triad::Accel, Triad::Gyro].into_iter().flat_map(Triad::channels);
+                let there = inertial.filter(|channel| model.channels.contains_key(channel));
+                behind.extend(there.map(|channel| (channel, format!("means of {window} at {own_hz} Hz"))));
+            }
         }
         let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
         let caution = model.provenance.as_ref().and_then(|of| Some(of.get("not_usable")?.as_str()?.to_owned()));
         let [accel, gyro, mag] = triads;
         // Where no record is behind it: a day, over which its walks would be seen.
         let duration_s = told.unwrap_or(86_400.0);
-        Self { origin, caution, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
+        Self { origin, caution, behind, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
+    }
+
+    /// The channels behind filters, as the end of a sentence; empty where there are none.
+    fn filters(&self) -> String {
+        let mut filters: Vec<(&str, Vec<&str>)> = Vec::new();
+        for (channel, words) in &self.behind {
+            match filters.iter_mut().find(|(other, _)| other == words) {
+                Some((_, all)) => all.push(channel.name()),
+                None => filters.push((words, vec![channel.name()])),
+            }
+        }
+        filters.iter().map(|(words, whose)| format!("; {} behind {words}", whose.join(" "))).collect()
+    }
+
+    /// What a number at the sensor's rate is the noise of: of one sample, unless a filter in front of it makes that smaller.
+    fn of_one_sample(&self, of: &[Triad]) -> String {
+        if self.behind.keys().any(|channel| channel.triad().is_some_and(|triad| of.contains(&triad))) {
+            format!(
+                "at {} Hz (a single sample deviates less behind its filter; this keeps the density, which is what integrates)",
+                short(self.rate_hz)
+            )
+        } else {
+            format!("of one sample at {} Hz", short(self.rate_hz))
+        }
     }
 
     /// The origin, and what of it a target that holds these parts leaves out.
@@ -419,7 +496,7 @@ impl ImuNoise {
         }
         self.others.iter().for_each(|(name, whose)| leave(name, whose));
         let caution = self.caution.as_ref().map(|why| format!(". NOT USABLE, written because it was asked for: {why}"));
-        let origin = format!("{}{}", self.origin, caution.unwrap_or_default());
+        let origin = format!("{}{}{}", self.origin, self.filters(), caution.unwrap_or_default());
         if left.is_empty() {
             return origin;
         }
@@ -484,12 +561,9 @@ fn comment(mark: &str, text: &str) -> String {
     lines + mark + &line + "\n"
 }
 
-fn scaled(known: Known, factor: f64) -> Known {
-    match known {
-        Known::Value(value) => Known::Value(value * factor),
-        Known::Below(value) => Known::Below(value * factor),
-        Known::Nothing => Known::Nothing,
-    }
+/// A rate or a time in words, to the thousandth.
+fn short(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
 }
 
 /// A name goes into comments: it must not end them.
@@ -498,13 +572,13 @@ fn harmless(name: &str) -> String {
 }
 
 /// `x, y, z` of a parameter in words.
-fn each(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known, factor: f64) -> String {
-    axes.iter().map(|axis| scaled(of(axis), factor).words()).collect::<Vec<_>>().join(", ")
+fn each(axes: [Known; 3]) -> String {
+    axes.map(Known::words).join(", ")
 }
 
 /// What to add to a comment where a number stands for a limit; empty where all are measured.
-fn limits(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known) -> String {
-    let limited = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, axis)| matches!(of(axis), Known::Below(_)));
+fn limits(axes: [Known; 3]) -> String {
+    let limited = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, known)| matches!(known, Known::Below(_)));
     let letters: Vec<&str> = limited.map(|(letter, _)| letter).collect();
     if letters.is_empty() {
         return String::new();
@@ -512,7 +586,8 @@ fn limits(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known) -> String {
     format!("; {}: not identified, from the 95 % upper limit", letters.join(", "))
 }
 
-/// The largest of the axes, limits included; `None` where nothing is known.
-fn worst(axes: &[Axis; 3], of: impl Fn(&Axis) -> Known) -> Option<f64> {
-    axes.iter().filter_map(|axis| of(axis).bound()).reduce(f64::max)
+/// The largest of the axes, limits included.
+fn largest(axes: [Known; 3]) -> Known {
+    let larger = |one: Known, other: Known| if other.bound() > one.bound() { other } else { one };
+    axes.into_iter().fold(Known::Nothing, larger)
 }

@@ -5,20 +5,25 @@
 //! measurements with the covariance that `sensor_msgs/Imu` brings along, row-major 3×3, of one sample; −1 in its first element
 //! has the quantity ignored. No bias is estimated.
 
-use super::ImuNoise;
+use super::form::Form;
+use super::{ImuNoise, filter, ros};
+use crate::sample::Triad;
+
+/// Variances at the sensor's rate, each axis.
+pub(super) fn form(noise: &ImuNoise) -> Form {
+    ros::inertial(noise, "cra-ros-pkg/robot_localization, src/ros_filter.cpp")
+}
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
-    text += &super::comment(
-        "# ",
-        &format!(
-            "For the driver that fills sensor_msgs/Imu. Variances of one sample at {} Hz, N^2 rate, one per axis: \
-             robot_localization takes rates and accelerations as measurements with the covariance of their message. It estimates \
-             no bias: add the square of what bias is left, or B and K stay unheard of.",
-            noise.rate_hz
-        ),
+    let said = format!(
+        "For the driver that fills sensor_msgs/Imu. Variances {}, N^2 rate, one per axis: robot_localization takes rates and \
+         accelerations as measurements with the covariance of their message. It estimates no bias, and these variances hold neither B \
+         nor K: add the square of the bias that is left.",
+        noise.of_one_sample(&[Triad::Accel, Triad::Gyro])
     );
-    text += &super::comment("# ", super::filter::INFLATED);
-    super::ros::inertial(&mut text, noise);
+    text += &super::comment("# ", &said);
+    text += &super::comment("# ", filter::INFLATED);
+    ros::matrices(&mut text, form(noise));
     text
 }

@@ -9,8 +9,9 @@ fn axis(n: f64, b: f64, k: Known) -> Axis {
 fn noise() -> ImuNoise {
     let gyro = axis(1e-4, 2e-5, Known::Value(4e-7));
     ImuNoise {
-        origin: "VN-100 capture night: 18000 s at 40 Hz".into(),
+        origin: "Capture night: 18000 s at 40 Hz".into(),
         caution: None,
+        behind: BTreeMap::new(),
         others: Vec::new(),
         rate_hz: 40.0,
         duration_s: 18000.0,
@@ -86,7 +87,7 @@ fn gnss_ins_sim_has_hours_and_degrees() {
 #[test]
 fn matlab_is_json_with_the_names_of_its_parameter_objects() {
     let value: serde_json::Value = serde_json::from_str(&Target::Matlab.write(&noise())).unwrap();
-    let part = &value["VN100"];
+    let part = &value["IMU"];
     assert_eq!(part["Gyroscope"]["NoiseDensity"], serde_json::json!([1e-4, 1e-4, 1e-4]));
     assert_eq!(part["Accelerometer"]["RandomWalk"], serde_json::json!([1e-6, 0.0, 0.0]));
     assert_eq!(part["Accelerometer"]["NoiseType"], "single-sided");
@@ -196,7 +197,7 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     let noise = ImuNoise::of_model(&model);
     assert_eq!(noise.gyro.unwrap().map(|axis| axis.fixed.bias), [Some(0.012), Some(-0.003), None]);
     let matlab: Value = serde_json::from_str(&Target::Matlab.write(&noise)).unwrap();
-    let gyro = &matlab["VN100"]["Gyroscope"];
+    let gyro = &matlab["IMU"]["Gyroscope"];
     let numbers = |value: &Value| value.as_array().unwrap().iter().map(|of| of.as_f64().unwrap()).collect::<Vec<_>>();
     // The slope counts from 25 °C there: ten degrees of it are bias.
     for (found, expected) in numbers(&gyro["ConstantBias"]).iter().zip([0.013, -0.003, 0.0]) {
@@ -205,7 +206,7 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     assert_eq!(numbers(&gyro["TemperatureBias"]), [1e-4, 0.0, 0.0]);
     assert_eq!(numbers(&gyro["AccelerationBias"]), [1e-5, 2e-5, 3e-5]);
     assert_eq!((gyro["Resolution"].as_f64(), gyro["MeasurementRange"].as_f64()), (Some(1e-3), Some(35.0)));
-    assert_eq!(matlab["VN100"]["Magnetometer"]["ConstantBias"][0], 1.0);
+    assert_eq!(matlab["IMU"]["Magnetometer"]["ConstantBias"][0], 1.0);
     let gazebo = Target::Gazebo.write(&noise);
     for part in [
         "<x><noise type=\"gaussian_quantized\">\n        <mean>1.200000e-2</mean><stddev>6.324555e-4</stddev>\n        \
@@ -234,19 +235,41 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     }
 }
 
-#[test]
-fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
+/// A report of gyroscope x alone, white noise of 4000 samples.
+fn report() -> NoiseReport {
     use crate::noise::robust::{All, Part, spectral_sums};
     let values = (0..4000u64).map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 * 1e-10).collect();
     let sums =
         spectral_sums(&[Part { start_s: 0.0, values }], crate::noise::allan::FixedPoint::for_channel(Channel::GyroX));
-    let mut parameters = All::of(Channel::GyroX, 40.0, &sums, None).parameters;
-    parameters.usable = false;
-    parameters.reason = Some("the fitted noise predicts another deviation".to_owned());
-    let mut report: NoiseReport = serde_json::from_value(serde_json::json!({
+    let parameters = All::of(Channel::GyroX, 40.0, &sums, None).parameters;
+    serde_json::from_value(serde_json::json!({
         "format": NoiseReport::FORMAT, "capture": "night", "rate_hz": 40.0, "duration_s": 100.0, "samples": 4000, "missing": 0,
         "complete": true, "channels": { "gyro_x": parameters }, "datasheet": null }))
-    .unwrap();
+    .unwrap()
+}
+
+/// The same with that of all axes, a walk that only z has, and a limit for the others.
+fn of_six_axes() -> NoiseReport {
+    use crate::noise::fit::{Estimate, Term};
+    let mut report = report();
+    let of_x = report.channels[&Channel::GyroX].clone();
+    for (scale, channel) in [Triad::Gyro, Triad::Accel].into_iter().flat_map(Triad::channels).enumerate() {
+        let mut own = of_x.clone();
+        let n = 1e-4 * (scale + 1) as f64;
+        own.n = Estimate::identified(channel, Term::N, n, [0.9 * n, 1.1 * n]);
+        own.k = Estimate::unidentified(channel, Term::K, Some(1e-6));
+        if channel == Channel::GyroZ {
+            own.k = Estimate::identified(channel, Term::K, 2e-6, [1e-6, 3e-6]);
+        }
+        report.channels.insert(channel, own);
+    }
+    report
+}
+
+#[test]
+fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
+    let mut report = report();
+    report.channels.get_mut(&Channel::GyroX).unwrap().refuse("the fitted noise predicts another deviation".to_owned());
     let why = "gyro_x: the fitted noise predicts another deviation";
     for target in Target::ALL {
         assert_eq!(target.refusal(&report).as_deref(), Some(why));
@@ -266,6 +289,128 @@ fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
         assert_eq!((refused, text.contains("NOT USABLE")), (target.holds(Channel::MagX), refused), "{target:?}");
     }
     assert!(report.refusal(|_| true).is_some());
+}
+
+/// `--force` writes every number below a comment that says why it should not be there.
+#[test]
+fn every_text_that_is_forced_says_why_above_its_first_number() {
+    let mut report = of_six_axes();
+    report.channels.get_mut(&Channel::GyroY).unwrap().refuse("it was not at rest".to_owned());
+    for target in Target::ALL {
+        let text = target.write_report(&report);
+        let joined = text.replace(['#', '\n'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
+        let comment = "NOT USABLE, written because it was asked for: gyro_y: it was not at rest";
+        assert!(joined.contains(comment), "{target:?}: {text}");
+        let number = text.find("e-").unwrap();
+        // JSON has no comments and no order.
+        assert!(target == Target::Matlab || text.find("NOT").unwrap() < number, "{target:?}: {text}");
+    }
+}
+
+/// What the summary shows is what the files hold.
+#[test]
+fn the_summary_has_the_numbers_of_the_files() {
+    let report = of_six_axes();
+    let paste = paste::Paste::of(&report);
+    assert!(paste.note.contains("often ten times as large"));
+    let names: Vec<&str> = paste.programs.iter().map(|program| program.format.as_str()).collect();
+    assert_eq!(names, Target::ALL.map(Target::name));
+    for program in &paste.programs {
+        let text = Target::from_name(&program.format).unwrap().write_report(&report);
+        let words = text.split(|c: char| !c.is_ascii_alphanumeric() && !".-+".contains(c));
+        let mut found: Vec<f64> = words.filter_map(|word| word.parse().ok()).collect();
+        if program.format == "isaac" {
+            found.extend(found.clone().iter().map(|density| density * 40f64.sqrt()));
+        }
+        assert!(!program.source.is_empty() && !program.takes.is_empty(), "{program:?}");
+        for number in &program.values {
+            assert!(number.reason.is_none(), "{number:?}");
+            let Some(value) = number.value else {
+                // A simulator gets no walk that was not seen.
+                assert!(number.noise == Noise::Walk && number.of != "gyro_z", "{program:?}");
+                continue;
+            };
+            let there = found.iter().any(|found| (found / value - 1.0).abs() < 1e-5);
+            assert!(there, "{}: {number:?} is not in\n{text}", program.format);
+            assert!(text.contains(&number.name), "{}: {number:?} is not in\n{text}", program.format);
+        }
+    }
+    let of = |format: &str, of: &str, noise: Noise| {
+        let program = paste.programs.iter().find(|program| program.format == format).unwrap();
+        program.values.iter().find(|number| number.of == of && number.noise == noise).cloned().unwrap()
+    };
+    let walk = of("kalibr", "accel", Noise::Walk);
+    assert_eq!((walk.value, walk.limit, walk.unit.as_str()), (Some(1e-6), true, "m/s³/√Hz"));
+    let walk = of("kalibr", "gyro", Noise::Walk);
+    assert_eq!((walk.value, walk.limit, walk.name.as_str()), (Some(2e-6), false, "gyroscope_random_walk"));
+    let variance = of("ros", "gyro_y", Noise::White);
+    assert!((variance.value.unwrap() / (4e-8 * 40.0) - 1.0).abs() < 1e-12 && variance.unit == "(rad/s)²");
+    let (header, rows) = paste.table(|value| format!("{value:.1e}"));
+    assert_eq!((header.len(), rows.len()), (6, Target::ALL.len()));
+    assert_eq!(rows[0][0], "kalibr");
+    assert_eq!(rows[0][2..], ["3.0e-4 rad/s/√Hz", "2.0e-6 rad/s²/√Hz", "6.0e-4 m/s²/√Hz", "< 1.0e-6 m/s³/√Hz"]);
+}
+
+/// A channel that is not usable gives no number, but its reason; it takes no other triad's.
+#[test]
+fn the_summary_withholds_what_is_not_usable() {
+    let mut report = of_six_axes();
+    report.channels.get_mut(&Channel::GyroY).unwrap().refuse("it was not at rest".to_owned());
+    let paste = paste::Paste::of(&report);
+    for number in paste.programs.iter().flat_map(|program| &program.values) {
+        let withheld = matches!(number.of.as_str(), "gyro" | "gyro_y");
+        assert_eq!(number.reason.as_deref(), withheld.then_some("gyro_y: it was not at rest"), "{number:?}");
+        assert!(!withheld || number.value.is_none() && !number.limit, "{number:?}");
+    }
+    let (_, rows) = paste.table(|value| format!("{value:.1e}"));
+    assert_eq!(rows[0][2..4], ["not usable", "not usable"]);
+    assert_eq!(rows[0][4], "6.0e-4 m/s²/√Hz");
+    // A record that says nothing is no number either.
+    let mut nothing = of_six_axes();
+    nothing.rate_hz = f64::NAN;
+    let text = serde_json::to_string(&paste::Paste::of(&nothing)).unwrap();
+    assert!(no_number(&text.replace("at NaN Hz", "")).is_none(), "{text}");
+}
+
+/// Behind a filter one sample deviates by less than N√rate: no text calls it that, and each names the filter.
+#[test]
+fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
+    let mut report = of_six_axes();
+    let at_rate = [Target::Ros, Target::RobotLocalization, Target::Gazebo, Target::Isaac];
+    let joined = |target: Target, report: &NoiseReport| {
+        let text = target.write_report(report).replace(['#', '\n'], " ");
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    for target in at_rate {
+        let text = joined(target, &report);
+        assert!(text.contains("of one sample at 40 Hz") && !text.contains("behind"), "{text}");
+    }
+    let bandwidth = serde_json::json!({ "kind": "moving_average", "value": 4.0, "unit": "samples", "ci95": null, "source": "fitted" });
+    report.channels.get_mut(&Channel::GyroX).unwrap().bandwidth = serde_json::from_value(bandwidth).unwrap();
+    for target in Target::ALL {
+        let text = joined(target, &report);
+        assert!(text.contains("gyro_x behind a moving average of 4 samples (fitted)"), "{target:?}: {text}");
+        assert!(!text.contains("of one sample") || target == Target::GnssInsSim, "{target:?}: {text}");
+        assert_eq!(text.contains("keeps the density, which is what integrates"), at_rate.contains(&target), "{text}");
+    }
+    // A sensor model's filter as well.
+    let model = crate::simulator::SensorModel::from_json(
+        r#"{"format":"vn100d-sensor-model-1","name":"m","rate_hz":40,
+            "channels":{"gyro_x":{"N":1e-4,"effects":[{"effect":"moving_average","window":4}]}, "gyro_y":{"N":1e-4}, "gyro_z":{"N":1e-4}}}"#,
+        "m.json",
+    )
+    .unwrap();
+    let text = Target::Ros.write(&ImuNoise::of_model(&model));
+    assert!(text.contains("gyro_x behind a moving average") && !text.contains("of one sample"), "{text}");
+}
+
+/// A report does not know its sensor: no text gives it a name.
+#[test]
+fn no_text_names_a_sensor_that_nobody_named() {
+    for target in Target::ALL {
+        let text = target.write_report(&of_six_axes()).to_lowercase();
+        assert!(!text.contains("vn100") && !text.contains("vn-100"), "{target:?}: {text}");
+    }
 }
 
 /// Each program with what its code makes of the numbers: a second of white noise N and of a walk K has to come out as N² and K².
@@ -331,10 +476,13 @@ fn no_text_speaks_of_a_triad_that_is_not_there() {
 
 #[test]
 fn files_for_filters_have_units_limits_and_why_others_publish_more() {
-    for target in [Target::Openvins, Target::VinsFusion, Target::OrbSlam3, Target::LioSam, Target::FastLio] {
+    for target in
+        [Target::Kalibr, Target::Openvins, Target::VinsFusion, Target::OrbSlam3, Target::LioSam, Target::FastLio]
+    {
         let text = target.write(&noise());
-        assert!(text.contains("# accelerometer, random walk, ") && text.contains(", < "), "{text}");
-        assert!(text.contains("often ten times as") && text.contains("VN-100 capture night"), "{text}");
+        assert!(text.contains("# accelerometer, random walk, ") || target == Target::Kalibr, "{text}");
+        assert!(text.contains(", < "), "{text}");
+        assert!(text.contains("often ten times as") && text.contains("Capture night"), "{text}");
     }
     let vins = Target::VinsFusion.write(&noise());
     // The larger of 1e-6 and the limit of 3e-6, times √40; 2.8e-3 √40.
