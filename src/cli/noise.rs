@@ -4,8 +4,9 @@ use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat, SheetChoice};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
 use crate::datasheet::{Comparison, Datasheet, Verdict, compare_report};
+use crate::export::paste::{NoiseDocument, Paste};
 use crate::jobs::direct;
-use crate::noise::fit::{Bandwidth, Estimate, Flag, NoiseParameters, NoiseReport};
+use crate::noise::fit::{Estimate, NoiseReport};
 use crate::simulator::SensorModel;
 use anyhow::Context as _;
 use serde_json::Value;
@@ -28,13 +29,17 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
         return Err(refused(&format!("{} is not written", target.name()), &why));
     }
     match (context.json, args.format, target) {
-        (true, ..) | (_, NoiseFormat::Json, _) => print_json(&report)?,
+        (true, ..) | (_, NoiseFormat::Json, _) => print_json(&NoiseDocument::from(report))?,
         (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write_report(&report))?,
         (_, NoiseFormat::Csv, _) => write_csv(std::io::stdout().lock(), &report)?,
-        _ => write_table(std::io::stdout().lock(), &report)?,
-    }
-    if let Some(comparison) = comparison.filter(|_| !context.json && args.format == NoiseFormat::Table) {
-        print_comparison(&comparison)?;
+        _ => {
+            let mut stdout = std::io::stdout().lock();
+            write_table(&mut stdout, &report)?;
+            write_paste(&mut stdout, &Paste::of(&report), &args.captures.join(" "))?;
+            if let Some(comparison) = comparison {
+                write_comparison(&mut stdout, &comparison)?;
+            }
+        }
     }
     Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
@@ -56,31 +61,23 @@ pub(super) fn refused(what: &str, why: &str) -> anyhow::Error {
     CliError { failure: Failure::Other, message }.into()
 }
 
+/// Marks a number that the curve alone supports.
+const CURVE: &str = " *";
+/// Marks a channel that is not usable.
+const UNUSABLE: &str = " !";
+
 /// Value with its interval, or the limit below which it lies.
 fn cell(estimate: &Estimate) -> String {
+    let mark = if estimate.source.is_some() { CURVE } else { "" };
     match (estimate.value, estimate.ci95, estimate.upper_limit95) {
-        (Some(value), Some([low, high]), _) => format!("{value:.3e} [{low:.2e}, {high:.2e}]"),
-        (_, _, Some(limit)) => format!("< {limit:.2e}"),
+        (Some(value), Some([low, high]), _) => format!("{value:.3e} [{low:.2e}, {high:.2e}]{mark}"),
+        (_, _, Some(limit)) => format!("< {limit:.2e}{mark}"),
         _ => "–".to_owned(),
     }
 }
 
-/// A sentence about the filter that B, K and the others lie in front of.
-fn filter(of: &Bandwidth) -> String {
-    let value = of.value.map(|value| match of.ci95 {
-        None if value.fract() == 0.0 => format!(" of {value} {}", of.unit),
-        Some([low, high]) => format!(" of {value:.4} {} [{low:.4}, {high:.4}]", of.unit),
-        None => format!(" of {value:.4} {}", of.unit),
-    });
-    let order = of.order.map(|order| format!(" of order {order}")).unwrap_or_default();
-    let kind = match of.kind.as_str() {
-        "moving_average" => "a moving average",
-        "low_pass" => "a low pass",
-        _ => "a filter of another shape",
-    };
-    let up_to = of.up_to_hz.map(|up_to| format!("; frequencies above {up_to:.3} Hz took no part")).unwrap_or_default();
-    let behind = of.white_behind.map(|behind| format!("; white noise behind it {behind:.3e}")).unwrap_or_default();
-    format!("behind {kind}{order}{} ({}){behind}{up_to}", value.unwrap_or_default(), of.source)
+fn number(value: f64) -> String {
+    format!("{value:.3e}")
 }
 
 fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
@@ -93,7 +90,7 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
     let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "Q in U·s", "R in U/s", "fit p"]);
     for (channel, found) in &report.channels {
         rows.add_row([
-            channel.name().to_owned(),
+            format!("{channel}{}", if found.usable { "" } else { UNUSABLE }),
             found.unit.clone(),
             cell(&found.n),
             cell(&found.b),
@@ -115,34 +112,29 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
             ]);
         }
     }
+    let rows = rows.to_string();
     writeln!(to, "{rows}")?;
+    for (mark, meaning) in [
+        (UNUSABLE, "the channel is not usable; its reason stands below"),
+        (CURVE, "from the Allan deviation alone, which the fit contradicts"),
+    ] {
+        if rows.contains(&format!("{mark} ")) {
+            writeln!(to, "`{}`: {meaning}.", mark.trim())?;
+        }
+    }
     for (channel, found) in &report.channels {
-        if let Some(bandwidth) = &found.bandwidth {
-            writeln!(to, "{channel}: {}", filter(bandwidth))?;
-        }
-        if let Some(internal) = found.n.internal {
-            writeln!(to, "{channel}: the sensor's own density is {internal:.3e} {}", found.n.unit)?;
-        }
         if let Some(reason) = found.reason.as_ref().filter(|_| !found.usable) {
             writeln!(to, "{channel}: NOT USABLE: {reason}")?;
         }
-        if let Some(lowest) = &found.minimum {
-            writeln!(
-                to,
-                "{channel}: lowest Allan deviation {:.3e} {} at {:.4} s; over 0.664 that is {:.3e}, which B does not exceed but for \
-                 the scatter of the curve",
-                lowest.deviation, found.unit, lowest.tau_s, lowest.over_0_664
-            )?;
-        }
-        for sentence in of_the_record(found) {
+        for sentence in found.sentences(number) {
             writeln!(to, "{channel}: {sentence}")?;
         }
         for flag in &found.flags {
-            writeln!(to, "{channel}: {}", sentence(flag))?;
+            writeln!(to, "{channel}: {}", flag.words())?;
         }
         for of in &report.captures {
             for flag in of.flags.get(channel).into_iter().flatten() {
-                writeln!(to, "{channel} in {}: {}", of.capture, sentence(flag))?;
+                writeln!(to, "{channel} in {}: {}", of.capture, flag.words())?;
             }
         }
         let with = report.disturbances.get(channel).and_then(|about| about.with_disturbances.as_ref());
@@ -153,61 +145,42 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
     Ok(())
 }
 
-/// How long to record, and why no walk is seen.
-fn of_the_record(of: &NoiseParameters) -> Vec<String> {
-    let mut all = Vec::new();
-    let times = [("B", of.record_needed.b), ("K", of.record_needed.k)];
-    let times: Vec<String> =
-        times.into_iter().filter_map(|(letter, s)| Some(format!("{letter} {}", long(s?)))).collect();
-    if !times.is_empty() {
-        all.push(format!("known to ±20 % after, at rest and without a gap: {}", times.join(", ")));
+/// Which number to paste where.
+fn write_paste(mut to: impl std::io::Write, paste: &Paste, captures: &str) -> std::io::Result<()> {
+    let (header, rows) = paste.table(number);
+    if rows.is_empty() {
+        return Ok(());
     }
-    if of.b.upper_limit95.is_some() {
-        all.push("no flicker is seen: the record does not tell how long it takes to know B".to_owned());
+    writeln!(
+        to,
+        "\nWhich number to paste where, each in that program's own convention. One number stands for three axes, that of the largest; \
+         `each axis`: the file has all three, and the largest stands here. `<`: not identified, 95 % upper limit. `–`: the program takes \
+         none, or the record has none for it."
+    )?;
+    let mut shown = table(&header);
+    let refused = rows.iter().flatten().any(|cell| cell == Paste::UNUSABLE);
+    shown.add_rows(rows);
+    writeln!(to, "{shown}")?;
+    if refused {
+        writeln!(
+            to,
+            "`{}`: a channel may not be used, for the reason above. Its files are refused; --force writes them with a comment.",
+            Paste::UNUSABLE
+        )?;
     }
-    if let Some((beyond_s, limit)) = of.walk_shows_beyond_s.zip(of.k.upper_limit95) {
-        let ends_s = of.fit.curve.as_ref().and_then(|curve| curve.tau_s.last().copied());
-        let ends = match ends_s {
-            Some(ends_s) if ends_s > beyond_s => {
-                format!(", where this record's curve, which ends at {}, is of too few averages to tell", long(ends_s))
-            }
-            Some(ends_s) => format!("; this record's curve ends at {}", long(ends_s)),
-            None => String::new(),
-        };
-        all.push(format!(
-            "no random walk is seen, hence no slope of +½: one of {limit:.2e} {}, its limit, would rise above the lowest deviation \
-             beyond {}{ends}",
-            of.k.unit,
-            long(beyond_s)
-        ));
-    }
-    all
-}
-
-/// A time in the unit that suits it.
-fn long(seconds: f64) -> String {
-    match seconds {
-        s if s < 120.0 => format!("{s:.3} s"),
-        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
-        s => format!("{:.1} h", s / 3600.0),
-    }
-}
-
-fn sentence(flag: &Flag) -> String {
-    let when = match (flag.from_s, flag.to_s) {
-        (Some(from), Some(to)) => format!(" at {from:.2}–{to:.2} s"),
-        _ => String::new(),
-    };
-    format!("{}{when}: {}", flag.kind, flag.note)
+    writeln!(
+        to,
+        "`vn100d noise {captures} --format NAME` writes the file for the program of that name.\n{}",
+        paste.note
+    )
 }
 
 /// The datasheet's figures beside the capture's.
-fn print_comparison(comparison: &Comparison) -> std::io::Result<()> {
-    let mut stdout = std::io::stdout().lock();
+fn write_comparison(mut to: impl std::io::Write, comparison: &Comparison) -> std::io::Result<()> {
     let sampling = &comparison.sampling;
     writeln!(
-        stdout,
-        "Beside {} ({}). {} Hz of {} Hz, filter windows accel {}, gyro {}, mag {}{}. `predicted`: the datasheet's density after \
+        to,
+        "\nBeside {} ({}). {} Hz of {} Hz, filter windows accel {}, gyro {}, mag {}{}. `predicted`: the datasheet's density after \
          filter window and output rate, read as a two-sided density; `one-sided`: read as a one-sided one, whose N is smaller \
          by √2. The verdict goes by the first. Bias stability is the lowest Allan deviation.",
         comparison.name,
@@ -217,7 +190,7 @@ fn print_comparison(comparison: &Comparison) -> std::io::Result<()> {
         sampling.filter_window.accel,
         sampling.filter_window.gyro,
         sampling.filter_window.mag,
-        if sampling.assumed { " (the factory's: the capture does not tell)" } else { "" }
+        if sampling.assumed { " (the factory's, since the capture does not have them)" } else { "" }
     )?;
     let mut rows =
         table(&["channel", "density", "datasheet", "predicted", "verdict", "Allan minimum", "datasheet", "verdict"]);
@@ -237,14 +210,16 @@ fn print_comparison(comparison: &Comparison) -> std::io::Result<()> {
             match bias {
                 Some(of) => of.needed_s.map_or_else(
                     || of.verdict.words().to_owned(),
-                    |needed_s| format!("{}: {:.0} min would do", of.verdict.words(), needed_s / 60.0),
+                    |needed_s| {
+                        format!("{}: {:.0} min of recording at rest would do", of.verdict.words(), needed_s / 60.0)
+                    },
                 ),
                 None if found.verdict == Verdict::NotAtRest => found.verdict.words().to_owned(),
                 None => dash(),
             },
         ]);
     }
-    writeln!(stdout, "{rows}")
+    writeln!(to, "{rows}")
 }
 
 fn write_csv(to: impl std::io::Write, report: &NoiseReport) -> anyhow::Result<()> {
@@ -258,6 +233,9 @@ fn write_csv(to: impl std::io::Write, report: &NoiseReport) -> anyhow::Result<()
         "ci95_high",
         "upper_limit95",
         "identified",
+        "source",
+        "usable",
+        "reason",
     ])?;
     let text = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
     for (channel, found) in &report.channels {
@@ -274,6 +252,9 @@ fn write_csv(to: impl std::io::Write, report: &NoiseReport) -> anyhow::Result<()
                 text(estimate.ci95.map(|[_, high]| high)),
                 text(estimate.upper_limit95),
                 estimate.identified.to_string(),
+                estimate.source.clone().unwrap_or_default(),
+                found.usable.to_string(),
+                found.reason.clone().unwrap_or_default(),
             ])?;
         }
     }
@@ -308,7 +289,7 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 mod tests {
     use super::super::analysis::Together;
     use super::*;
-    use crate::noise::fit::GaussMarkov;
+    use crate::noise::fit::{Flag, GaussMarkov};
     use crate::sample::Channel;
 
     const FAR: f64 = 1e9;
@@ -429,8 +410,8 @@ mod tests {
             table.contains("σ 2.000e-3 [1.50e-3, 2.50e-3]") && table.contains("Tc 6.000e1 [5.00e1, 8.00e1]"),
             "{table}"
         );
-        assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true\n"), "{csv}");
-        assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true\n"), "{csv}");
+        assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true,,true,\n"), "{csv}");
+        assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true,,true,\n"), "{csv}");
     }
 
     /// What every user asks of a record: B beside the lowest deviation, how long to record, why the curve does not rise.
@@ -446,9 +427,9 @@ mod tests {
         let white = said(&report);
         for part in [
             "gyro_x: lowest Allan deviation ",
-            "which B does not exceed but for the scatter of the curve",
+            "and B is at most this, to within the scatter of the curve",
             "gyro_x: no flicker is seen",
-            "gyro_x: no random walk is seen, hence no slope of +½: one of ",
+            "gyro_x: no random walk is seen, hence no slope of +½: one as large as its limit, ",
             "this record's curve",
         ] {
             assert!(white.contains(part), "{part} is not in\n{white}");
@@ -458,11 +439,54 @@ mod tests {
         gyro.record_needed.b = Some(2400.0);
         gyro.walk_shows_beyond_s = Some(1e5);
         let flicker = said(&report);
-        assert!(flicker.contains("gyro_x: known to ±20 % after, at rest and without a gap: B 40 min\n"), "{flicker}");
+        assert!(
+            flicker.contains("gyro_x: to know a value to ±20 %, record at rest and without a gap: 40 min for B\n"),
+            "{flicker}"
+        );
         assert!(
             flicker.contains(" beyond 27.8 h; this record's curve ends at ") && !flicker.contains("no flicker"),
             "{flicker}"
         );
+    }
+
+    /// What is not usable is marked in table and CSV, and no number of it is offered to a program.
+    #[test]
+    fn what_is_not_usable_is_marked_and_goes_to_no_program() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut report = report(opened(recording(directory.path(), |_, value| value)));
+        let said = |report: &NoiseReport| {
+            let (mut text, mut csv) = (Vec::new(), Vec::new());
+            write_table(&mut text, report).unwrap();
+            write_paste(&mut text, &Paste::of(report), "white.csv").unwrap();
+            write_csv(&mut csv, report).unwrap();
+            [text, csv].map(|bytes| String::from_utf8(bytes).unwrap())
+        };
+        let [text, csv] = said(&report);
+        for part in ["vn100d noise white.csv --format NAME", "│ kalibr ", "e-5 rad/s/√Hz ", "often ten times as large"]
+        {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
+        assert!(!text.contains("accelerometer") && !text.contains("`!`") && !text.contains("`*`"), "{text}");
+        assert!(csv.starts_with(
+            "channel,parameter,unit,value,ci95_low,ci95_high,upper_limit95,identified,source,usable,reason\n"
+        ));
+        let gyro = report.channels.get_mut(&Channel::GyroX).unwrap();
+        gyro.refuse("it predicts another deviation".to_owned());
+        gyro.n.source = Some("allan deviation".to_owned());
+        let [text, csv] = said(&report);
+        for part in [
+            "│ gyro_x ! ",
+            "] * ",
+            "`!`: the channel is not usable; its reason stands below.\n",
+            "`*`: from the Allan deviation alone, which the fit contradicts.\n",
+            "gyro_x: NOT USABLE: it predicts another deviation\n",
+            " not usable ",
+            "--force writes them with a comment",
+        ] {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
+        assert!(!text.contains("e-5 rad/s/√Hz ") && !text.contains("no flicker is seen"), "{text}");
+        assert!(csv.contains(",true,allan deviation,false,it predicts another deviation\n"), "{csv}");
     }
 
     /// A datasheet of the reader's own, and one that is none.
