@@ -8,6 +8,7 @@ use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
 use crate::datasheet::{Datasheet, FilterWindows, compare_report};
 use crate::export::Target;
+use crate::export::paste::NoiseDocument;
 use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator, TauSpacing};
@@ -132,17 +133,18 @@ fn still_runs(id: i64, estimator: Estimator) -> JobError {
     JobError::InsufficientData { reason }
 }
 
-/// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units. While the capture runs: of what there is so far.
+/// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units, and which number to paste where. While the capture runs: of what there is so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/noise", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), NoiseQuery), responses(
-    (status = 200, body = SoFar<NoiseReport>, headers(("ETag" = String, description = "Of a finished result"))),
+    (status = 200, body = SoFar<NoiseDocument>, headers(("ETag" = String, description = "Of a finished result"))),
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
     (status = 400, body = Problem, content_type = "application/problem+json",
      description = "There is no such format or datasheet, or both are asked for"),
     (status = 404, body = Problem, content_type = "application/problem+json"),
-    (status = 422, body = Problem, content_type = "application/problem+json", description = "There is not enough data")))]
+    (status = 422, body = Problem, content_type = "application/problem+json",
+     description = "There is not enough data, or a channel that the text would hold is not usable")))]
 pub(super) async fn noise(
     State(state): State<ApiState>,
     headers: HeaderMap,
@@ -161,11 +163,6 @@ pub(super) async fn noise(
     };
     let sheet = query.datasheet.as_deref().map(Datasheet::named).transpose();
     let sheet = sheet.map_err(|error| ApiError::bad_request(error.to_string()))?;
-    let live = |reader: &Reader, parts: &ApiParts, id| parts.live.noise(reader, id);
-    let plain = ResultQuery { job: query.job, format: None };
-    if target.is_none() && sheet.is_none() {
-        return document(&state, &headers, JobKind::Noise, Value::Null, capture, plain, live).await;
-    }
     if target.is_some() && sheet.is_some() {
         let reason =
             "`format` and `datasheet` do not go together: only the JSON document has a place for the comparison";
@@ -175,7 +172,7 @@ pub(super) async fn noise(
     let (name, job) = (capture.clone(), query.job);
     let found = state.read(move |reader| find(reader, JobKind::Noise, &name, job, &usual)).await?;
     let (so_far, result): (SoFar<NoiseReport>, Option<ResultRow>) = match found {
-        Found::Open(id) => (state.read_heavy(move |reader, parts| live(reader, parts, id)).await?, None),
+        Found::Open(id) => (state.read_heavy(move |reader, parts| parts.live.noise(reader, id)).await?, None),
         Found::Result(result) => {
             let report = serde_json::from_str(&result.body).map_err(JobError::from)?;
             (SoFar { report, caught_up: None }, Some(result))
@@ -201,7 +198,8 @@ pub(super) async fn noise(
         let compared = compare_report(&sheet, &report, windows);
         report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
     }
-    Ok(answer_of_form(&headers, result.as_ref(), &form, axum::Json(SoFar { report, caught_up })))
+    let document = SoFar { report: NoiseDocument::from(report), caught_up };
+    Ok(answer_of_form(&headers, result.as_ref(), &form, axum::Json(document)))
 }
 
 /// Register 85 as the first of a result's captures that knows it tells.

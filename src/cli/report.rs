@@ -5,6 +5,7 @@ use super::output::Output;
 use super::progress::bar;
 use super::subject::{Stop, Subject};
 use super::{CliError, Context, Failure, Outcome, print_json};
+use crate::export::paste::NoiseDocument;
 use crate::gallery::{self, Documents, Facts, Window};
 use crate::jobs::{DiagnosisDocument, JobError, JobKind};
 use crate::noise::NoiseReport;
@@ -108,10 +109,10 @@ impl Made {
         let noise = document(JobKind::Noise)?;
         let allan = document(JobKind::Allan)?;
         let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose()?;
-        let report = report.map(|report| facts.compared(report));
+        let report = report.map(|report| NoiseDocument::from(facts.compared(report)));
         let noise = report.as_ref().map(serde_json::to_string).transpose()?;
         let documents = Documents { statistics, allan, noise };
-        let pictures = facts.pictures(&documents, report.as_ref());
+        let pictures = facts.pictures(&documents, report.as_ref().map(|of| &of.report));
         bar.set_length(pictures.len() as u64);
         let (id, mut figures) = (subject.row.id.to_string(), BTreeMap::new());
         for picture in pictures {

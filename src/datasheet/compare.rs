@@ -122,9 +122,9 @@ pub struct BiasComparison {
 /// One channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ChannelComparison {
-    /// Noise density; null where the capture does not tell it.
+    /// Noise density; null if the capture does not show it.
     pub noise_density: Option<DensityComparison>,
-    /// Bias stability; null where the capture or the datasheet does not tell it.
+    /// Bias stability; null if the capture does not show it or the datasheet does not have it.
     pub bias_stability: Option<BiasComparison>,
     /// The worse of the two.
     pub verdict: Verdict,

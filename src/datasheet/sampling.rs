@@ -41,7 +41,7 @@ pub struct Sampling {
     pub rate_hz: f64,
     /// The windows of register 85.
     pub filter_window: FilterWindows,
-    /// Whether the windows are the factory's because the capture does not tell them.
+    /// Whether the windows are the factory's because the capture does not have them.
     pub assumed: bool,
 }
 

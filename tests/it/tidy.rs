@@ -24,7 +24,7 @@ const MAY_USE: [(&str, &[&str]); 30] = [
     ("capture", &["protocol", "sample", "clock", "observe", "units"]),
     ("store", &["sample", "clock", "observe", "units"]),
     ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
-    ("page", &["plot", "sample"]),
+    ("page", &["export", "noise", "plot", "sample"]),
     ("plot", &[]),
     ("gallery", &["store", "plot", "datasheet", "export", "noise", "sample"]),
     (

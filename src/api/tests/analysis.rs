@@ -182,6 +182,52 @@ fn noise_parameters_are_compared_and_exported() {
     assert_eq!(world.get("/v1/captures/a/noise?format=json&datasheet=vn-100").status, 200);
 }
 
+/// The numbers that a program takes stand beside the parameters, of a finished capture and of one that runs.
+#[test]
+fn the_noise_parameters_say_which_number_to_paste_where() {
+    let world = World::new();
+    world.capture("a", CaptureState::Complete, 4000);
+    world.capture("b", CaptureState::Capturing, 4000);
+    for form in ["a/noise", "a/noise?datasheet=vn-100", "b/noise"] {
+        let path = format!("/v1/captures/{form}");
+        let paste = eventually("the job", || world.get(&path), |answer| answer.status == 200).json()["paste"].clone();
+        let kalibr = paste["programs"].as_array().unwrap().iter().find(|own| own["format"] == "kalibr").unwrap();
+        let white = &kalibr["values"][0];
+        assert_eq!((&white["name"], &white["of"]), (&"gyroscope_noise_density".into(), &"gyro".into()), "{paste}");
+        assert!(white["value"].as_f64().unwrap() > 0.0 && white["unit"] == "rad/s/√Hz", "{paste}");
+        assert!(paste["note"].as_str().unwrap().contains("Published values"), "{paste}");
+    }
+    let page = world.get("/captures/a");
+    assert!(page.text.contains("href=\"/v1/captures/1/noise?format=orb-slam3\""), "{}", page.text);
+}
+
+/// A sensor that moved all the time: no program's file, unless it is asked for a second time.
+#[test]
+fn what_is_not_usable_is_refused_and_written_if_it_is_forced() {
+    let world = World::new();
+    let mut moving = records(4000);
+    for record in &mut moving {
+        if let Record::Sample { seq, sample, .. } = record {
+            let i = *seq as f64;
+            sample.set(Channel::GyroX, 0.3 + 0.2 * (i * 0.05).sin() + 0.1 * (i * 0.013).cos());
+        }
+    }
+    world.capture_of("a", CaptureState::Complete, moving);
+    let noise = eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200).json();
+    assert_eq!(noise["channels"]["gyro_x"]["usable"], false, "{noise}");
+    let number = &noise["paste"]["programs"][0]["values"][0];
+    assert!(number["value"].is_null() && number["reason"].as_str().unwrap().starts_with("gyro_x: "), "{noise}");
+    for target in crate::export::Target::ALL {
+        let path = format!("/v1/captures/a/noise?format={}", target.name());
+        let refused = world.get(&path).problem(422, "analysis-failed");
+        assert!(refused.contains("not at rest") && refused.contains("`force=true`"), "{refused}");
+        let forced = world.get(&format!("{path}&force=true"));
+        assert!(forced.status == 200 && forced.text.contains("NOT USABLE"), "{forced:?}");
+    }
+    let page = world.get("/captures/a").text;
+    assert!(page.contains("<strong class=\"bad\">not usable: the sensor was not at rest"), "{page}");
+}
+
 #[test]
 fn what_is_made_of_noise_parameters_has_a_tag_and_none_while_the_capture_runs() {
     let world = World::new();

@@ -146,9 +146,13 @@ impl World {
 
     /// A capture with `samples` samples of gyro_x and temperature and one gap of 4 before sample 100.
     pub(super) fn capture(&self, name: &str, state: CaptureState, samples: u64) -> i64 {
+        self.capture_of(name, state, records(samples))
+    }
+
+    pub(super) fn capture_of(&self, name: &str, state: CaptureState, records: Vec<Record>) -> i64 {
         let capture = NewCapture { name: Some(name.to_owned()), ..NewCapture::new("test", state) };
         let id = self.store.create_capture(capture).unwrap();
-        for record in records(samples) {
+        for record in records {
             self.store.records().blocking_send(id, record).unwrap();
         }
         self.store.flush_blocking().unwrap();

@@ -292,7 +292,7 @@ pub struct Minimum {
     pub deviation: f64,
     /// Its averaging time, s.
     pub tau_s: f64,
-    /// The deviation over 0.664, which B does not exceed but for the scatter of the curve: it holds all other noise as well.
+    /// The deviation over 0.664. B is at most this, to within the scatter of the curve, since the curve holds all other noise as well.
     pub over_0_664: f64,
 }
 

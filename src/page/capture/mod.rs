@@ -425,7 +425,6 @@ fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
         ("gaps", "/gaps"),
         ("segments", "/segments"),
         ("samples as CSV", "/samples?format=csv"),
-        ("for Kalibr", "/noise?format=kalibr"),
     ];
     let links = links.map(|(label, path)| format!("<a href=\"/v1/captures/{id}{path}\">{label}</a>"));
     let _ = write!(out, "<footer>{} · {}</footer>", escaped(&of.software), links.join(" · "));

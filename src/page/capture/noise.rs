@@ -1,7 +1,9 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
 use super::{Capture, CaptureView, TRIADS, escaped, figure, opened, wide};
-use crate::page::figure::{parted, plain, span};
+use crate::export::paste::Paste;
+use crate::noise::fit::{Estimate, GaussMarkov, NoiseParameters};
+use crate::page::figure::{parted, plain};
 use crate::plot::number::rounded;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -13,77 +15,9 @@ struct Noise {
     at_rest_s: Option<f64>,
     moving_s: Option<f64>,
     #[serde(default)]
-    channels: BTreeMap<String, Parameters>,
+    channels: BTreeMap<String, NoiseParameters>,
     datasheet: Option<Sheet>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Parameters {
-    #[serde(rename = "N")]
-    n: Option<Estimate>,
-    #[serde(rename = "B")]
-    b: Option<Estimate>,
-    #[serde(rename = "K")]
-    k: Option<Estimate>,
-    #[serde(rename = "Q")]
-    q: Option<Estimate>,
-    #[serde(rename = "R")]
-    r: Option<Estimate>,
-    gauss_markov: Option<GaussMarkov>,
-    minimum: Option<Minimum>,
-    #[serde(default)]
-    record_needed: Needed,
-    walk_shows_beyond_s: Option<f64>,
-    #[serde(default)]
-    fit: Fit,
-    #[serde(default)]
-    flags: Vec<Flag>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Minimum {
-    deviation: f64,
-    tau_s: f64,
-    over_0_664: f64,
-}
-
-#[derive(Debug, Default, Deserialize)]
-struct Needed {
-    #[serde(rename = "B")]
-    b: Option<f64>,
-    #[serde(rename = "K")]
-    k: Option<f64>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-struct Fit {
-    curve: Option<Curve>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Curve {
-    tau_s: Vec<f64>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Estimate {
-    value: Option<f64>,
-    ci95: Option<[f64; 2]>,
-    upper_limit95: Option<f64>,
-    unit: String,
-    #[serde(default)]
-    also: BTreeMap<String, f64>,
-}
-
-#[derive(Debug, Deserialize)]
-struct GaussMarkov {
-    sigma: Estimate,
-    tc_s: Estimate,
-}
-
-#[derive(Debug, Deserialize)]
-struct Flag {
-    note: String,
+    paste: Option<Paste>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -143,6 +77,9 @@ pub(super) fn section(
         );
     }
     parameters(out, &of.channels);
+    if let Some(of) = &of.paste {
+        paste(out, of, view.served.and(capture.id));
+    }
     *out += "<h2>Allan deviation</h2><p class=\"soft\">Overlapping estimator with its 68 % band; dashed what the parameters above \
              predict, dotted the lines of N, B and K.</p><div class=\"figures\">";
     for triad in TRIADS {
@@ -172,10 +109,10 @@ pub(super) fn section(
     Ok(())
 }
 
-fn parameters(out: &mut String, channels: &BTreeMap<String, Parameters>) {
+fn parameters(out: &mut String, channels: &BTreeMap<String, NoiseParameters>) {
     *out += "<h2>Noise parameters</h2><p class=\"soft\">With 95 % intervals. N: angle or velocity random walk; B: bias instability \
-             (coefficient of the flicker noise); K: rate random walk. Where the data does not support a value, what it is below \
-             with 95 % confidence.</p>";
+             (coefficient of the flicker noise); K: rate random walk. If the data does not support a value, it is below what is shown with \
+             95 % confidence.</p>";
     *out += &wide("noise parameters");
     *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">N</th>\
              <th scope=\"col\">B</th><th scope=\"col\">K</th></tr>";
@@ -187,9 +124,9 @@ fn parameters(out: &mut String, channels: &BTreeMap<String, Parameters>) {
             out,
             "<tr{class}><th scope=\"row\" rowspan=\"{rows}\">{}</th><td>{}</td><td>{}</td><td>{}</td></tr>",
             escaped(name),
-            cell(of.n.as_ref()),
-            cell(of.b.as_ref()),
-            cell(of.k.as_ref()),
+            cell(&of.n),
+            cell(&of.b),
+            cell(&of.k),
         );
         if !more.is_empty() {
             let _ = write!(out, "<tr><td colspan=\"3\">{more}</td></tr>");
@@ -199,14 +136,15 @@ fn parameters(out: &mut String, channels: &BTreeMap<String, Parameters>) {
 }
 
 /// A parameter in the unit of the standard, and below it in the units that people quote.
-fn cell(of: Option<&Estimate>) -> String {
-    let Some(of) = of else { return "–".to_owned() };
+fn cell(of: &Estimate) -> String {
     let unit = escaped(&of.unit);
+    let alone = if of.source.is_some() { "<div class=\"soft\">from the Allan deviation alone</div>" } else { "" };
     let Some(value) = of.value else {
-        return of.upper_limit95.map_or_else(
+        let limit = of.upper_limit95.map_or_else(
             || "<span class=\"soft\">not found</span>".to_owned(),
             |limit| format!("<span class=\"soft\">below {} {unit}</span>", plain(limit)),
         );
+        return limit + alone;
     };
     let mut out = String::new();
     let mut line = |value: f64, ends: Option<[f64; 2]>, unit: &str, class: &str| {
@@ -225,66 +163,71 @@ fn cell(of: Option<&Estimate>) -> String {
         let ends = of.ci95.filter(|_| value != 0.0).map(|ends| ends.map(|end| end * also / value));
         line(*also, ends, unit, "soft");
     }
-    out
+    out + alone
 }
 
-fn more(of: &Parameters) -> String {
+/// What else there is to say of a channel: first whether it may be used at all.
+fn more(of: &NoiseParameters) -> String {
     let mut all: Vec<String> = Vec::new();
+    if !of.usable {
+        let reason = of.reason.as_deref().map_or_else(String::new, |reason| format!(": {}", escaped(reason)));
+        all.push(format!("<strong class=\"bad\">not usable{reason}</strong>"));
+    }
     for (name, own) in [("Q", &of.q), ("R", &of.r)] {
-        if own.as_ref().is_some_and(|own| own.value.is_some()) {
-            all.push(format!("{name}: {}", cell(own.as_ref())));
+        if own.value.is_some() || own.source.is_some() {
+            all.push(format!("{name}: {}", cell(own)));
         }
     }
     if let Some(GaussMarkov { sigma, tc_s }) = &of.gauss_markov {
-        all.push(format!("Gauss–Markov process: σ {} correlation time {}", cell(Some(sigma)), cell(Some(tc_s))));
+        all.push(format!("Gauss–Markov process: σ {} correlation time {}", cell(sigma), cell(tc_s)));
     }
-    all.extend(of_the_record(of));
-    all.extend(of.flags.iter().map(|flag| escaped(&flag.note)));
+    all.extend(of.sentences(plain).iter().map(|sentence| escaped(&capitalized(sentence))));
+    all.extend(of.flags.iter().map(|flag| escaped(&capitalized(&flag.words()))));
     all.join("<br>")
 }
 
-/// The lowest deviation beside B, how long to record, and why no walk is seen.
-fn of_the_record(of: &Parameters) -> Vec<String> {
-    let mut all = Vec::new();
-    let unit = |of: Option<&Estimate>| of.map(|of| escaped(&of.unit)).unwrap_or_default();
-    if let Some(Minimum { deviation, tau_s, over_0_664 }) = of.minimum {
-        let b = unit(of.b.as_ref());
-        all.push(format!(
-            "Lowest Allan deviation {} {b} at {} s; over 0.664 that is {} {b}, which B does not exceed but for the scatter of the curve.",
-            plain(deviation),
-            rounded(tau_s, 3),
-            plain(over_0_664)
-        ));
+/// A sentence that stands by itself.
+fn capitalized(sentence: &str) -> String {
+    let mut letters = sentence.chars();
+    letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())).unwrap_or_default()
+}
+
+/// Which number to paste where; of a served page with links to the files.
+fn paste(out: &mut String, paste: &Paste, id: Option<i64>) {
+    let (header, rows) = paste.table(plain);
+    if rows.is_empty() {
+        return;
     }
-    let times = [("B", of.record_needed.b), ("K", of.record_needed.k)];
-    let times: Vec<String> =
-        times.into_iter().filter_map(|(letter, s)| Some(format!("{letter} {}", span(s?)))).collect();
-    if !times.is_empty() {
-        all.push(format!("Known to ±20 % after, at rest and without a gap: {}.", times.join(", ")));
+    *out += "<h2>Which number to paste where</h2><p class=\"soft\">Each in that program's own convention. One number \
+             stands for three axes, that of the largest; each axis: the file has all three, and the largest stands here. &lt;: not \
+             identified, 95 % upper limit. A dash: the program takes none, or the record has none for it.</p>";
+    *out += &wide("which number to paste where");
+    *out += "<table><tr>";
+    for title in header {
+        let _ = write!(out, "<th scope=\"col\">{title}</th>");
     }
-    let limit_of = |of: &Option<Estimate>| of.as_ref().and_then(|of| of.upper_limit95);
-    if limit_of(&of.b).is_some() {
-        all.push("No flicker is seen: the record does not tell how long it takes to know B.".to_owned());
+    *out += "</tr>";
+    let refused = rows.iter().flatten().any(|cell| cell == Paste::UNUSABLE);
+    for row in &rows {
+        *out += "<tr>";
+        for (place, cell) in row.iter().enumerate() {
+            let text = escaped(cell);
+            let _ = match (place, id) {
+                (0, Some(id)) => {
+                    write!(out, "<th scope=\"row\"><a href=\"/v1/captures/{id}/noise?format={text}\">{text}</a></th>")
+                }
+                (0, None) => write!(out, "<th scope=\"row\">{text}</th>"),
+                _ if cell == Paste::UNUSABLE => write!(out, "<td><span class=\"bad\">{text}</span></td>"),
+                _ => write!(out, "<td>{text}</td>"),
+            };
+        }
+        *out += "</tr>";
     }
-    let limit = limit_of(&of.k);
-    if let Some((beyond_s, limit)) = of.walk_shows_beyond_s.zip(limit) {
-        let ends_s = of.fit.curve.as_ref().and_then(|curve| curve.tau_s.last().copied());
-        let ends = match ends_s {
-            Some(ends_s) if ends_s > beyond_s => {
-                format!(", where this record's curve, which ends at {}, is of too few averages to tell", span(ends_s))
-            }
-            Some(ends_s) => format!("; this record's curve ends at {}", span(ends_s)),
-            None => String::new(),
-        };
-        all.push(format!(
-            "No random walk is seen, hence no slope of +½: one of {} {}, its limit, would rise above the lowest deviation beyond \
-             {}{ends}.",
-            plain(limit),
-            unit(of.k.as_ref()),
-            span(beyond_s)
-        ));
+    *out += "</table></div>";
+    if refused {
+        *out += "<p class=\"bad\">Not usable: a channel may not be used, for the reason above, and its files are refused.</p>";
     }
-    all
+    let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(&paste.note));
 }
 
 fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
@@ -297,16 +240,22 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
          <th scope=\"col\">verdict</th></tr>",
         escaped(&sheet.name),
         escaped(sheet.source.trim_end_matches('.')),
-        if known { "" } else { " Of what sensor the recording is it does not say: it is taken for one of these." },
+        if known { "" } else { " The recording does not name its sensor: it is taken for one of these." },
         wide("beside the datasheet")
     );
     let mut row = |channel: &str,
                    figure: &str,
                    [measured, sheet, expected, ratio]: [Option<f64>; 4],
-                   told: [&str; 3]| {
+                   told: [&str; 3],
+                   needed: &str| {
         let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| rounded(value, 3));
         let [printed, unit, verdict] = told;
-        let class = if verdict == "within" || verdict == "explained_by_sampling" { "good" } else { "bad" };
+        let class = match verdict {
+            "within" | "explained_by_sampling" => "good",
+            // No verdict on the sensor.
+            "too_short" | "not_at_rest" => "soft",
+            _ => "bad",
+        };
         let _ = write!(
             out,
             "<tr><th scope=\"row\">{}</th><td>{figure}</td><td class=\"number\">{}</td><td class=\"number\" title=\"{}\">{}</td>\
@@ -318,12 +267,12 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
             number(expected),
             escaped(unit),
             number(ratio),
-            escaped(&verdict.replace('_', " "))
+            escaped(&format!("{}{needed}", verdict.replace('_', " ")))
         );
     };
     for (name, of) in &sheet.channels {
         if of.verdict == "not_at_rest" {
-            row(name, "", [None; 4], ["", "", &of.verdict]);
+            row(name, "", [None; 4], ["", "", &of.verdict], "");
         }
         if let Some(density) = &of.noise_density {
             let Density { measured, datasheet, printed, predicted, ratio_to_predicted, unit, verdict } = density;
@@ -332,16 +281,17 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
                 "noise density",
                 [measured, datasheet, predicted, ratio_to_predicted].map(|v| Some(*v)),
                 [printed, unit, verdict],
+                "",
             );
         }
         if let Some(bias) = &of.bias_stability {
             let Bias { allan_minimum, tau_s, datasheet, printed, ratio, unit, verdict, needed_s } = bias;
             let figure = format!("Allan minimum, at {} s", rounded(*tau_s, 2));
-            let verdict = &match needed_s {
-                Some(needed_s) => format!("too short to tell: {:.0} min would do", needed_s / 60.0),
-                None => verdict.clone(),
-            };
-            row(name, &figure, [Some(*allan_minimum), Some(*datasheet), None, Some(*ratio)], [printed, unit, verdict]);
+            let needed = needed_s.map_or_else(String::new, |needed_s| {
+                format!(" to tell: {:.0} min of recording at rest would do", needed_s / 60.0)
+            });
+            let numbers = [Some(*allan_minimum), Some(*datasheet), None, Some(*ratio)];
+            row(name, &figure, numbers, [printed, unit, verdict], &needed);
         }
     }
     *out += "</table></div>";

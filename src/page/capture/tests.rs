@@ -16,18 +16,34 @@ const GAPS: &str = r#"[{"from": "2026-11-23T21:00:00Z", "to": "2026-11-23T21:00:
 const EVENTS: &str = r#"[{"at": "2026-11-23T20:00:00Z", "kind": "connected", "message": "<b>connected"}]"#;
 
 fn noise() -> String {
-    let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});
-    let k = json!({"value": null, "upper_limit95": 1.5e-6, "unit": "rad/s/√s"});
+    document(json!({}))
+}
+
+/// One channel with everything, but for what `changed` says of it.
+fn document(changed: serde_json::Value) -> String {
+    let unknown = |unit: &str| json!({"value": null, "identified": false, "unit": unit});
+    let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "identified": true, "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});
+    let k = json!({"value": null, "upper_limit95": 1.5e-6, "identified": false, "unit": "rad/s/√s"});
     let density = json!({"measured": 1e-4, "datasheet": 6e-5, "printed": "0.0035 °/s/√Hz", "predicted": 1.1e-4, "ratio": 1.6, "ratio_to_predicted": 0.91,
         "unit": "rad/s/√Hz", "verdict": "explained_by_sampling"});
     let bias = json!({"allan_minimum": 9e-5, "tau_s": 100.0, "datasheet": 2e-5, "printed": "5 °/h", "ratio": 4.0, "unit": "rad/s",
         "verdict": "worse"});
-    let b = json!({"value": 2.6e-5, "ci95": [2.4e-5, 2.8e-5], "unit": "rad/s"});
+    let short = json!({"allan_minimum": 9e-5, "tau_s": 100.0, "datasheet": 2e-5, "printed": "5 °/h", "ratio": 4.0, "unit": "rad/s",
+        "verdict": "too_short", "needed_s": 720.0});
+    let b = json!({"value": 2.6e-5, "ci95": [2.4e-5, 2.8e-5], "identified": true, "unit": "rad/s"});
     let minimum = json!({"deviation": 1.8e-5, "tau_s": 120.0, "over_0_664": 2.7e-5});
-    json!({"channels": {"gyro_x": {"N": n, "B": b, "K": k, "minimum": minimum, "record_needed": {"B": 2400.0, "K": null},
-        "walk_shows_beyond_s": 432.0, "fit": {"curve": {"tau_s": [0.025, 4500.0]}}, "flags": [{"kind": "misfit", "note": "a <note>"}]}},
+    let curve = json!({"tau_s": [0.025, 4500.0], "deviation": [1e-4, 1e-5], "parts": {}});
+    let mut own = json!({"unit": "rad/s", "N": n, "B": b, "K": k, "Q": unknown("rad"), "R": unknown("rad/s/s"), "minimum": minimum,
+        "record_needed": {"B": 2400.0, "K": null}, "walk_shows_beyond_s": 432.0, "fit": {"method": "whittle-dst", "curve": curve},
+        "flags": [{"kind": "knock", "from_s": 1.0, "to_s": 2.0, "note": "a <note>"}]});
+    own.as_object_mut().unwrap().extend(changed.as_object().unwrap().clone());
+    let value = |value: f64| json!({"name": "gyroscope_noise_density", "of": "gyro", "noise": "white", "value": value, "unit": "rad/s/√Hz", "limit": true});
+    let program = json!({"format": "kalibr", "program": "Kalibr's imu.yaml", "takes": "densities <N>", "source": "its wiki",
+        "values": [value(1e-4)]});
+    json!({"channels": {"gyro_x": own},
         "datasheet": {"name": "VN-100", "source": "User manual.", "channels": {"gyro_x": {"noise_density": density,
-        "bias_stability": bias}}}})
+        "bias_stability": bias}, "gyro_y": {"bias_stability": short}, "gyro_z": {"verdict": "not_at_rest"}}},
+        "paste": {"note": "Published values are <larger>.", "programs": [program]}})
     .to_string()
 }
 
@@ -38,11 +54,15 @@ fn statistics() -> String {
 }
 
 fn shown(served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
-    let (row, noise, statistics) = (row(), noise(), statistics());
+    page_of(&noise(), served, figures)
+}
+
+fn page_of(noise: &str, served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
+    let (row, statistics) = (row(), statistics());
     capture(&CaptureView {
         capture: &row,
         statistics: Some(&statistics),
-        noise: Some(&noise),
+        noise: Some(noise),
         remarks: &["the Allan deviation is <being> computed".to_owned()],
         waits: false,
         gaps: GAPS,
@@ -74,11 +94,16 @@ fn everything_that_is_known_is_told_and_nothing_is_markup() {
         "0.344&nbsp;deg/√h <span class=\"interval\">0.309 to 0.378</span>",
         "below 1.5·10⁻⁶ rad/s/√s",
         "explained by sampling",
-        "Lowest Allan deviation 1.8·10⁻⁵ rad/s at 120 s; over 0.664 that is 2.7·10⁻⁵ rad/s, which B does not exceed but for the scatter of the \
-         curve.",
-        "Known to ±20 % after, at rest and without a gap: B 40 min.",
-        "No random walk is seen, hence no slope of +½: one of 1.5·10⁻⁶ rad/s/√s, its limit, would rise above the lowest deviation \
-         beyond 7 min 12 s, where this record's curve, which ends at 1 h 15 min, is of too few averages to tell.",
+        "Lowest Allan deviation 1.8·10⁻⁵ rad/s at 2 min; over 0.664 that is 2.7·10⁻⁵ rad/s, and B is at most this, to within the \
+         scatter of the curve.",
+        "To know a value to ±20 %, record at rest and without a gap: 40 min for B.",
+        "No random walk is seen, hence no slope of +½: one as large as its limit, 1.5·10⁻⁶ rad/s/√s, would rise above the lowest \
+         deviation beyond 7 min; this record's curve ends at 75 min, but its last points are of too few averages.",
+        "<span class=\"soft\">too short to tell: 12 min of recording at rest would do</span>",
+        "<span class=\"soft\">not at rest</span>",
+        "<a href=\"/v1/captures/7/noise?format=kalibr\">kalibr</a></th><td>densities &lt;N&gt;</td><td>&lt; 1·10⁻⁴ rad/s/√Hz</td>",
+        "Published values are &lt;larger&gt;.",
+        "Knock at 1.00–2.00 s: a &lt;note&gt;.",
         "<span class=\"bad\">worse</span>",
         "normal (p = 0.3)",
         "a &lt;tone&gt; is missing",
@@ -90,7 +115,7 @@ fn everything_that_is_known_is_told_and_nothing_is_markup() {
         assert!(page.contains(told), "{told}: {page}");
     }
     assert_eq!(page.matches("<img ").count(), 6, "{page}");
-    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<42>", "<being>"] {
+    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<42>", "<being>", "<N>", "<larger>"] {
         assert!(!page.contains(markup), "{markup}");
     }
 }
@@ -104,4 +129,28 @@ fn a_file_has_its_pictures_in_it_and_nothing_from_elsewhere() {
     for foreign in ["<script", "<img", "href=\"/", "<form", "http-equiv"] {
         assert!(!page.contains(foreign), "{foreign}: {page}");
     }
+}
+
+#[test]
+fn what_is_not_usable_says_so_first_and_why() {
+    let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "identified": true, "unit": "rad/s/√Hz", "internal": 4e-5,
+        "source": "allan deviation"});
+    let bandwidth =
+        json!({"kind": "low_pass", "value": 12.5, "unit": "Hz", "order": 2, "ci95": [12.0, 13.0], "source": "fitted"});
+    let noise =
+        document(json!({"usable": false, "reason": "<it> predicts another deviation", "N": n, "bandwidth": bandwidth}));
+    let page = page_of(&noise, None, &BTreeMap::new());
+    for told in [
+        "<td colspan=\"3\"><strong class=\"bad\">not usable: &lt;it&gt; predicts another deviation</strong><br>",
+        "9·10⁻⁵ to 1.1·10⁻⁴</span></div><div class=\"soft\">from the Allan deviation alone</div>",
+        "Behind a low pass of order 2 at 12.5000 Hz [12.0000, 13.0000] (fitted).",
+        "The sensor's own density is 4·10⁻⁵ rad/s/√Hz.",
+        "<h2>Which number to paste where</h2>",
+        "<th scope=\"row\">kalibr</th>",
+    ] {
+        assert!(page.contains(told), "{told}: {page}");
+    }
+    assert!(!page.contains("record at rest and without a gap") && !page.contains("No random walk"), "{page}");
+    let served = page_of(&noise, Some(false), &BTreeMap::new());
+    assert!(served.contains("not usable: &lt;it&gt;") && !shown(Some(false), &BTreeMap::new()).contains("not usable"));
 }
