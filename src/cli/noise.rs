@@ -20,7 +20,7 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     }
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
-    let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows));
+    let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows)).transpose()?;
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
     let target = if let NoiseFormat::For(target) = args.format { Some(target) } else { None };
     let refusal = target.filter(|_| !args.force).and_then(|target| Some((target, target.refusal(&report)?)));
@@ -374,7 +374,7 @@ mod tests {
         assert_eq!((found.at_rest_s, found.moving_s, count(&found, "not_at_rest")), (Some(0.0), Some(100.0), 1));
         let channel = of(&found);
         assert!(channel.n.value.is_none() && channel.n.upper_limit95.is_none(), "{channel:?}");
-        let compared = compare_report(&crate::datasheet::vn_100(), &found, None);
+        let compared = compare_report(&crate::datasheet::vn_100(), &found, None).unwrap();
         assert_eq!(compared.channels[&Channel::GyroX].verdict, Verdict::NotAtRest);
         let together = opened(path);
         let parameters = crate::jobs::JobKind::Allan.parameters(&Value::Null).unwrap();
@@ -477,6 +477,7 @@ mod tests {
         let sheet =
             read("name = 'own'\n[gyro]\nnoise_density_rad_s_sqrt_hz = 2e-4\nbias_stability_rad_s = 1e-3").unwrap();
         let compared = compare_report(&sheet, &report(opened(recording(directory.path(), |_, value| value))), None);
+        let compared = compared.unwrap();
         let found = &compared.channels[&Channel::GyroX];
         assert_eq!((compared.name.as_str(), found.verdict), ("own", Verdict::Within), "{found:?}");
         let error = read("name = 'own'\n[gyroscope]").unwrap_err().to_string();
