@@ -26,6 +26,7 @@ mod live;
 mod model;
 mod motion;
 mod plan;
+mod raw_counts;
 mod report;
 mod runner;
 mod source;

@@ -4,6 +4,7 @@
 //! Several captures of one sensor are read one after the other, as if they were one: sample and segment numbers of the later
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
+use super::raw_counts::RawCounts;
 use super::{JobError, SampleSource};
 use crate::noise::whittle::Sampling;
 use crate::sample::{Channel, Triad};
@@ -31,6 +32,8 @@ pub struct Plan {
     pub taken: u64,
     /// How the samples of a triad came about, where that is known.
     pub sampling: BTreeMap<Triad, Sampling>,
+    /// An inertial channel whose values are no measurements ([`at_rest`](super::motion::at_rest)).
+    pub(super) raw_counts: Option<RawCounts>,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
     /// Samples in motion, in order and disjoint; none where nothing told ([`Self::leave_out`]).
@@ -105,6 +108,7 @@ impl Plan {
             taken: most.segments,
             sampling: of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]),
             segments: segments.into_iter().map(stretch).collect(),
+            raw_counts: None,
             moving: None,
         })
     }
@@ -139,6 +143,7 @@ impl Plan {
             taken: segments.len() as u64,
             sampling: BTreeMap::new(),
             segments: (1..).zip(segments).map(stretch).collect(),
+            raw_counts: None,
             moving: None,
         })
     }
@@ -233,6 +238,11 @@ impl Plan {
         }
     }
 
+    /// Whether a sample is at rest, or nothing tells.
+    pub(super) fn has_rest(&self) -> bool {
+        self.stretches_at_rest(&(0..self.end_seq)).next().is_some()
+    }
+
     fn is_moving(&self) -> bool {
         self.moving.as_ref().is_some_and(|moving| !moving.is_empty())
     }
@@ -276,10 +286,11 @@ impl Plan {
         self.taken_in(range).flat_map(|part| self.resting_in(&part))
     }
 
-    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none where nothing tells.
+    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none if nothing tells, as raw
+    /// counts do not.
     #[must_use]
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
-        self.moving.as_ref()?;
+        self.moving.as_ref().filter(|_| self.raw_counts.is_none())?;
         let taken: u64 = self.taken_in(range).map(|part| part.end - part.start).sum();
         let at_rest: u64 = self.stretches_at_rest(range).map(|part| part.end - part.start).sum();
         let seconds = |samples: u64| samples as f64 / self.rate_hz;
