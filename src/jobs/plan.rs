@@ -177,6 +177,10 @@ impl Plan {
             moving.extend(others.into_iter().map(shifted));
             moving
         });
+        // One rate by two clocks: the mean, weighted by samples, which keeps samples over rate the whole duration. Equal rates stay.
+        let [own, others] =
+            [(self.end_seq, self.other_rate), (other.end_seq, other.other_rate)].map(|(all, left)| (all - left) as f64);
+        self.rate_hz += (other.rate_hz - self.rate_hz) * others / (own + others);
         self.end_seq += other.end_seq;
         self.longest = self.longest.max(other.longest);
         self.other_rate += other.other_rate;

@@ -2,6 +2,7 @@
 
 use super::JobError;
 use super::plan::Plan;
+use crate::diagnosis::is_same_rate;
 use crate::sample::Channel;
 use crate::store::{CaptureRow, Reader};
 use std::collections::BTreeMap;
@@ -73,7 +74,9 @@ impl Setting {
         };
         known("model", self.model.clone(), other.model.clone());
         known("serial number", self.serial_number.clone(), other.serial_number.clone());
-        known("rate in Hz", Some(self.rate_hz.to_string()), Some(other.rate_hz.to_string()));
+        // Two clocks do not give one rate with the same digits.
+        let rate = |of: &Self| Some(of.rate_hz.to_string()).filter(|_| !is_same_rate(self.rate_hz, other.rate_hz));
+        known("rate in Hz", rate(self), rate(other));
         let windows = |of: &Self| of.windows.map(|[mag, accel, gyro]| format!("mag {mag}, accel {accel}, gyro {gyro}"));
         known("filter window (register 85)", windows(self), windows(other));
         known("output", self.output.clone(), other.output.clone());
@@ -190,6 +193,8 @@ mod tests {
         ] {
             assert!(error.contains(words) && error.contains("differ"), "{error}");
         }
+        let rates = [99.999_989_949_392_06, 99.999_925_385_480_04, 100.0];
+        one_sensor(&rates.map(|rate_hz| Setting::of_rate("r", rate_hz))).unwrap();
         // The rate is known of `a` too, and it is the first that differs.
         let rates = one_sensor(&[plain, Setting { rate_hz: 80.0, ..full }]).unwrap_err().to_string();
         assert!(rates.contains("`a` and `b` differ: rate in Hz 40 and 80"), "{rates}");
