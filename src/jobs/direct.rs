@@ -20,7 +20,12 @@ use serde_json::Value;
 /// # Errors
 /// What `source` says.
 pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobError> {
-    let mut spectra = Spectra::of(at_rest(source, plan, true, || Ok(()))?);
+    noise_at_rest(source, at_rest(source, plan, true, || Ok(()))?)
+}
+
+/// The same of a plan whose motion is known.
+pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Result<NoiseReport, JobError> {
+    let mut spectra = Spectra::of(at_rest);
     take_all(source, &mut spectra)?;
     let (plan, sums, held) = spectra.finish();
     report::noise(source, &plan, &sums, held, |_| Ok(()))

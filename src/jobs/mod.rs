@@ -43,7 +43,7 @@ pub use error::JobError;
 pub use gridded::{Gridded, gridded};
 pub use kind::{JobKind, JobParameters};
 pub use live::{CATCH_UP, Live, LivePoints, SoFar};
-pub use model::fitted;
+pub use model::{Fitted, fitted};
 pub use plan::{Plan, Slice};
 pub use report::{Extent, StatisticsReport};
 pub use runner::CHUNK;
