@@ -18,12 +18,13 @@ use std::path::Path;
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        ModelCommand::Fit { captures, rate, effects, name, out, overwrite, force } => {
+        ModelCommand::Fit { captures, rate, sampling, effects, name, out, overwrite, force } => {
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
             let output = |path: &Path| Output::create_by("--overwrite", path, *overwrite, &read);
             let out = out.as_deref().map(output).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
-            let together = analysis::open(context, captures, *rate)?;
+            let mut together = analysis::open(context, captures, *rate)?;
+            together.sampled(sampling.told())?;
             let Fit { fitted: Fitted { mut model, refusal }, name, rejected } =
                 fitted(together, &wanted, name.clone())?;
             if let Some(why) = refusal {

@@ -15,9 +15,7 @@ use std::io::Write as _;
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
-    if let Some(window) = args.filter_window {
-        together.sampled(window, args.internal_rate)?;
-    }
+    together.sampled(args.sampling.told())?;
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
     let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows)).transpose()?;
@@ -308,6 +306,7 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 mod tests {
     use super::super::analysis::Together;
     use super::*;
+    use crate::jobs::Told;
     use crate::noise::fit::GaussMarkov;
     use crate::sample::Channel;
 
@@ -506,7 +505,7 @@ mod tests {
         let path = means_of_four(directory.path());
         let density = 1e-3 / 800f64.sqrt();
         let mut told = opened(path.clone());
-        told.sampled(4, 800.0).unwrap();
+        told.sampled(Some(Told { filter_window: 4, internal_rate_hz: None })).unwrap();
         for (together, source, internal) in [(told, "option", true), (opened(path), "fitted", false)] {
             let report = report(together);
             let found = &report.channels[&Channel::GyroX];
@@ -527,13 +526,5 @@ mod tests {
             let table = String::from_utf8(table).unwrap();
             assert!(table.contains("gyro_x: behind a moving average of 4"), "{table}");
         }
-    }
-
-    #[test]
-    fn a_sampling_that_contradicts_the_rate_is_refused_with_both_numbers() {
-        let directory = tempfile::tempdir().unwrap();
-        let mut together = opened(recording(directory.path(), |_, value| value));
-        let refused = together.sampled(4, 1010.0).unwrap_err().to_string();
-        assert!(refused.contains("1010") && refused.contains("40.0000"), "{refused}");
     }
 }

@@ -5,11 +5,11 @@
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
 use super::raw_counts::RawCounts;
+use super::sampling::{SamplingError, Told, of_configuration};
 use super::{JobError, SampleSource};
 use crate::noise::whittle::Sampling;
 use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
-use crate::units::IMU_RATE_HZ;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -106,7 +106,7 @@ impl Plan {
             longest: most.longest,
             other_rate: total - most.samples,
             taken: most.segments,
-            sampling: of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]),
+            sampling: of_configuration(&reader.capture(capture_id)?.configuration),
             segments: segments.into_iter().map(stretch).collect(),
             raw_counts: None,
             moving: None,
@@ -190,6 +190,15 @@ impl Plan {
             self.sampling = other.sampling;
         }
         Ok(self)
+    }
+
+    /// Takes in what a person says of how the samples came about.
+    ///
+    /// # Errors
+    /// [`SamplingError`] if that cannot be.
+    pub fn sampled(&mut self, told: Told) -> Result<(), SamplingError> {
+        self.sampling = told.with(&self.sampling, self.rate_hz)?;
+        Ok(())
     }
 
     /// How a channel's samples came about, where that is known.
@@ -347,16 +356,6 @@ impl Plan {
             runs.push((number, from..rows.end));
         }
     }
-}
-
-/// How accelerometer and gyroscope are sampled by what register 85 says. Of the magnetometer no document tells the rate.
-pub(super) fn of_register_85(filter_window: &serde_json::Value) -> BTreeMap<Triad, Sampling> {
-    let sampling = |name: &str| {
-        let window = u32::try_from(filter_window[name].as_u64()?).ok()?;
-        Some(Sampling { internal_rate_hz: IMU_RATE_HZ, window, source: "register 85".to_owned() })
-    };
-    let triads = [(Triad::Accel, "accel"), (Triad::Gyro, "gyro")];
-    triads.into_iter().filter_map(|(triad, name)| Some((triad, sampling(name)?))).collect()
 }
 
 /// A segment's first sample, its number, and which of the rates met it has.
