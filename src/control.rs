@@ -111,6 +111,10 @@ pub struct ImportRequest {
     pub called: String,
     /// Samples per second of a recording without stamps.
     pub rate_hz: Option<f64>,
+    /// Gyroscope and accelerometer send means of so many samples.
+    pub filter_window: Option<u32>,
+    /// Rate of these samples, Hz.
+    pub internal_rate_hz: Option<f64>,
     /// What the columns of a foreign CSV are: `FOREIGN=NAME,…`.
     pub columns: Option<String>,
     /// Definitions of messages that a bag does not bring along.

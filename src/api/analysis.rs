@@ -196,6 +196,7 @@ pub(super) async fn noise(
         let job_id = result.as_ref().and_then(|result| result.job_id);
         let windows = state.read(move |reader| filter_windows(reader, &capture, job_id)).await?;
         let compared = compare_report(&sheet, &report, windows);
+        let compared = compared.map_err(|error| ApiError::bad_request(error.to_string()))?;
         report.datasheet = Some(serde_json::to_value(compared).map_err(JobError::from)?);
     }
     let document = SoFar { report: NoiseDocument::from(report), caught_up };

@@ -41,7 +41,7 @@ const COLUMNS_MAX: usize = 16 * 1024;
 const DEFINITIONS_MAX: usize = 8 * 1024;
 
 /// How the recording is to be read.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Default, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ImportQuery {
@@ -52,6 +52,10 @@ pub(super) struct ImportQuery {
     name: Option<String>,
     /// Samples per second of a recording without stamps.
     rate_hz: Option<f64>,
+    /// Gyroscope and accelerometer send means of so many samples: kept with the capture, whose jobs fit noise behind that filter.
+    filter_window: Option<u32>,
+    /// Rate of these samples in Hz; 800 if it is not given.
+    internal_rate_hz: Option<f64>,
     /// What the columns of a foreign CSV are: pairs FOREIGN=NAME, separated by commas. FOREIGN is a header's name or a
     /// position (`#3`), NAME a channel with its unit (`accel_x_g`), or `time_s`, `time_ms`, `time_us`, `time_ns`.
     #[param(example = "Time [ms]=time_ms,ax=accel_x_g")]
@@ -98,6 +102,8 @@ pub(super) async fn import(
         file: aside.path().to_owned(),
         called: query.file.unwrap_or_else(|| "recording".to_owned()),
         rate_hz: query.rate_hz,
+        filter_window: query.filter_window,
+        internal_rate_hz: query.internal_rate_hz,
         columns: query.columns,
         definitions,
         name: query.name,
@@ -144,6 +150,17 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
     }
     if query.rate_hz.is_some_and(|rate_hz| !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1e6)) {
         return Err(ApiError::bad_request("`rate_hz`: allowed is more than 0 and at most 1000000"));
+    }
+    if query.filter_window.is_some_and(|window| !(1..=1000).contains(&window)) {
+        return Err(ApiError::bad_request("`filter_window`: allowed are 1 to 1000 samples"));
+    }
+    if let Some(internal_hz) = query.internal_rate_hz {
+        if query.filter_window.is_none() {
+            return Err(ApiError::bad_request("`internal_rate_hz` is given without `filter_window`: give both"));
+        }
+        if !(internal_hz > 0.0 && internal_hz <= 1e6) {
+            return Err(ApiError::bad_request("`internal_rate_hz`: allowed is more than 0 and at most 1000000"));
+        }
     }
     let called = query.file.as_deref().unwrap_or("recording");
     if called.is_empty() || called.len() > CALLED_MAX || called.chars().any(char::is_control) {
@@ -256,8 +273,7 @@ mod tests {
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/csv"));
         let asked = |columns: Option<String>, definitions: Option<String>| {
-            let query =
-                ImportQuery { file: None, name: None, rate_hz: None, columns, message_definitions: definitions };
+            let query = ImportQuery { columns, message_definitions: definitions, ..ImportQuery::default() };
             check(&query, &headers).map_err(|error| format!("{error:?}"))
         };
         let text = r#"[{"name": "own_msgs/msg/Reading", "text": "float64 gyro_x_rad_s"}]"#;

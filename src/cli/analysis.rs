@@ -3,10 +3,9 @@
 use super::{CliError, Context, Failure};
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
-use crate::jobs::{Extent, JobError, Plan, SampleSource, Setting, one_sensor};
-use crate::noise::whittle::Sampling;
+use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, Told, one_sensor};
 use crate::recording::{Kind, LoadedRecording, Options, load_columns};
-use crate::sample::{Channel, Triad};
+use crate::sample::Channel;
 use crate::store::{Chunk, Missing, Reader, StoreError};
 use crate::units::NANOS_PER_SECOND;
 use std::ops::Range;
@@ -47,34 +46,12 @@ impl Together {
         self.captures.iter().find_map(|of| of.windows)
     }
 
-    /// Takes it that accelerometer and gyroscope send means of `window` samples of `internal_rate_hz`.
+    /// Takes in what a person says of how the samples came about.
     ///
     /// # Errors
-    /// Where that contradicts the rate of the samples or register 85.
-    pub(super) fn sampled(&mut self, window: u32, internal_rate_hz: f64) -> anyhow::Result<()> {
-        let usage = |message| anyhow::Error::from(CliError { failure: Failure::Usage, message });
-        let sampling = Sampling { internal_rate_hz, window, source: "option".to_owned() };
-        let rate_hz = self.plan.rate_hz;
-        if sampling.every(rate_hz).is_none() {
-            let message = format!(
-                "--internal-rate is {internal_rate_hz} Hz and the samples have {rate_hz:.4} Hz: the first has to be a whole \
-                 multiple of the second"
-            );
-            return Err(usage(message));
-        }
-        for triad in [Triad::Accel, Triad::Gyro] {
-            if let Some(known) = self.plan.sampling.get(&triad).filter(|known| known.window.max(1) != window.max(1)) {
-                let message = format!(
-                    "--filter-window is {window}, but {} of the capture says {} for the {}: leave the option out",
-                    known.source,
-                    known.window,
-                    triad.name()
-                );
-                return Err(usage(message));
-            }
-            self.plan.sampling.insert(triad, sampling.clone());
-        }
-        Ok(())
+    /// If that contradicts the samples' rate or register 85.
+    pub(super) fn sampled(&mut self, told: Option<Told>) -> anyhow::Result<()> {
+        told.map_or(Ok(()), |told| self.plan.sampled(told)).map_err(contradicted)
     }
 
     /// Whether frames or lines of one were rejected on the way in.
@@ -261,6 +238,11 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
     }
     let plan = whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })?;
     Ok(Together { plan, source, captures })
+}
+
+/// A sampling that cannot be is a matter of how the command was used.
+pub(super) fn contradicted(error: SamplingError) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message: error.to_string() }.into()
 }
 
 fn same_file(one: &str, two: &str) -> bool {

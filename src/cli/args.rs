@@ -2,6 +2,7 @@
 
 use crate::datasheet::{Datasheet, DatasheetError};
 use crate::export::Target;
+use crate::jobs::Told;
 use crate::model_fit::effects_named;
 use crate::units::parse_duration;
 use clap::builder::PossibleValue;
@@ -324,18 +325,34 @@ pub struct NoiseArgs {
     /// Form of the output
     #[arg(long, value_enum, default_value_t = NoiseFormat::Table)]
     pub format: NoiseFormat,
-    /// The sensor sends means of this many samples (register 85 of a VN-100)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub filter_window: Option<u32>,
-    /// Rate at which the sensor takes these samples, Hz
-    #[arg(long, value_name = "HZ", value_parser = rate, requires = "filter_window", default_value_t = crate::units::IMU_RATE_HZ)]
-    pub internal_rate: f64,
+    /// How samples came about
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
     /// Write parameters that contradict the record all the same, with a comment
     #[arg(long)]
     pub force: bool,
     /// Compare with this datasheet: vn-100, or a file that ends with .toml
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = SheetChoice::parse)]
     pub datasheet: Option<SheetChoice>,
+}
+
+/// How the samples of gyroscope and accelerometer came about, for all that fits noise parameters.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct SamplingArgs {
+    /// Gyroscope and accelerometer send means of this many samples (register 85 of a VN-100)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub filter_window: Option<u32>,
+    /// Rate at which the sensor takes these samples in Hz (default: the capture's, else 800)
+    #[arg(long, value_name = "HZ", value_parser = rate, requires = "filter_window")]
+    pub internal_rate: Option<f64>,
+}
+
+impl SamplingArgs {
+    /// What the options state, if they are given.
+    #[must_use]
+    pub fn told(self) -> Option<Told> {
+        Some(Told { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
+    }
 }
 
 /// A datasheet by its name, or its file.
@@ -546,6 +563,9 @@ pub enum ModelCommand {
         /// Rate of recordings without stamps in Hz
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
+        /// How samples came about
+        #[command(flatten)]
+        sampling: SamplingArgs,
         /// Effects to look for besides N, B, K and bias: all, or names of docs/effects.md with commas between, such as tone,resonance
         #[arg(long, value_name = "NAMES", value_parser = effect_names)]
         effects: Option<EffectNames>,

@@ -31,7 +31,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let html = args.html.as_ref().map(create).transpose()?;
     let reference = args.reference.as_deref().map(reference).transpose()?;
     let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
-    let sim = simulator(context, args, together.plan.rate_hz)?;
+    let (sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let real_name = together.name();
     let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;
@@ -49,6 +49,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         outcome.diagnosis.inputs.insert("reference", path.display().to_string());
     }
     gridded.tell(&mut outcome.diagnosis);
+    outcome.diagnosis.notes.extend(doubt);
     if let Some(output) = augmented {
         output.put((serde_json::to_string_pretty(&outcome.augmented)? + "\n").as_bytes())?;
     }
@@ -75,19 +76,19 @@ fn reference(path: &Path) -> anyhow::Result<Reference> {
 }
 
 /// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first. Another rate
-/// than the recording's is refused before that.
-fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<SensorModel> {
+/// than the recording's is refused before that. With it a sentence for the diagnosis, if that law is to be doubted.
+fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<(SensorModel, Option<String>)> {
     let path = Path::new(&args.sim);
     let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
     let same_rate = |sim_hz| diagnosis::same_rate(real_hz, sim_hz).map_err(|error| refused(&error));
     if is_model {
         let sim = model::load(path)?;
         same_rate(sim.rate_hz)?;
-        return Ok(sim);
+        return Ok((sim, None));
     }
-    same_rate(analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?.plan.rate_hz)?;
-    let everything = diagnosis::effect_names();
-    Ok(model::fitted(context, std::slice::from_ref(&args.sim), args.rate, &everything, None)?.model)
+    let together = analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?;
+    same_rate(together.plan.rate_hz)?;
+    Ok(model::fitted(together, &diagnosis::effect_names(), None)?.fitted.as_law()?)
 }
 
 fn refused(error: &DiagnosisError) -> anyhow::Error {

@@ -142,7 +142,8 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Told) -> an
     crate::jobs::step_back();
     let Told { columns, definitions } = told;
     let (columns, definitions) = (columns.clone(), definitions.clone());
-    let source = Source { rate_hz: args.rate, columns, definitions, ..Source::of(file) };
+    let (rate_hz, sampling) = (args.rate, args.sampling.told());
+    let source = Source { rate_hz, sampling, columns, definitions, ..Source::of(file) };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -175,6 +176,8 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
+    query.extend(args.sampling.filter_window.map(|window| ("filter_window", window.to_string())));
+    query.extend(args.sampling.internal_rate.map(|rate_hz| ("internal_rate_hz", rate_hz.to_string())));
     if !told.columns.is_empty() {
         query.push(("columns", told.columns.to_string()));
     }
@@ -243,6 +246,7 @@ mod tests {
         let arguments = |listen: Option<&str>| ImportArgs {
             files: vec!["desk.csv".into()],
             rate: None,
+            sampling: crate::cli::args::SamplingArgs::default(),
             columns: Vec::new(),
             message_definition: Vec::new(),
             name: None,

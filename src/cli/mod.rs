@@ -283,6 +283,7 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
         return match error {
             ImportError::Store(error) => store_failure(error),
             ImportError::Recording(error) => recording_failure(error),
+            ImportError::Sampling(_) => Some(Failure::Usage),
             _ => None,
         };
     }

@@ -1,11 +1,12 @@
 //! `vn100d model`: sensor models of captures, shown, compared and exported.
 
+use super::analysis::Together;
 use super::args::{EffectNames, ModelArgs, ModelCommand};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
 use crate::export::ImuNoise;
-use crate::jobs::{self, TwoThreads};
+use crate::jobs::{self, Fitted, TwoThreads};
 use crate::model_fit::{Difference, differences};
 use crate::simulator::SensorModel;
 use anyhow::Context as _;
@@ -17,12 +18,15 @@ use std::path::Path;
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        ModelCommand::Fit { captures, rate, effects, name, out, overwrite, force } => {
+        ModelCommand::Fit { captures, rate, sampling, effects, name, out, overwrite, force } => {
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
             let output = |path: &Path| Output::create_by("--overwrite", path, *overwrite, &read);
             let out = out.as_deref().map(output).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
-            let Fit { mut model, name, rejected, refusal } = fitted(context, captures, *rate, &wanted, name.clone())?;
+            let mut together = analysis::open(context, captures, *rate)?;
+            together.sampled(sampling.told())?;
+            let Fit { fitted: Fitted { mut model, refusal }, name, rejected } =
+                fitted(together, &wanted, name.clone())?;
             if let Some(why) = refusal {
                 if !*force {
                     return Err(super::noise::refused("the model is not written", &why));
@@ -60,28 +64,19 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
 
 /// A model of captures.
 pub(super) struct Fit {
-    pub(super) model: SensorModel,
+    pub(super) fitted: Fitted,
     /// Its name.
     name: String,
     /// Whether frames or lines were rejected on the way in.
     rejected: bool,
-    /// Why the model should not be used.
-    refusal: Option<String>,
 }
 
 /// The model of captures, with the effects that are wanted, as far as they are found.
-pub(super) fn fitted(
-    context: &Context,
-    captures: &[String],
-    rate_hz: Option<f64>,
-    wanted: &[&'static str],
-    name: Option<String>,
-) -> anyhow::Result<Fit> {
-    let together = analysis::open(context, captures, rate_hz)?;
+pub(super) fn fitted(together: Together, wanted: &[&'static str], name: Option<String>) -> anyhow::Result<Fit> {
     let rejected = together.rejected();
     let name = name.unwrap_or_else(|| together.name());
-    let (model, refusal) = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
-    Ok(Fit { model, name, rejected, refusal })
+    let fitted = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
+    Ok(Fit { fitted, name, rejected })
 }
 
 pub(super) fn load(path: &Path) -> anyhow::Result<SensorModel> {
@@ -238,7 +233,33 @@ fn show_differences(found: &[Difference]) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample::Channel;
     use serde_json::json;
+
+    /// The first quarter of the record is a turn: it is in no level, and no effect explains it.
+    #[test]
+    fn a_model_is_that_of_the_samples_at_rest() {
+        use std::fmt::Write as _;
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("turned.csv");
+        let mut state = 1u64;
+        let mut text = "time_s,gyro_z_rad_s\n".to_owned();
+        for i in 0..12_000 {
+            state = 16_807 * state % 2_147_483_647;
+            let noise = 0.002 * (state as f64 / 2_147_483_647.0 - 0.5);
+            let turned = if i < 3000 { 0.5 } else { 0.0 };
+            writeln!(text, "{:.2},{:.6}", f64::from(i) / 100.0, noise + turned).unwrap();
+        }
+        std::fs::write(&path, text).unwrap();
+        let context = Context { data_dir: None, config: None, json: false };
+        for wanted in [&[][..], &["bias_step"]] {
+            let opened = analysis::open(&context, &[path.to_str().unwrap().to_owned()], None).unwrap();
+            let fit = fitted(opened, wanted, None).unwrap().fitted;
+            let gyro = &fit.model.channels[&Channel::GyroZ];
+            assert!(gyro.bias.unwrap().abs() < 1e-4 && gyro.effects.is_empty(), "{wanted:?}: {gyro:?}");
+            assert_eq!(fit.refusal, None, "{wanted:?}");
+        }
+    }
 
     #[test]
     fn numbers_and_provenance_are_told_as_a_person_reads_them() {

@@ -16,12 +16,10 @@ use std::io::Write as _;
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
-    if let Some(window) = args.filter_window {
-        together.sampled(window, args.internal_rate)?;
-    }
+    together.sampled(args.sampling.told())?;
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
-    let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows));
+    let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows)).transpose()?;
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
     let target = if let NoiseFormat::For(target) = args.format { Some(target) } else { None };
     let refusal = target.filter(|_| !args.force).and_then(|target| Some((target, target.refusal(&report)?)));
@@ -289,6 +287,7 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 mod tests {
     use super::super::analysis::Together;
     use super::*;
+    use crate::jobs::Told;
     use crate::noise::fit::{Flag, GaussMarkov};
     use crate::sample::Channel;
 
@@ -355,7 +354,7 @@ mod tests {
         assert_eq!((found.at_rest_s, found.moving_s, count(&found, "not_at_rest")), (Some(0.0), Some(100.0), 1));
         let channel = of(&found);
         assert!(channel.n.value.is_none() && channel.n.upper_limit95.is_none(), "{channel:?}");
-        let compared = compare_report(&crate::datasheet::vn_100(), &found, None);
+        let compared = compare_report(&crate::datasheet::vn_100(), &found, None).unwrap();
         assert_eq!(compared.channels[&Channel::GyroX].verdict, Verdict::NotAtRest);
         let together = opened(path);
         let parameters = crate::jobs::JobKind::Allan.parameters(&Value::Null).unwrap();
@@ -501,6 +500,7 @@ mod tests {
         let sheet =
             read("name = 'own'\n[gyro]\nnoise_density_rad_s_sqrt_hz = 2e-4\nbias_stability_rad_s = 1e-3").unwrap();
         let compared = compare_report(&sheet, &report(opened(recording(directory.path(), |_, value| value))), None);
+        let compared = compared.unwrap();
         let found = &compared.channels[&Channel::GyroX];
         assert_eq!((compared.name.as_str(), found.verdict), ("own", Verdict::Within), "{found:?}");
         let error = read("name = 'own'\n[gyroscope]").unwrap_err().to_string();
@@ -529,7 +529,7 @@ mod tests {
         let path = means_of_four(directory.path());
         let density = 1e-3 / 800f64.sqrt();
         let mut told = opened(path.clone());
-        told.sampled(4, 800.0).unwrap();
+        told.sampled(Some(Told { filter_window: 4, internal_rate_hz: None })).unwrap();
         for (together, source, internal) in [(told, "option", true), (opened(path), "fitted", false)] {
             let report = report(together);
             let found = &report.channels[&Channel::GyroX];
@@ -550,13 +550,5 @@ mod tests {
             let table = String::from_utf8(table).unwrap();
             assert!(table.contains("gyro_x: behind a moving average of 4"), "{table}");
         }
-    }
-
-    #[test]
-    fn a_sampling_that_contradicts_the_rate_is_refused_with_both_numbers() {
-        let directory = tempfile::tempdir().unwrap();
-        let mut together = opened(recording(directory.path(), |_, value| value));
-        let refused = together.sampled(4, 1010.0).unwrap_err().to_string();
-        assert!(refused.contains("1010") && refused.contains("40.0000"), "{refused}");
     }
 }

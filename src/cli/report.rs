@@ -49,7 +49,7 @@ pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcom
     let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
     let stop = Stop::listen()?;
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
-    let subject = Subject::open(context, &args.capture, args.rate, &stop)?;
+    let subject = Subject::open(context, &args.capture, args.rate, args.sampling.told(), &stop)?;
     let made = stop.unless(Made::of(&subject, &stop))?;
     let outcome = if subject.row.has_rejected() { Outcome::WithLoss } else { Outcome::Done };
     let Some(output) = output else {
@@ -190,6 +190,7 @@ impl Diagnosed {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::args::SamplingArgs;
     use crate::clock::SystemClock;
     use crate::daemon::import::{Source, import};
     use crate::store::{NewJob, Store, StoreOptions};
@@ -219,7 +220,13 @@ mod tests {
         }
         store.close().unwrap();
         let context = Context { data_dir: Some(folder.path().to_owned()), config: None, json: false };
-        let args = ReportArgs { capture: "latest".to_owned(), out: out.clone(), rate: None, force: false };
+        let args = ReportArgs {
+            capture: "latest".to_owned(),
+            out: out.clone(),
+            rate: None,
+            sampling: SamplingArgs::default(),
+            force: false,
+        };
         assert_eq!(run(&context, &args).unwrap(), Outcome::Done);
         let page = std::fs::read_to_string(out).unwrap();
         assert_eq!(page.matches("class=\"enclosed\"").count(), ENCLOSED);

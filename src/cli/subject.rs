@@ -1,11 +1,12 @@
 //! What is drawn: a capture of the database, or a recording's file as the capture that it would become.
 
+use super::analysis::contradicted;
 use super::emulate::stop_on_signal;
 use super::progress::bar;
 use super::{CliError, Context, Failure};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
-use crate::jobs::{JobError, JobKind, direct};
+use crate::jobs::{JobError, JobKind, Plan, Told, direct};
 use crate::recording::{KeepOn, RecordingError, Stamps};
 use crate::sample::Channel;
 use crate::store::{CaptureRow, Reader, Store, StoreOptions};
@@ -58,6 +59,8 @@ pub(super) struct Subject {
     pub row: CaptureRow,
     /// Whether it is a recording's file: then nobody else knows its id.
     pub of_file: bool,
+    /// What the command states of how its samples came about.
+    told: Option<Told>,
     /// What a page has to say of it: sentences.
     pub remarks: Vec<String>,
     /// The recording's database, until nobody reads it any more.
@@ -68,18 +71,30 @@ impl Subject {
     /// A file where one of that name exists, else a capture. What is assumed is said on standard error.
     ///
     /// # Errors
-    /// What cannot be read.
-    pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>, stop: &Stop) -> anyhow::Result<Self> {
-        let subject = if Path::new(named).is_file() {
+    /// What cannot be read; a stated sampling that cannot be.
+    pub(super) fn open(
+        context: &Context,
+        named: &str,
+        rate_hz: Option<f64>,
+        told: Option<Told>,
+        stop: &Stop,
+    ) -> anyhow::Result<Self> {
+        let mut subject = if Path::new(named).is_file() {
             stop.unless(Self::of_recording(Path::new(named), rate_hz, stop))?
         } else {
             let reader = context.reader()?;
             let row = reader.capture(reader.resolve(named)?)?;
-            Self { reader, row, of_file: false, remarks: Vec::new(), _folder: None }
+            Self { reader, row, of_file: false, told: None, remarks: Vec::new(), _folder: None }
         };
         if subject.row.rate_assumed {
             let rate_hz = subject.row.rate_hz.unwrap_or_default();
             eprintln!("note: {named} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+        }
+        if let Some(told) = told {
+            let row = &subject.row;
+            let mut plan = Plan::read(&subject.reader, row.id, row.samples, &Channel::ANALYSED)?;
+            plan.sampled(told).map_err(contradicted)?;
+            subject.told = Some(told);
         }
         subject.end_with(stop)?;
         Ok(subject)
@@ -111,7 +126,7 @@ impl Subject {
                 "The recording tells no time of day: its first sample counts as taken when this was made.".to_owned(),
             );
         }
-        Ok(Self { reader, row, of_file: true, remarks, _folder: Some(folder) })
+        Ok(Self { reader, row, of_file: true, told: None, remarks, _folder: Some(folder) })
     }
 
     /// Ends what is being read once a signal comes: reading is what takes long.
@@ -133,7 +148,7 @@ impl Subject {
     /// # Errors
     /// As there; what is said of a recording names it.
     pub(super) fn document(&self, kind: JobKind) -> Result<String, JobError> {
-        direct::document(&self.reader, &self.row, kind).map_err(|error| match error {
+        direct::document(&self.reader, &self.row, kind, self.told).map_err(|error| match error {
             JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
                 reason: reason.replace(&format!("capture {}", self.row.id), &self.row.name),
             },

@@ -2,13 +2,14 @@
 
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
-use crate::jobs::Jobs;
+use crate::jobs::{Jobs, SamplingError, TOLD, Told};
 use crate::recording::{
     ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
     RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
 };
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
@@ -29,6 +30,9 @@ pub enum ImportError {
     /// What its messages were said to be.
     #[error(transparent)]
     Definition(#[from] DefinitionError),
+    /// The sampling that the import states.
+    #[error(transparent)]
+    Sampling(#[from] SamplingError),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -116,6 +120,8 @@ pub struct Source<'a> {
     pub called: &'a Path,
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
+    /// How its samples came about.
+    pub sampling: Option<Told>,
     /// What the columns of a foreign CSV are.
     pub columns: ColumnMap,
     /// Definitions of messages that a bag does not bring along.
@@ -132,6 +138,7 @@ impl<'a> Source<'a> {
             file,
             called: file,
             rate_hz: None,
+            sampling: None,
             columns: ColumnMap::default(),
             definitions: Vec::new(),
             keep_on: KeepOn::default(),
@@ -150,7 +157,8 @@ pub fn import(
     name: Option<String>,
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
-    let Source { file, called, rate_hz, columns, definitions, keep_on } = source;
+    let Source { file, called, rate_hz, sampling, columns, definitions, keep_on } = source;
+    let sampling = sampling.map(Told::kept);
     // What is refused for its name is refused before anything is read.
     if let Some(name) = &name {
         check_name(name)?;
@@ -158,20 +166,24 @@ pub fn import(
     // What is no recording is refused before all of it is read.
     let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
     detect(&input)?;
-    let fingerprint = fingerprint(file, (rate_hz, &columns, &definitions), &keep_on)?;
+    let fingerprint = fingerprint(file, (rate_hz, sampling, &columns, &definitions), &keep_on)?;
     if let Some(name) = &name
         && store.imported(&fingerprint)?.is_none()
         && is_taken(store, name)?
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
     }
-    let told = Told {
+    let said = Said {
+        sampling,
         columns: columns.pairs().collect(),
         definitions: definitions.iter().map(|definition| definition.name().to_owned()).collect(),
     };
     let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), definitions })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
+    if let Some(told) = sampling {
+        told.with(&BTreeMap::new(), info.rate_hz)?;
+    }
     // What is there already is not written a second time; what it has is what the database says.
     // Asked again: reading takes its time, in which captures come and go.
     if let Some(id) = store.imported(&fingerprint)? {
@@ -185,7 +197,7 @@ pub fn import(
     capture.liked_name = Some(name_of(called));
     capture.started_utc_ns = Some(info.started_utc_ns);
     capture.rate_assumed = info.rate_assumed;
-    capture.configuration = Some(description(&info, &told));
+    capture.configuration = Some(description(&info, &said));
     capture.channels = channels(&info);
     let mut import = store.begin_import(capture, Some(&fingerprint))?;
     let mut out = Vec::new();
@@ -262,7 +274,10 @@ impl Importer for DaemonImporter {
         let definitions = request.definitions.iter().map(|given| MessageDefinition::new(&given.name, &given.text));
         let definitions = definitions.collect::<Result<_, _>>().and_then(MessageDefinition::list);
         let definitions = definitions.map_err(|error| refused(&error.into(), &request))?;
-        let source = Source { file: &request.file, called, rate_hz: request.rate_hz, columns, definitions, keep_on };
+        let internal_rate_hz = request.internal_rate_hz;
+        let sampling = request.filter_window.map(|filter_window| Told { filter_window, internal_rate_hz });
+        let rate_hz = request.rate_hz;
+        let source = Source { file: &request.file, called, rate_hz, sampling, columns, definitions, keep_on };
         let mut room = |_, _| {
             let free_bytes = self.store.progress().free_bytes;
             if free_bytes < self.reserve_bytes {
@@ -291,7 +306,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
         ImportError::Recording(RecordingError::Unwanted { .. }) => control::ImportError::Stopping,
-        ImportError::Recording(_) | ImportError::Columns(_) | ImportError::Definition(_) => {
+        ImportError::Recording(_) | ImportError::Columns(_) | ImportError::Definition(_) | ImportError::Sampling(_) => {
             control::ImportError::Recording { reason }
         }
         ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
@@ -305,7 +320,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
 /// Names the recording's content and how it is read.
 fn fingerprint(
     file: &Path,
-    (rate_hz, columns, definitions): (Option<f64>, &ColumnMap, &[MessageDefinition]),
+    (rate_hz, sampling, columns, definitions): (Option<f64>, Option<Told>, &ColumnMap, &[MessageDefinition]),
     keep_on: &KeepOn,
 ) -> Result<String, ImportError> {
     let mut hash = Sha256::new();
@@ -317,6 +332,8 @@ fn fingerprint(
     let hex = |hash: Sha256| -> String { hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect() };
     let digest = hex(hash);
     let rate = rate_hz.map(|rate_hz| format!(" rate {rate_hz}")).unwrap_or_default();
+    let sampling = sampling.map(|of| format!(" means of {} at {:?}", of.filter_window, of.internal_rate_hz));
+    let sampling = sampling.unwrap_or_default();
     let columns = if columns.is_empty() { String::new() } else { format!(" columns {columns}") };
     let mut texts = Sha256::new();
     for definition in definitions {
@@ -327,7 +344,7 @@ fn fingerprint(
         }
     }
     let definitions = if definitions.is_empty() { String::new() } else { format!(" definitions {}", hex(texts)) };
-    Ok(format!("sha256:{digest}{rate}{columns}{definitions}"))
+    Ok(format!("sha256:{digest}{rate}{sampling}{columns}{definitions}"))
 }
 
 /// Takes a file's bytes into a digest.
@@ -366,19 +383,21 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     }
 }
 
-/// What the user said of a recording: pairs of columns, names of message types.
-struct Told {
+/// What the user states of a recording: how samples came about, pairs of columns, names of message types.
+struct Said {
+    sampling: Option<Told>,
     columns: Vec<String>,
     definitions: Vec<String>,
 }
 
 /// What the capture's configuration says.
-fn description(info: &RecordingInfo, told: &Told) -> serde_json::Value {
+fn description(info: &RecordingInfo, said: &Said) -> serde_json::Value {
     serde_json::json!({
         "file": info.file.display().to_string(),
         "kind": info.kind,
-        "columns": told.columns,
-        "message_definitions": told.definitions,
+        TOLD: said.sampling,
+        "columns": said.columns,
+        "message_definitions": said.definitions,
         "stamps": info.stamps,
         "rate_hz": info.rate_hz,
         "ignored_columns": info.ignored_columns,

@@ -1,6 +1,6 @@
 //! The comparison: per channel the density and the Allan minimum beside what is printed, with a verdict.
 
-use super::{Datasheet, Figures, FilterWindows, Sampling};
+use super::{Datasheet, Figures, FilterWindows, RateError, Sampling};
 use crate::noise::NoiseReport;
 use crate::sample::{Channel, Triad};
 use crate::units::{Dimension, Quantity};
@@ -162,10 +162,16 @@ pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channe
 }
 
 /// Compares all that a report says with a datasheet; `windows` are the sensor's filter windows (register 85), where they are known.
-#[must_use]
-pub fn compare_report(sheet: &Datasheet, report: &NoiseReport, windows: Option<FilterWindows>) -> Comparison {
+///
+/// # Errors
+/// [`RateError`] if a sensor of this datasheet does not send at the report's rate.
+pub fn compare_report(
+    sheet: &Datasheet,
+    report: &NoiseReport,
+    windows: Option<FilterWindows>,
+) -> Result<Comparison, RateError> {
     let measured = report.channels.keys().map(|channel| (*channel, Measured::of(report, *channel))).collect();
-    compare(sheet, sheet.sampling(report.rate_hz, windows), &measured)
+    Ok(compare(sheet, sheet.sampling(report.rate_hz, windows)?, &measured))
 }
 
 fn of_channel<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<ChannelComparison> {

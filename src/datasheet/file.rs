@@ -8,7 +8,9 @@ use super::{Datasheet, Figures, Sampled};
 use crate::units::{
     Dimension, Quantity, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR, STANDARD_GRAVITY_M_S2,
 };
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
+use std::num::NonZeroU32;
 
 /// Why a datasheet's file cannot be taken.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -95,8 +97,16 @@ struct Mag {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Sampling {
+    #[serde(deserialize_with = "internal_rate")]
     internal_rate_hz: f64,
-    filter_window: u32,
+    filter_window: NonZeroU32,
+}
+
+fn internal_rate<'a, D: Deserializer<'a>>(from: D) -> Result<f64, D::Error> {
+    let rate_hz = f64::deserialize(from)?;
+    let wrong =
+        || D::Error::custom(format!("`internal_rate_hz` is {rate_hz}; allowed is more than 0 and at most 1000000"));
+    (rate_hz > 0.0 && rate_hz <= 1e6).then_some(rate_hz).ok_or_else(wrong)
 }
 
 /// A key, what it says, the factor to the unit of the channel, and the unit as people write it.
@@ -161,8 +171,7 @@ impl Datasheet {
         });
         let sampled = match sheet.sampling {
             Some(Sampling { internal_rate_hz, filter_window }) => {
-                one(&[("sampling.internal_rate_hz", Some(internal_rate_hz), 1.0, "Hz")], file)?;
-                Sampled::Told { internal_rate_hz, filter_window }
+                Sampled::Told { internal_rate_hz, filter_window: filter_window.get() }
             }
             None => Sampled::AsSent,
         };
@@ -251,7 +260,7 @@ mod tests {
     #[test]
     fn a_density_is_expected_as_it_stands_unless_the_file_says_how_samples_are_made() {
         let as_sent = read("name = 'x'\n[gyro]\nbias_stability_deg_h = 8").unwrap();
-        let factor = |sheet: &Datasheet| sheet.sampling(40.0, None).density_factor(crate::sample::Triad::Gyro);
+        let factor = |sheet: &Datasheet| sheet.sampling(40.0, None).unwrap().density_factor(crate::sample::Triad::Gyro);
         assert!((factor(&as_sent) - 1.0).abs() < 1e-12);
         let text =
             "name = 'x'\n[gyro]\nbias_stability_deg_h = 8\n[sampling]\ninternal_rate_hz = 800\nfilter_window = 4";
@@ -270,6 +279,14 @@ mod tests {
             (
                 "name = 'x'\n[accel]\nbias_stability_mg = 8\nbias_stability_ug = 8000",
                 ["own.toml", "accel.bias_stability_ug", "accel.bias_stability_mg"],
+            ),
+            (
+                "name = 'x'\n[gyro]\nbias_stability_deg_h = 8\n[sampling]\ninternal_rate_hz = 1e12\nfilter_window = 4",
+                ["own.toml", "line 5", "1000000000000; allowed is more than 0 and at most 1000000"],
+            ),
+            (
+                "name = 'x'\n[gyro]\nbias_stability_deg_h = 8\n[sampling]\ninternal_rate_hz = 400\nfilter_window = 0",
+                ["own.toml", "line 6", "nonzero"],
             ),
             ("name = 'x'\n[gyro]", ["own.toml", "no figure", "gyro, accel and mag"]),
             ("name = ", ["own.toml", "no datasheet", "1"]),

@@ -83,17 +83,37 @@ pub struct DatasheetError {
     pub known: &'static str,
 }
 
+/// A sensor of the datasheet sends every n-th of its samples, and the capture's rate is no such rate.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "`{name}` has an internal rate of {internal_rate_hz} Hz, which is no whole multiple of the samples' {rate_hz:.4} Hz: correct the \
+     datasheet's table `sampling`"
+)]
+pub struct RateError {
+    /// The datasheet.
+    pub name: String,
+    /// The sensor's own rate, Hz.
+    pub internal_rate_hz: f64,
+    /// The capture's, Hz.
+    pub rate_hz: f64,
+}
+
 impl Datasheet {
     /// The sampling of a capture at `rate_hz`; `windows` as its register 85 tells them, if the sensor has one.
-    #[must_use]
-    pub fn sampling(&self, rate_hz: f64, windows: Option<FilterWindows>) -> Sampling {
+    ///
+    /// # Errors
+    /// [`RateError`] if a sensor of this datasheet does not send at that rate.
+    pub fn sampling(&self, rate_hz: f64, windows: Option<FilterWindows>) -> Result<Sampling, RateError> {
         let (internal_rate_hz, window) = match self.sampled {
-            Sampled::Register85 => return Sampling::new(rate_hz, windows),
+            Sampled::Register85 => return Ok(Sampling::new(rate_hz, windows)),
             Sampled::Told { internal_rate_hz, filter_window } => (internal_rate_hz, filter_window),
             Sampled::AsSent => (rate_hz, 1),
         };
+        if sampling::every(internal_rate_hz, rate_hz).is_none() {
+            return Err(RateError { name: self.name.clone(), internal_rate_hz, rate_hz });
+        }
         let filter_window = FilterWindows { mag: 1, accel: window, gyro: window };
-        Sampling { internal_rate_hz, mag_rate_hz: rate_hz, rate_hz, filter_window, assumed: false }
+        Ok(Sampling { internal_rate_hz, mag_rate_hz: rate_hz, rate_hz, filter_window, assumed: false })
     }
 
     /// The datasheet of that name.
@@ -112,6 +132,18 @@ impl Datasheet {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_rate_at_which_the_sensor_does_not_send_is_refused_with_both_numbers() {
+        let text =
+            "name = 'x'\n[gyro]\nbias_stability_deg_h = 8\n[sampling]\ninternal_rate_hz = 1000\nfilter_window = 2";
+        let sheet = Datasheet::from_toml(text, "own.toml").unwrap();
+        assert!(sheet.sampling(200.02, None).is_ok() && sheet.sampling(1000.0, None).is_ok());
+        for rate_hz in [400.0, 2000.0] {
+            let error = sheet.sampling(rate_hz, None).unwrap_err().to_string();
+            assert!(error.contains("1000 Hz") && error.contains(&format!("{rate_hz}.0000 Hz")), "{error}");
+        }
+    }
 
     #[test]
     fn a_datasheet_is_found_by_its_name_alone() {

@@ -3,7 +3,7 @@
 //! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
 //! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
 
-use crate::noise::whittle::density_factor;
+use crate::noise::whittle::{self, density_factor};
 use crate::sample::Triad;
 use crate::units::IMU_RATE_HZ;
 
@@ -22,6 +22,11 @@ pub struct FilterWindows {
     pub accel: u32,
     /// Gyroscope.
     pub gyro: u32,
+}
+
+/// Samples of the sensor's own rate to one that is sent, if the rates fit.
+pub(super) fn every(own_rate_hz: f64, rate_hz: f64) -> Option<u32> {
+    whittle::Sampling { internal_rate_hz: own_rate_hz, window: 1, source: String::new() }.every(rate_hz)
 }
 
 impl FilterWindows {
@@ -70,7 +75,9 @@ impl Sampling {
             Triad::Attitude => 1,
         };
         let own_rate_hz = if triad == Triad::Mag { self.mag_rate_hz } else { self.internal_rate_hz };
-        density_factor(window, (own_rate_hz / self.rate_hz).round().max(1.0) as u32)
+        // A VN-100 sends no other rates than whole parts of its own, but for the magnetometer's, which is inferred.
+        let nearest = || (own_rate_hz / self.rate_hz).round().clamp(1.0, 1e5) as u32;
+        density_factor(window, every(own_rate_hz, self.rate_hz).unwrap_or_else(nearest))
     }
 }
 

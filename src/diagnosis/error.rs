@@ -13,7 +13,7 @@ pub enum DiagnosisError {
         found: String,
     },
     /// The rates differ.
-    #[error("the recording has {found_hz} Hz, the model {expected_hz} Hz; both have to be the same")]
+    #[error("the recording has {found_hz} Hz and the simulator {expected_hz} Hz: give two of one rate, within 0.05 %")]
     Rate {
         /// The recording's.
         found_hz: f64,

@@ -53,7 +53,7 @@ pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
 pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
-pub use prepare::same_rate;
+pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
 pub use report::{Diagnosis, FORMAT, Verdict};
 

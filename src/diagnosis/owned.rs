@@ -12,7 +12,7 @@ use crate::noise::NoiseParameters;
 use crate::noise::allan::FixedPoint;
 use crate::noise::fit::Estimate;
 use crate::noise::robust::{All, Company, Levels, Part, Record, spectral_sums};
-use crate::noise::stillness::Stillness;
+use crate::noise::stillness::{Stillness, TELLING};
 use crate::noise::whittle::Sampling;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -48,14 +48,13 @@ impl Known {
 impl<'a> Owned<'a> {
     /// Of a record that is compared with a model, which tells how its samples came about.
     pub(super) fn new(real: &'a Recording, sim: &SensorModel) -> Self {
-        const TELLING: [Channel; 6] =
-            [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
         let there = |channel: Channel| -> Vec<f64> {
             let values = real.values(channel).unwrap_or_default().iter().enumerate();
             values.map(|(place, value)| if real.is_missing(place) { f64::NAN } else { *value }).collect()
         };
         let columns = TELLING.map(there);
-        let mut stillness = Stillness::new(real.rate_hz, real.len() as u64);
+        let received = (0..real.len()).filter(|place| !real.is_missing(*place)).count();
+        let mut stillness = Stillness::new(real.rate_hz, received as u64);
         stillness.push(0, columns.each_ref().map(Vec::as_slice));
         let sampling = sim.sampling.map(|sampling| Sampling {
             internal_rate_hz: sampling.internal_rate_hz,

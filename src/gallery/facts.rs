@@ -60,7 +60,8 @@ impl Facts {
         let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family));
         if let Some(sheet) = sheet {
             let windows = serde_json::from_value(self.row.configuration["filter_window"].clone()).ok();
-            report.datasheet = serde_json::to_value(compare_report(&sheet, &report, windows)).ok();
+            let compared = compare_report(&sheet, &report, windows).ok();
+            report.datasheet = compared.and_then(|compared| serde_json::to_value(compared).ok());
         }
         report
     }

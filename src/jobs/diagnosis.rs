@@ -279,16 +279,24 @@ fn document_of(
     parameters: &DiagnosisParameters,
     wire: &Wire,
 ) -> Result<String, JobError> {
-    let (sim, begun) = match &parameters.sim {
-        Simulator::Model(value) => (SensorModel::from_value(value, "sim")?, 0.0),
+    let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
+    // Another rate is refused before any work.
+    let same_rate = |sim_hz| diagnosis::same_rate(plan.rate_hz, sim_hz);
+    let ((sim, doubt), begun) = match &parameters.sim {
+        Simulator::Model(value) => {
+            let sim = SensorModel::from_value(value, "sim")?;
+            same_rate(sim.rate_hz)?;
+            ((sim, None), 0.0)
+        }
         Simulator::Capture(id) => {
             let capture = reader.capture(*id)?;
             let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
+            same_rate(plan.rate_hz)?;
             let (workers, room) = (OneByOne { wire, from: 0.05, to: 0.5 }, room(&plan));
-            (fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?.0, 0.5)
+            let fitted = fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?;
+            (fitted.as_law()?, 0.5)
         }
     };
-    let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
     // A motion is screened with a hundred columns of a triad beside its samples.
     let room = if parameters.reference.is_some() { room(&plan) / OF_A_MOTION } else { room(&plan) };
     let gridded = gridded(reader, &plan, room)?;
@@ -300,6 +308,7 @@ fn document_of(
     let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded)).transpose()?;
     let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
+    outcome.diagnosis.notes.extend(doubt);
     let Gridded { recording, from_s, .. } = gridded;
     let drawings = Drawings::new(&recording, from_s, &sim, &outcome);
     let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, drawings };

@@ -8,7 +8,7 @@ use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport};
+use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport, Told};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator};
 use crate::sample::Channel;
@@ -20,7 +20,12 @@ use serde_json::Value;
 /// # Errors
 /// What `source` says.
 pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobError> {
-    let mut spectra = Spectra::of(at_rest(source, plan, true, || Ok(()))?);
+    noise_at_rest(source, at_rest(source, plan, true, || Ok(()))?)
+}
+
+/// The same of a plan whose motion is known.
+pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Result<NoiseReport, JobError> {
+    let mut spectra = Spectra::of(at_rest);
     take_all(source, &mut spectra)?;
     let (plan, sums, held) = spectra.finish();
     report::noise(source, &plan, &sums, held, |_| Ok(()))
@@ -65,13 +70,14 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
 }
 
 /// What a job of one of the usual kinds gives, over the samples that `capture` says it has: as it is stored, where this version
-/// of the program has finished such a job, else computed at once and kept nowhere.
+/// of the program has finished such a job, else computed at once and kept nowhere. `told`: what a person states of how its samples
+/// came about; no job knows that.
 ///
 /// # Errors
 /// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual; what the database says.
-pub fn document(reader: &Reader, capture: &CaptureRow, kind: JobKind) -> Result<String, JobError> {
+pub fn document(reader: &Reader, capture: &CaptureRow, kind: JobKind, told: Option<Told>) -> Result<String, JobError> {
     let parameters = kind.parameters(&Value::Null)?;
-    if !capture.state.is_open() {
+    if !capture.state.is_open() && told.is_none() {
         let usual = serde_json::to_value(&parameters)?;
         let jobs = reader.jobs_over(capture.id, kind.name(), capture.samples)?;
         let finished = jobs.into_iter().find(|job| job.state == JobState::Done && !job.stale && job.params == usual);
@@ -80,7 +86,11 @@ pub fn document(reader: &Reader, capture: &CaptureRow, kind: JobKind) -> Result<
             return Ok(result.body);
         }
     }
-    let plan = || Plan::read(reader, capture.id, capture.samples, &Channel::ANALYSED);
+    let plan = || {
+        let mut plan = Plan::read(reader, capture.id, capture.samples, &Channel::ANALYSED)?;
+        told.map_or(Ok(()), |told| plan.sampled(told))?;
+        Ok::<_, JobError>(plan)
+    };
     let text = match kind {
         JobKind::Statistics => serde_json::to_string(&statistics(reader, capture.id)?),
         JobKind::Noise => serde_json::to_string(&noise(reader, plan()?)?),

@@ -1,5 +1,6 @@
 //! Why a job was not taken or could not be done.
 
+use super::SamplingError;
 use crate::diagnosis::DiagnosisError;
 use crate::noise::allan::AllanError;
 use crate::simulator::ModelError;
@@ -46,6 +47,9 @@ pub enum JobError {
     /// Recording and model cannot be compared.
     #[error("{0}")]
     Diagnosis(DiagnosisError),
+    /// The stated sampling cannot be.
+    #[error(transparent)]
+    Sampling(#[from] SamplingError),
     /// A checkpoint could not be read.
     #[error("the checkpoint of job {job} is damaged: submit the job again")]
     Checkpoint {

@@ -5,8 +5,8 @@
 
 use super::JobError;
 use super::distribution::Distribution;
-use super::plan;
 use super::report::{self, Extent, StatisticsReport};
+use super::sampling::of_configuration;
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
 use crate::sample::Channel;
@@ -174,7 +174,7 @@ impl Live {
     pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<NoiseReport>, JobError> {
         let points = self.points(reader, capture_id)?;
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
-        let sampling = plan::of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]);
+        let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
         let report = report::noise_of_points(&points.channels, points.rate_hz, points.other_rate, &sampling, extent);
         Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }

@@ -1,8 +1,10 @@
 //! Model: the sensor model of a plan's samples, at once, for whoever waits for it.
 
+use super::motion::at_rest;
 use super::{JobError, Plan, SampleSource, direct, gridded};
-use crate::diagnosis::{self, Workers};
+use crate::diagnosis::{self, Diagnosis, Verdict, Workers};
 use crate::model_fit::{model_of, with_effects};
+use crate::noise::NoiseReport;
 use crate::noise::statistics::Moments;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -12,11 +14,38 @@ use std::collections::BTreeMap;
 /// Samples read at a time.
 const CHUNK: usize = 65_536;
 
-/// The model of a plan's samples, called `name`, with the effects that are wanted, as far as they are found in the part that
-/// there is `room` for ([`gridded`]); and why it should not be used, where that is so.
+/// A model of samples.
+#[derive(Debug, Clone)]
+#[expect(clippy::exhaustive_structs, reason = "a model and its doubt")]
+pub struct Fitted {
+    /// The model.
+    pub model: SensorModel,
+    /// Why it should not be used, if there is a reason.
+    pub refusal: Option<String>,
+}
+
+impl Fitted {
+    /// The model as the simulator of a diagnosis, and a sentence for its notes if there is a reason not to use it.
+    ///
+    /// # Errors
+    /// [`JobError::InsufficientData`] if no channel has white noise and there is a reason for that.
+    pub fn as_law(self) -> Result<(SensorModel, Option<String>), JobError> {
+        let Some(why) = self.refusal else { return Ok((self.model, None)) };
+        let name = &self.model.name;
+        if self.model.channels.values().all(|of| of.n == 0.0) {
+            let reason = format!("nothing can be compared with the simulator's recording {name}: {why}");
+            return Err(JobError::InsufficientData { reason });
+        }
+        let note = format!("the simulator's recording {name} gives a law that may be wrong: {why}");
+        Ok((self.model, Some(note)))
+    }
+}
+
+/// The model of a plan's samples at rest, called `name`, with the effects that are wanted, as far as they are found in the part that
+/// there is `room` for ([`gridded`]).
 ///
 /// # Errors
-/// [`JobError::Diagnosis`] where effects are wanted and cannot be looked for; what `source` says.
+/// [`JobError::Diagnosis`] if effects are wanted and cannot be looked for; what `source` says.
 pub fn fitted(
     source: &dyn SampleSource,
     plan: Plan,
@@ -24,37 +53,129 @@ pub fn fitted(
     name: &str,
     room: u64,
     workers: &dyn Workers,
-) -> Result<(SensorModel, Option<String>), JobError> {
-    let levels = levels(source, &plan)?;
-    let gridded = (!wanted.is_empty()).then(|| gridded(source, &plan, room)).transpose()?;
-    let report = direct::noise(source, plan)?;
+) -> Result<Fitted, JobError> {
+    let at_rest = at_rest(source, plan, true, || Ok(()))?;
+    let plan = &at_rest.plan;
+    let levels = levels(source, plan)?;
+    // Where nothing is at rest the report's refusal says so.
+    let gridded = (!wanted.is_empty() && plan.has_rest()).then(|| gridded(source, plan, room)).transpose()?;
+    let report = direct::noise_at_rest(source, at_rest)?;
     let plain = model_of(&report, &levels, name, SOFTWARE);
-    let Some(gridded) = gridded else { return Ok((plain, report.refusal(|_| true))) };
+    let Some(gridded) = gridded else {
+        return Ok(Fitted { model: plain, refusal: report.refusal(|_| true) });
+    };
     let options =
         diagnosis::Options { workers, effects: Some(wanted), believed: false, ..diagnosis::Options::default() };
     let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
     let temperature_c = levels.get(&Channel::Temperature).copied();
     let model = with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c);
-    // What effects were added to is the law of the diagnosis, which holds it against the record itself. Nothing makes noise of a
-    // motion or of raw counts.
-    let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
-    let plainly = |channel| effects(&model, channel) == effects(&plain, channel);
-    let has_n = |channel| report.channels.get(&channel).is_some_and(|of| of.n.value.is_some());
-    let refusal = report.refusal(|channel| !has_n(channel) || plainly(channel));
-    Ok((model, refusal))
+    let refusal = refusal(&report, &plain, &model, &found.diagnosis);
+    Ok(Fitted { model, refusal })
 }
 
-/// Mean of every channel of a plan, and of the temperature where it was recorded.
+/// Why a model with effects should not be used, if there is a reason. What effects were added to is the law of the diagnosis, which holds
+/// it against the record itself, unless it leaves something unexplained there. Nothing makes noise of a motion or of raw counts.
+fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
+    let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
+    // Under this verdict the places are those of what remains.
+    let remains = |channel: Channel| {
+        found.verdict == Verdict::UnknownEffect && found.r#where.iter().any(|place| place.channel == channel.name())
+    };
+    let has_n = |channel| report.channels.get(&channel).is_some_and(|of| of.n.value.is_some());
+    report.refusal(|channel| !has_n(channel) || effects(model, channel) == effects(plain, channel) || remains(channel))
+}
+
+/// Mean at rest of every channel of a plan, and of the temperature where it was recorded.
 fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
     let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
     let mut next_seq = 0;
     while next_seq < plan.end_seq {
         let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
-        for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
-            column.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
+        for (_, rows) in plan.runs(&chunk).into_iter().filter(|(number, _)| number.is_some()) {
+            for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
+                let values = column.get(rows.clone()).unwrap_or_default();
+                values.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
+            }
         }
         next_seq = chunk.next_seq();
     }
     Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::report::Place;
+    use crate::jobs::TwoThreads;
+    use crate::noise::fit::Estimate;
+    use crate::simulator::ChannelModel;
+
+    fn model(n: f64) -> SensorModel {
+        let channels = [(Channel::GyroX, ChannelModel { n, ..ChannelModel::default() })].into();
+        SensorModel { name: "sim".to_owned(), rate_hz: 40.0, channels, ..SensorModel::default() }
+    }
+
+    #[test]
+    fn a_law_that_should_not_be_used_comes_with_its_reason_and_none_at_all_is_refused() {
+        let fitted = |n, refusal: Option<&str>| Fitted { model: model(n), refusal: refusal.map(str::to_owned) };
+        assert_eq!(fitted(1e-4, None).as_law().unwrap().1, None);
+        let (_, note) = fitted(1e-4, Some("gyro_x: it moved")).as_law().unwrap();
+        assert!(note.is_some_and(|note| note.contains("recording sim") && note.ends_with("gyro_x: it moved")));
+        let error = fitted(0.0, Some("gyro_x: it moved")).as_law().unwrap_err();
+        assert!(matches!(&error, JobError::InsufficientData { reason } if reason.ends_with("it moved")), "{error}");
+    }
+
+    /// A channel that contradicts its curve is excused by an effect, but not while something remains on it.
+    #[test]
+    fn what_effects_leave_unexplained_is_refused() {
+        let mut state = 1u64;
+        let mut noise = || {
+            state = 16_807 * state % 2_147_483_647;
+            1e-3 * (state as f64 / 2_147_483_647.0 - 0.5)
+        };
+        let values = (0..2000).map(|_| noise()).collect();
+        let recording = diagnosis::Recording {
+            rate_hz: 40.0,
+            missing: vec![false; 2000],
+            channels: vec![(Channel::GyroX, values)],
+            ..diagnosis::Recording::default()
+        };
+        let plain = model(4.6e-5);
+        let mut found =
+            diagnosis::diagnose(&recording, &plain, &diagnosis::Options { workers: &TwoThreads, ..Default::default() })
+                .unwrap()
+                .diagnosis;
+        let mut own = crate::noise::fit::fit(&[], 40.0, Channel::GyroX);
+        own.n = Estimate::of("rad/s/√Hz", 4.6e-5, [4e-5, 5e-5]);
+        own.refuse("it contradicts the curve".to_owned());
+        let mut report: NoiseReport = serde_json::from_value(
+            serde_json::json!({"format": "", "capture": "", "rate_hz": 40, "duration_s": 50, "samples": 2000,
+            "missing": 0, "complete": true, "channels": {}, "datasheet": null}),
+        )
+        .unwrap();
+        report.channels.insert(Channel::GyroX, own);
+        let mut model = plain.clone();
+        assert!(refusal(&report, &plain, &model, &found).is_some(), "no effect was added");
+        let tone = SensorModel::from_value(
+            &serde_json::json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": {"gyro_x":
+                {"effects": [{"effect": "tone", "frequency_hz": 3, "amplitude": 1e-3}]}}}),
+            "m",
+        );
+        model.channels.clone_from(&tone.unwrap().channels);
+        assert_eq!(refusal(&report, &plain, &model, &found), None);
+        found.verdict = Verdict::UnknownEffect;
+        found.r#where = vec![Place {
+            channel: "gyro_x".to_owned(),
+            band_hz: [1.0, 2.0],
+            tau_s: [0.25, 0.5],
+            from_s: 0.0,
+            to_s: 50.0,
+            temperature_c: None,
+            at: None,
+            share: 1.0,
+            sign: "real noisier",
+        }];
+        assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
+    }
 }

@@ -5,17 +5,13 @@
 //! the motion it found before.
 
 use super::held::Held;
+use super::raw_counts::RawCounts;
 use super::runner::CHUNK;
 use super::{JobError, Plan, SampleSource};
 use crate::noise::robust::BLOCK;
-use crate::noise::stillness::Stillness;
-use crate::sample::Channel;
+use crate::noise::stillness::{Stillness, TELLING};
 use crate::store::Missing;
 use std::ops::Range;
-
-/// What tells motion.
-const TELLING: [Channel; 6] =
-    [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
 
 /// A plan without what moved, and its samples where there is room for all.
 #[derive(Debug)]
@@ -24,7 +20,7 @@ pub(super) struct AtRest {
     pub(super) held: Option<Held>,
 }
 
-/// Finds out what moved and leaves it out of the plan. `hold`: whether the samples are wanted. `go_on`: asked after every chunk of a
+/// Finds out what moved and leaves it out of the plan, and which channel is beyond what it can measure. `hold`: whether the samples are wanted. `go_on`: asked after every chunk of a
 /// long capture; an error that it answers ends the work. A short one is done in one go, so that a job that is told to end again and
 /// again still comes to an end.
 pub(super) fn at_rest(
@@ -38,11 +34,11 @@ pub(super) fn at_rest(
     channels.extend(TELLING.iter().filter(|channel| !held.as_ref().is_some_and(|held| held.has(**channel))));
     let at = TELLING.map(|channel| channels.iter().position(|own| *own == channel));
     let long = plan.end_seq > BLOCK;
-    let (mut moving, mut judged) = (Vec::new(), true);
+    let (mut moving, mut judged, mut beyond) = (Vec::new(), false, [(0, 0); 6]);
     for slice in plan.slices.clone() {
         let missing = source.missing(slice.capture_id)?;
         let samples = slice.samples.end - slice.samples.start;
-        let mut stillness = Stillness::new(plan.rate_hz, samples + missing.up_to(samples));
+        let mut stillness = Stillness::new(plan.rate_hz, samples);
         let mut next_seq = slice.samples.start;
         while next_seq < slice.samples.end {
             let limit = CHUNK.min(usize::try_from(slice.samples.end - next_seq).unwrap_or(CHUNK));
@@ -63,14 +59,20 @@ pub(super) fn at_rest(
                 go_on()?;
             }
         }
-        match stillness.settle() {
-            Some(places) => moving.extend(places.into_iter().map(|places| {
-                let seq = |place: u64| slice.samples.start + first_at(place, samples, &missing);
-                seq(places.start)..seq(places.end)
-            })),
-            None => judged = false,
+        for ((count, of), (own, own_of)) in beyond.iter_mut().zip(stillness.beyond()) {
+            *count += own;
+            *of += own_of;
         }
+        // A capture of a few samples says nothing, and of the others' motion nothing else.
+        let Some(places) = stillness.settle() else { continue };
+        judged = true;
+        moving.extend(places.into_iter().map(|places| {
+            let seq = |place: u64| slice.samples.start + first_at(place, samples, &missing);
+            seq(places.start)..seq(places.end)
+        }));
     }
+    plan.raw_counts =
+        TELLING.into_iter().zip(beyond).find_map(|(channel, (count, of))| RawCounts::of(channel, count, of));
     if judged {
         plan.leave_out(moving.into_iter().filter(|range: &Range<u64>| !range.is_empty()).collect());
     }
@@ -94,6 +96,64 @@ fn first_at(place: u64, samples: u64, missing: &Missing) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::Extent;
+    use crate::sample::Channel;
+    use crate::store::{Chunk, StoreError};
+
+    /// Recordings of gyro_x at 40 Hz, by their ids.
+    struct Made(Vec<Vec<f64>>);
+
+    impl SampleSource for Made {
+        fn read_chunk(&self, id: i64, from: u64, limit: usize, channels: &[Channel]) -> Result<Chunk, StoreError> {
+            let values = &self.0[id as usize][from as usize..];
+            let values = values[..limit.min(values.len())].to_vec();
+            let column =
+                |of: &Channel| if *of == Channel::GyroX { values.clone() } else { vec![f64::NAN; values.len()] };
+            Ok(Chunk {
+                first_seq: from,
+                segment: vec![1; values.len()],
+                channels: channels.to_vec(),
+                columns: channels.iter().map(column).collect(),
+                times: None,
+            })
+        }
+        fn missing(&self, _: i64) -> Result<Missing, StoreError> {
+            Ok(Missing::of([]))
+        }
+        fn stamps(&self, _: i64, _: u64, _: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError> {
+            Ok(Vec::new())
+        }
+        fn extent(&self, id: i64, end_seq: u64) -> Result<Extent, StoreError> {
+            let (samples, duration_s) = (end_seq, end_seq as f64 / 40.0);
+            Ok(Extent {
+                capture: id.to_string(),
+                duration_s,
+                samples,
+                missing: 0,
+                complete: true,
+                captures: Vec::new(),
+            })
+        }
+    }
+
+    fn analysed(made: &Made) -> Plan {
+        let plan = |(id, values): (i64, &Vec<f64>)| {
+            let segment = 0..values.len();
+            Plan::of_recording(id, "made", 40.0, &[Channel::GyroX], std::slice::from_ref(&segment)).unwrap()
+        };
+        let plans = (0..).zip(&made.0).map(plan);
+        let whole = plans.reduce(|whole, plan| whole.followed_by(plan).unwrap()).unwrap();
+        at_rest(made, whole, false, || Ok(())).unwrap().plan
+    }
+
+    #[test]
+    fn a_capture_of_a_few_samples_does_not_hide_the_motion_of_another() {
+        let turned = (0..4000).map(|i| if (1000..2000).contains(&i) { 0.5 } else { 1e-4 * f64::from(i % 7) }).collect();
+        let plan = analysed(&Made(vec![vec![1e-4, 2e-4, 0.0], turned]));
+        let moving_s = plan.shares(&(0..4003)).unwrap().moving_s;
+        assert!((25.0..30.0).contains(&moving_s), "{moving_s}");
+        assert_eq!(analysed(&Made(vec![vec![0.0; 3], vec![1e-4; 3]])).shares(&(0..6)), None);
+    }
 
     #[test]
     fn a_place_is_that_of_the_first_sample_not_before_it() {

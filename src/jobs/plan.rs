@@ -4,11 +4,12 @@
 //! Several captures of one sensor are read one after the other, as if they were one: sample and segment numbers of the later
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
+use super::raw_counts::RawCounts;
+use super::sampling::{SamplingError, Told, of_configuration};
 use super::{JobError, SampleSource};
 use crate::noise::whittle::Sampling;
 use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
-use crate::units::IMU_RATE_HZ;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -31,6 +32,8 @@ pub struct Plan {
     pub taken: u64,
     /// How the samples of a triad came about, where that is known.
     pub sampling: BTreeMap<Triad, Sampling>,
+    /// An inertial channel whose values are no measurements ([`at_rest`](super::motion::at_rest)).
+    pub(super) raw_counts: Option<RawCounts>,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
     /// Samples in motion, in order and disjoint; none where nothing told ([`Self::leave_out`]).
@@ -103,8 +106,9 @@ impl Plan {
             longest: most.longest,
             other_rate: total - most.samples,
             taken: most.segments,
-            sampling: of_register_85(&reader.capture(capture_id)?.configuration["filter_window"]),
+            sampling: of_configuration(&reader.capture(capture_id)?.configuration),
             segments: segments.into_iter().map(stretch).collect(),
+            raw_counts: None,
             moving: None,
         })
     }
@@ -139,6 +143,7 @@ impl Plan {
             taken: segments.len() as u64,
             sampling: BTreeMap::new(),
             segments: (1..).zip(segments).map(stretch).collect(),
+            raw_counts: None,
             moving: None,
         })
     }
@@ -172,6 +177,10 @@ impl Plan {
             moving.extend(others.into_iter().map(shifted));
             moving
         });
+        // One rate by two clocks: the mean, weighted by samples, which keeps samples over rate the whole duration. Equal rates stay.
+        let [own, others] =
+            [(self.end_seq, self.other_rate), (other.end_seq, other.other_rate)].map(|(all, left)| (all - left) as f64);
+        self.rate_hz += (other.rate_hz - self.rate_hz) * others / (own + others);
         self.end_seq += other.end_seq;
         self.longest = self.longest.max(other.longest);
         self.other_rate += other.other_rate;
@@ -181,6 +190,15 @@ impl Plan {
             self.sampling = other.sampling;
         }
         Ok(self)
+    }
+
+    /// Takes in what a person says of how the samples came about.
+    ///
+    /// # Errors
+    /// [`SamplingError`] if that cannot be.
+    pub fn sampled(&mut self, told: Told) -> Result<(), SamplingError> {
+        self.sampling = told.with(&self.sampling, self.rate_hz)?;
+        Ok(())
     }
 
     /// How a channel's samples came about, where that is known.
@@ -233,6 +251,11 @@ impl Plan {
         }
     }
 
+    /// Whether a sample is at rest, or nothing tells.
+    pub(super) fn has_rest(&self) -> bool {
+        self.stretches_at_rest(&(0..self.end_seq)).next().is_some()
+    }
+
     fn is_moving(&self) -> bool {
         self.moving.as_ref().is_some_and(|moving| !moving.is_empty())
     }
@@ -276,10 +299,11 @@ impl Plan {
         self.taken_in(range).flat_map(|part| self.resting_in(&part))
     }
 
-    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none where nothing tells.
+    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none if nothing tells, as raw
+    /// counts do not.
     #[must_use]
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
-        self.moving.as_ref()?;
+        self.moving.as_ref().filter(|_| self.raw_counts.is_none())?;
         let taken: u64 = self.taken_in(range).map(|part| part.end - part.start).sum();
         let at_rest: u64 = self.stretches_at_rest(range).map(|part| part.end - part.start).sum();
         let seconds = |samples: u64| samples as f64 / self.rate_hz;
@@ -332,16 +356,6 @@ impl Plan {
             runs.push((number, from..rows.end));
         }
     }
-}
-
-/// How accelerometer and gyroscope are sampled by what register 85 says. Of the magnetometer no document tells the rate.
-pub(super) fn of_register_85(filter_window: &serde_json::Value) -> BTreeMap<Triad, Sampling> {
-    let sampling = |name: &str| {
-        let window = u32::try_from(filter_window[name].as_u64()?).ok()?;
-        Some(Sampling { internal_rate_hz: IMU_RATE_HZ, window, source: "register 85".to_owned() })
-    };
-    let triads = [(Triad::Accel, "accel"), (Triad::Gyro, "gyro")];
-    triads.into_iter().filter_map(|(triad, name)| Some((triad, sampling(name)?))).collect()
 }
 
 /// A segment's first sample, its number, and which of the rates met it has.

@@ -5,11 +5,13 @@ use super::SampleSource;
 use super::examine::examine;
 use super::held::Held;
 use super::plan::{Plan, Shares};
+use super::raw_counts::RawCounts;
 use super::threads::side_by_side;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit_as_sampled};
 use crate::noise::robust::All;
 use crate::noise::statistics::Statistics;
+use crate::noise::stillness::TELLING;
 use crate::noise::whittle::{DstSums, Sampling};
 use crate::noise::{Contribution, NoiseParameters, NoiseReport, hold_against};
 use crate::sample::{Channel, Triad};
@@ -160,8 +162,12 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     warnings
 }
 
-/// `in_motion`, where the sensor moved for a part of the time, `not_at_rest`, where it did all the time; none where it did not.
+/// `raw_counts` if that is what the values are. Else `in_motion`, where the sensor moved for a part of the time, `not_at_rest`, where it
+/// did all the time; none where it did not.
 fn motion(plan: &Plan) -> Option<Flag> {
+    if let Some(raw) = plan.raw_counts {
+        return Some(Flag::whole("raw_counts", raw.to_string()));
+    }
     let Shares { at_rest_s, moving_s } = plan.shares(&(0..plan.end_seq)).filter(|of| of.moving_s > 0.0)?;
     Some(if at_rest_s > 0.0 {
         let whole_s = at_rest_s + moving_s;
@@ -198,12 +204,14 @@ pub(super) fn noise(
     let mut extent = Extent::of_plan(source, plan)?;
     let found = examine(source, plan, &fitted.into_iter().collect(), held, go_on)?;
     for (channel, (mut parameters, disturbance)) in found.channels {
-        if let Some(flag) = parameters.flags.iter().find(|flag| flag.kind == "not_at_rest") {
+        let counted = sums.iter().find(|(own, _)| *own == channel);
+        let beyond = counted.map_or((0, 0), |(_, sums)| (sums.out_of_range(), sums.out_of_range() + sums.samples()));
+        // In which unit the others are then nobody knows either, nor whether the sensor was at rest.
+        let of_all = plan.raw_counts.filter(|_| TELLING.contains(&channel) || !plan.has_rest());
+        if let Some(raw) = of_all.or_else(|| RawCounts::of(channel, beyond.0, beyond.1)) {
+            parameters.refuse(raw.to_string());
+        } else if let Some(flag) = parameters.flags.iter().find(|flag| flag.kind == "not_at_rest") {
             parameters.refuse(flag.note.clone());
-        }
-        let beyond = sums.iter().find(|(own, _)| *own == channel).map_or(0, |(_, sums)| sums.out_of_range());
-        if let Some(reason) = raw_counts(channel, beyond, extent.samples) {
-            parameters.refuse(reason);
         }
         channels.insert(channel, parameters);
         disturbances.insert(channel, disturbance);
@@ -220,17 +228,6 @@ pub(super) fn noise(
         at_rest_s: shares.map(|of| of.at_rest_s),
         moving_s: shares.map(|of| of.moving_s),
         ..noise_report(extent, plan.rate_hz, channels)
-    })
-}
-
-/// Why values of which most are beyond anything that a channel measures are not to be used; none where they are few.
-fn raw_counts(channel: Channel, beyond: u64, samples: u64) -> Option<String> {
-    let unit = channel.unit();
-    (beyond > samples / 2).then(|| {
-        format!(
-            "{beyond} of {samples} values are beyond what {channel} can measure in {unit}: raw counts? give the scale, \
-             so that they are {unit}"
-        )
     })
 }
 

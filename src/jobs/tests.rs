@@ -313,6 +313,30 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
     jobs.stop();
 }
 
+/// Before anything is fitted: of these 300 samples nothing could be.
+#[test]
+fn a_simulator_of_another_rate_is_refused_before_any_work() {
+    let world = World::new();
+    let fast = world.add("fast", &serde_json::Value::Null, 100.0, 0..300);
+    let params = serde_json::json!({ "sim": fast });
+    let job = NewJob { kind: JobKind::Diagnosis.name().to_owned(), capture_id: world.capture, params };
+    world.store.submit_job(job, u64::MAX).unwrap();
+    let claimed = world.store.claim_job().unwrap().unwrap();
+    let error = run(&world.store, &world.reader(), &claimed, 1000, || true).unwrap_err().to_string();
+    assert!(error.contains("recording has 40 Hz") && error.contains("simulator 100 Hz"), "{error}");
+}
+
+/// One rate by two clocks: the whole has their mean, weighted by samples.
+#[test]
+fn rates_that_differ_by_their_clocks_are_one_rate() {
+    let world = World::new();
+    let [one, other] = [("one", 100.0, 0..300), ("other", 100.004, 0..900)]
+        .map(|(name, rate_hz, range)| (world.add(name, &serde_json::Value::Null, rate_hz, range.clone()), range.end));
+    let plan = |captures: &[(i64, u64)]| together::plan(&world.reader(), captures, &[Channel::AccelX]).unwrap().rate_hz;
+    assert!((plan(&[one, other]) - 100.003).abs() < 1e-9 && (plan(&[other, one]) - 100.003).abs() < 1e-9);
+    assert_eq!(plan(&[one]), 100.0);
+}
+
 #[test]
 fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
     let world = World::new();

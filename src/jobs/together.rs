@@ -2,7 +2,10 @@
 
 use super::JobError;
 use super::plan::Plan;
-use crate::sample::Channel;
+use super::sampling::of_configuration;
+use crate::diagnosis::is_same_rate;
+use crate::noise::whittle::Sampling;
+use crate::sample::{Channel, Triad};
 use crate::store::{CaptureRow, Reader};
 use std::collections::BTreeMap;
 
@@ -22,6 +25,8 @@ pub struct Setting {
     pub serial_number: Option<String>,
     /// Filter windows of register 85: of mag, accel and gyro.
     pub windows: Option<[u64; 3]>,
+    /// How samples came about, by register 85 or by the options of its import.
+    pub sampling: BTreeMap<Triad, Sampling>,
     /// What the sensor sent: the name of its message, or the groups and fields of its binary output.
     pub output: Option<String>,
     /// Unit in which each channel was recorded.
@@ -38,6 +43,7 @@ impl Setting {
             model: None,
             serial_number: None,
             windows: None,
+            sampling: BTreeMap::new(),
             output: None,
             units: BTreeMap::new(),
         }
@@ -55,6 +61,7 @@ impl Setting {
             model: text(&row.sensor["model"]),
             serial_number: text(&row.sensor["serial_number"]),
             windows: windows(&row.configuration["filter_window"]),
+            sampling: of_configuration(&row.configuration),
             output: text(&row.configuration["output"]),
             units: row.channels.iter().filter_map(unit).collect(),
             ..Self::of_rate(&row.name, rate_hz)
@@ -73,9 +80,15 @@ impl Setting {
         };
         known("model", self.model.clone(), other.model.clone());
         known("serial number", self.serial_number.clone(), other.serial_number.clone());
-        known("rate in Hz", Some(self.rate_hz.to_string()), Some(other.rate_hz.to_string()));
+        // Two clocks do not give one rate with the same digits.
+        let rate = |of: &Self| Some(of.rate_hz.to_string()).filter(|_| !is_same_rate(self.rate_hz, other.rate_hz));
+        known("rate in Hz", rate(self), rate(other));
         let windows = |of: &Self| of.windows.map(|[mag, accel, gyro]| format!("mag {mag}, accel {accel}, gyro {gyro}"));
         known("filter window (register 85)", windows(self), windows(other));
+        for (triad, one) in self.sampling.iter().filter(|_| windows(self).and(windows(other)).is_none()) {
+            let told = |of: &Sampling| format!("means of {} at {} Hz", of.window.max(1), of.internal_rate_hz);
+            known(&format!("sampling of {}", triad.name()), Some(told(one)), other.sampling.get(triad).map(told));
+        }
         known("output", self.output.clone(), other.output.clone());
         for (channel, unit) in &self.units {
             known(&format!("unit of {channel}"), Some(unit.clone()), other.units.get(channel).cloned());
@@ -190,6 +203,16 @@ mod tests {
         ] {
             assert!(error.contains(words) && error.contains("differ"), "{error}");
         }
+        // What an import states counts as a register does.
+        let said = |window| {
+            let configuration = serde_json::json!({"sampling": {"filter_window": window, "internal_rate_hz": 800}});
+            Setting { sampling: of_configuration(&configuration), ..plain.clone() }
+        };
+        one_sensor(&[said(4), plain.clone(), said(4)]).unwrap();
+        let sampled = one_sensor(&[said(4), said(8)]).unwrap_err().to_string();
+        assert!(sampled.contains("sampling of gyro means of 4 at 800 Hz and means of 8 at 800 Hz"), "{sampled}");
+        let rates = [99.999_989_949_392_06, 99.999_925_385_480_04, 100.0];
+        one_sensor(&rates.map(|rate_hz| Setting::of_rate("r", rate_hz))).unwrap();
         // The rate is known of `a` too, and it is the first that differs.
         let rates = one_sensor(&[plain, Setting { rate_hz: 80.0, ..full }]).unwrap_err().to_string();
         assert!(rates.contains("`a` and `b` differ: rate in Hz 40 and 80"), "{rates}");

@@ -6,6 +6,7 @@
 use crate::effects::{Effect, LowPass, MovingAverage};
 use crate::noise::NoiseReport;
 use crate::noise::fit::Bandwidth;
+use crate::noise::whittle;
 use crate::simulator::Sampling;
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -58,7 +59,8 @@ impl Front {
     }
 }
 
-/// The sampling that all channels of a report share, where all are known to lie behind the same boxcar and it shapes them all.
+/// The sampling that all channels of a report share, where all are known to lie behind the same boxcar and it shapes them all. Its rate
+/// is the whole multiple of the report's that the known one is within the clocks' difference: a model has no other.
 pub(super) fn sampling(report: &NoiseReport) -> Option<Sampling> {
     let of = |bandwidth: Option<&Bandwidth>| {
         let bandwidth = bandwidth.filter(|bandwidth| bandwidth.kind == "moving_average")?;
@@ -67,12 +69,15 @@ pub(super) fn sampling(report: &NoiseReport) -> Option<Sampling> {
     let mut all = report.channels.values().map(|found| of(found.bandwidth.as_ref()));
     let (internal_rate_hz, window) = all.next()??;
     let same = all.all(|other| other == Some((internal_rate_hz, window)));
-    same.then_some(Sampling { internal_rate_hz, filter_window: window as u64 })
+    let known = whittle::Sampling { internal_rate_hz, window: window as u32, source: String::new() };
+    let internal_rate_hz = f64::from(known.every(report.rate_hz).filter(|_| same)?) * report.rate_hz;
+    Some(Sampling { internal_rate_hz, filter_window: window as u64 })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample::Channel;
 
     fn bandwidth(kind: &str, value: f64) -> Bandwidth {
         Bandwidth {
@@ -120,6 +125,22 @@ mod tests {
             }
         }
         assert!(Front::of(&bandwidth("other", 7.0), 1.0, 40.0).is_none());
+    }
+
+    #[test]
+    fn a_sampling_is_one_that_a_model_may_have() {
+        let mut found = crate::noise::fit::fit(&[], 40.0, Channel::GyroX);
+        found.bandwidth = Some(Bandwidth { internal_rate_hz: Some(800.0), ..bandwidth("moving_average", 4.0) });
+        let mut report: NoiseReport = serde_json::from_value(
+            serde_json::json!({"format": "", "capture": "", "rate_hz": 40, "duration_s": 50, "samples": 2000,
+            "missing": 0, "complete": true, "channels": {}, "datasheet": null}),
+        )
+        .unwrap();
+        report.channels.insert(Channel::GyroX, found);
+        for (rate_hz, every) in [(40.0, Some(20)), (39.9926, Some(20)), (39.5, None)] {
+            report.rate_hz = rate_hz;
+            assert_eq!(sampling(&report).map(|of| of.decimation(rate_hz)), every.map(Some), "{rate_hz}");
+        }
     }
 
     #[test]

@@ -28,13 +28,20 @@
 //! # Validation
 //! The tests below, and `docs/noise-model.md` for real recordings.
 
+use crate::sample::Channel;
 use std::ops::Range;
 
+/// The channels that tell motion, in the order of [`Stillness::push`].
+pub const TELLING: [Channel; 6] =
+    [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
+/// Beyond this no value is a measurement: rad/s, m/s².
+const MEASURED_MAX: [f64; 6] = [100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0];
 /// Least length of a window, s.
 const WINDOW_S: f64 = 0.5;
 /// Least samples of a window: at rates below 16 Hz it lasts longer.
 const WINDOW_SAMPLES: u64 = 8;
-/// Windows that are kept at most: 36 h of half seconds; those of longer captures are longer. Each takes 56 bytes.
+/// Windows of a capture without gaps at most: 36 h of half seconds; those of longer captures are longer. Each takes 56 bytes. Among
+/// gaps there are four times as many at most, since one that is kept is filled by a quarter.
 const WINDOWS_MAX: u64 = 1 << 18;
 /// A window departs beyond this many standard deviations of its mean, within the bounds below.
 const DEVIATIONS: f64 = 6.0;
@@ -89,18 +96,20 @@ pub struct Stillness {
     length: u64,
     windows: Vec<Window>,
     open: Open,
+    /// Values beyond any measurement, and all values.
+    beyond: [(u64, u64); 6],
 }
 
 impl Stillness {
-    /// For a capture of that many places: samples received and missing.
+    /// For a capture of which that many samples were received. What is missing takes no window: a clock that jumps makes none longer.
     #[must_use]
-    pub fn new(rate_hz: f64, places: u64) -> Self {
-        let length = ((WINDOW_S * rate_hz).ceil() as u64).max(WINDOW_SAMPLES).max(places.div_ceil(WINDOWS_MAX));
-        Self { rate_hz, length, windows: Vec::new(), open: Open::default() }
+    pub fn new(rate_hz: f64, samples: u64) -> Self {
+        let length = ((WINDOW_S * rate_hz).ceil() as u64).max(WINDOW_SAMPLES).max(samples.div_ceil(WINDOWS_MAX));
+        Self { rate_hz, length, windows: Vec::new(), open: Open::default(), beyond: [(0, 0); 6] }
     }
 
-    /// Takes consecutive samples from `place` on (counted from the capture's first sample, missing ones included): gyro x, y, z in
-    /// rad/s, accel x, y, z in m/s². Places increase from call to call. NaN: there is none. What is beyond any measurement
+    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones included): gyro
+    /// x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN: there is none. What is beyond any measurement
     /// (100 rad/s, 1000 m/s²) counts as none.
     pub fn push(&mut self, place: u64, columns: [&[f64]; 6]) {
         let rows = columns.iter().map(|column| column.len()).max().unwrap_or(0);
@@ -116,18 +125,27 @@ impl Stillness {
             let to = rows.min(from + left);
             for (axis, column) in columns.iter().enumerate() {
                 let values = column.get(from..to).unwrap_or_default();
-                let most = if axis < 3 { 100.0 } else { 1000.0 };
-                let (mut sum, mut count) = (0.0, 0u64);
+                let most = MEASURED_MAX[axis];
+                let (mut sum, mut count, mut beyond) = (0.0, 0u64, 0u64);
                 for value in values {
                     let there = value.abs() <= most;
                     sum += if there { *value } else { 0.0 };
                     count += u64::from(there);
+                    beyond += u64::from(value.abs() > most);
                 }
+                self.beyond[axis].0 += beyond;
+                self.beyond[axis].1 += beyond + count;
                 self.open.sums[axis] += sum;
                 self.open.counts[axis] += count;
             }
             from = to;
         }
+    }
+
+    /// Of each channel, how many values were beyond any measurement, and how many values there were.
+    #[must_use]
+    pub fn beyond(&self) -> [(u64, u64); 6] {
+        self.beyond
     }
 
     fn close(&mut self) {
@@ -551,6 +569,36 @@ mod tests {
         let found = moving(&columns);
         let [(from, to)] = found[..] else { panic!("{found:?}") };
         assert!((440.0..560.0).contains(&from) && (640.0..760.0).contains(&to), "{found:?}");
+    }
+
+    /// A clock that jumps by four weeks leaves windows as long as they are, and a turn of three seconds is found.
+    #[test]
+    fn a_clock_that_jumps_makes_no_window_longer() {
+        let mut columns = at_rest(300, 10);
+        add(&mut columns[2], |t| if (200.0..203.0).contains(&t) { 0.035 } else { 0.0 });
+        let mut stillness = Stillness::new(RATE_HZ, 12_000);
+        let jump = 4 * 7 * 86_400 * 40;
+        for (range, place) in [(0..4000, 0), (4000..12_000, 4000 + jump)] {
+            stillness.push(place, columns.each_ref().map(|column| &column[range.clone()]));
+        }
+        let found = stillness.settle().unwrap();
+        assert_eq!(found.len(), 1, "{found:?}");
+        let s = |place: u64| (place - jump) as f64 / RATE_HZ;
+        assert!(
+            (197.0..=200.5).contains(&s(found[0].start)) && (202.5..=206.0).contains(&s(found[0].end)),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn values_beyond_any_measurement_are_counted() {
+        let mut columns = at_rest(10, 11);
+        columns[5].fill(16_384.0);
+        columns[0][7] = f64::NAN;
+        columns[0][8] = -1e9;
+        let mut stillness = Stillness::new(RATE_HZ, 400);
+        stillness.push(0, columns.each_ref().map(Vec::as_slice));
+        assert_eq!(stillness.beyond(), [(1, 399), (0, 400), (0, 400), (0, 400), (0, 400), (400, 400)]);
     }
 
     #[test]

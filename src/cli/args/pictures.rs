@@ -1,7 +1,7 @@
 //! Arguments of what draws a capture: `plot`, `report`.
 
-use super::rate;
 use super::recordings::moment;
+use super::{SamplingArgs, rate};
 use crate::gallery::Picture;
 use crate::store::Moment;
 use clap::Args;
@@ -28,6 +28,9 @@ pub struct PlotArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// How samples came about
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
     /// Replace the file where it exists
     #[arg(long)]
     pub force: bool,
@@ -44,6 +47,9 @@ pub struct ReportArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// How samples came about
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
     /// Replace the file where it exists
     #[arg(long)]
     pub force: bool,

@@ -1,6 +1,6 @@
 //! Arguments of what brings recordings in and out: `import`, `export`.
 
-use super::rate;
+use super::{SamplingArgs, rate};
 use crate::sample::Channel;
 use crate::store::Moment;
 use clap::{Args, ValueEnum};
@@ -15,6 +15,9 @@ pub struct ImportArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// How samples came about: kept with the capture, for its jobs
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
     /// What the columns of a foreign CSV are: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
     /// '#3=gyro_x_dps' by position. May be given several times
     #[arg(long, value_name = "FOREIGN=NAME,…")]

@@ -19,6 +19,8 @@ fn an_import_that_fails_because_the_daemon_ends_says_so() {
             called: "desk.csv".to_owned(),
             name: None,
             rate_hz: None,
+            filter_window: None,
+            internal_rate_hz: None,
             columns: None,
             definitions: Vec::new(),
             abandoned: CancellationToken::new(),
@@ -228,4 +230,28 @@ fn what_is_no_recording_is_refused_before_all_of_it_is_read_and_leaves_nothing()
     }
     assert_eq!(["capture", "sample", "event"].map(|table| world.count(table)), [0; 3]);
     world.store.close().unwrap();
+}
+
+/// A stated sampling is kept with the capture, for whatever analyses it. One file with two of them makes two captures.
+#[test]
+fn how_samples_came_about_is_kept_and_has_to_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
+    let file = folder.path().join("desk.csv");
+    let rows: String = (0..400).map(|row| format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7)).collect();
+    std::fs::write(&file, format!("time_s,gyro_x_rad_s\n{rows}")).unwrap();
+    let told = |filter_window, internal_rate_hz| {
+        let source = Source { sampling: Some(Told { filter_window, internal_rate_hz }), ..Source::of(&file) };
+        import(&store, &SystemClock, source, None, &mut |_, _| Ok(())).map(|imported| imported.end)
+    };
+    let refused = told(4, Some(1010.0)).unwrap_err().to_string();
+    assert!(refused.contains("1010 Hz") && refused.contains("40.0000 Hz"), "{refused}");
+    let [four, eight] = [told(4, None), told(8, Some(1000.0))].map(|end| end.unwrap().id());
+    assert!(four != eight && matches!(told(4, Some(800.0)).unwrap(), ImportEnd::Known(id) if id == four));
+    let reader = store.reader().unwrap();
+    for (id, window, internal_hz) in [(four, 4, 800.0), (eight, 8, 1000.0)] {
+        let plan = crate::jobs::Plan::read(&reader, id, 400, &[crate::sample::Channel::GyroX]).unwrap();
+        let found = plan.sampling(crate::sample::Channel::GyroX).unwrap();
+        assert_eq!((found.window, found.internal_rate_hz, found.source.as_str()), (window, internal_hz, "option"));
+    }
 }
