@@ -16,7 +16,9 @@ use super::pairs::Pairing;
 use super::rows::{Row, Rows};
 use super::stamps::{STAMPS_MAX, StepMedian, UNIX_FROM_NS, median_of};
 use super::values::{STD_OF_SPREAD, median_and_spread};
+use crate::sample::Sample;
 use crate::units::NANOS_PER_SECOND;
+use statrs::distribution::{ContinuousCDF as _, Normal};
 
 /// How many samples are looked at.
 const LOOK_AT: usize = 20_000;
@@ -62,42 +64,65 @@ pub(super) struct Chosen {
 /// How stamps of samples in their order may fall behind each other, though no line is repeated or misplaced.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Falls {
-    /// Several samples have one stamp, because it is rounded.
+    /// Several samples have one stamp: it is rounded, or that of their delivery.
     pub(super) equal: bool,
+    /// Rounding explains equal stamps, so that a sample may also have the values of the one before it.
+    pub(super) alike: bool,
     /// Jitter puts a stamp up to so much before the last one, ns.
     pub(super) back_ns: i64,
 }
 
 /// Fewer stamps tell nothing of their jitter.
 const JITTER_LEAST: usize = 64;
-/// Rounding to this share of the mean step makes equal stamps, where there is jitter too.
+/// Rounding to this share of the mean step makes equal stamps, if there is jitter too.
 const ROUNDED_FROM: f64 = 0.2;
 /// Rounding to this share of it makes them without.
-const COARSE_FROM: f64 = 1.05;
-/// Jitter of this share of the mean step makes stamps fall.
-const JITTER_FROM: f64 = 0.1;
-/// Shares of the steps that fall where it is by jitter: fewer are misplaced lines, more are no stamps.
-const FALLING: std::ops::Range<f64> = 5e-4..0.5;
-/// Stamps are within so many standard deviations.
+const COARSE_FROM: f64 = 0.9;
+/// If so large a share of the samples has the stamp of the one before, stamps are those of deliveries.
+const SHARED_FROM: f64 = 0.02;
+/// Stamps of which so many are those of the one before are of several sensors, or none.
+const SHARED_MOST: f64 = 0.98;
+/// Of more falling steps no stamps are made.
+const FALLING_MOST: f64 = 0.5;
+/// Of the steps that normal jitter makes fall this share has to fall, at least: the spread of bursts is no jitter.
+const FALLING_SHARE: f64 = 0.3;
+/// So many steps fewer may fall by chance.
+const FALLING_CHANCE: f64 = 4.0;
+/// Two neighbours' jitters differ by at most so many standard deviations of one.
 const DEVIATIONS: f64 = 8.0;
+/// A normal distribution's tenth and ninetieth percentile are so many standard deviations apart.
+const STD_OF_PERCENTILES: f64 = 2.563;
 
 impl Falls {
-    /// Of stamps in the order of their samples, ns.
-    fn of(stamps: &[i64]) -> Self {
-        let steps: Vec<i64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0])).collect();
+    /// Of stamps in the order of their samples, ns; `shared` of them are those of a sample before with other values.
+    fn of(stamps: &[i64], shared: u64) -> Self {
+        let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
         let span_ns = stamps.first().zip(stamps.last()).map_or(0, |(first, last)| last.saturating_sub(*first));
         if stamps.len() < JITTER_LEAST || span_ns <= 0 {
             return Self::default();
         }
-        let mean_ns = span_ns as f64 / steps.len() as f64;
+        let count = steps.len() as f64;
+        let mean_ns = span_ns as f64 / count;
         let rounding_ns = rounding(stamps) as f64;
-        let (_, spread_ns) = median_and_spread(steps.iter().map(|step| *step as f64).collect()).unwrap_or_default();
-        let jitter_ns = STD_OF_SPREAD * spread_ns / std::f64::consts::SQRT_2;
-        let falls = |step: &&i64| **step < 0 || (**step == 0 && rounding_ns >= ROUNDED_FROM * mean_ns);
-        let falling = steps.iter().filter(falls).count() as f64 / steps.len() as f64;
-        let jitters = jitter_ns > JITTER_FROM * mean_ns && FALLING.contains(&falling);
-        let back_ns = if jitters { (DEVIATIONS * jitter_ns) as i64 } else { 0 };
-        Self { equal: jitters || rounding_ns > COARSE_FROM * mean_ns, back_ns }
+        let rounded = rounding_ns >= ROUNDED_FROM * mean_ns;
+        let shared_of = shared as f64 / count;
+        let alike = rounding_ns >= COARSE_FROM * mean_ns && shared > 0;
+        let together = (SHARED_FROM..SHARED_MOST).contains(&shared_of) || (rounded && shared > 0);
+        let falling = steps.iter().filter(|step| **step < 0.0 || (rounded && **step == 0.0)).count() as f64;
+        let spread_ns = if rounded {
+            // Most steps may be the same.
+            let mut percentile = |of: f64| *steps.select_nth_unstable_by((of * count) as usize, f64::total_cmp).1;
+            (percentile(0.9) - percentile(0.1)) / STD_OF_PERCENTILES
+        } else {
+            STD_OF_SPREAD * median_and_spread(steps).unwrap_or_default().1
+        };
+        let jitter_ns = spread_ns / std::f64::consts::SQRT_2;
+        let expected = count * Normal::standard().cdf(-mean_ns / (std::f64::consts::SQRT_2 * jitter_ns));
+        // Jitter of an eighth of a step puts no stamp before the last one, however many there are.
+        let back_ns = (DEVIATIONS * jitter_ns - mean_ns).max(0.0) as i64;
+        let jitters =
+            back_ns > 0 && falling < FALLING_MOST * count && falling + FALLING_CHANCE >= FALLING_SHARE * expected;
+        Self { equal: jitters || alike || together, alike, back_ns: if jitters { back_ns } else { 0 } }
     }
 }
 
@@ -110,14 +135,17 @@ struct Column {
     pairing: Pairing,
     /// Steps that do not advance.
     backward: u64,
+    /// Samples with the stamp of the one before and other values.
+    shared: u64,
     /// Stamps since 1970.
     unix: u64,
     stamps: Vec<i64>,
 }
 
 impl Column {
-    fn add(&mut self, stamp_ns: i64) {
+    fn add(&mut self, stamp_ns: i64, repeats: bool) {
         self.stamps.push(stamp_ns);
+        self.shared += u64::from(self.first.is_some() && stamp_ns == self.last && !repeats);
         if self.first.replace(self.first.unwrap_or(stamp_ns)).is_some() {
             if stamp_ns > self.last {
                 let step_ns = stamp_ns.abs_diff(self.last);
@@ -164,10 +192,12 @@ fn reference(columns: &[Column], rows: u64) -> Option<usize> {
 pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let mut by_count: [(u64, [Column; STAMPS_MAX]); STAMPS_MAX + 1] = Default::default();
     let mut looked_at = 0;
+    let mut last: Option<Sample> = None;
     while looked_at < LOOK_AT
         && let Some(row) = rows.next_row()?
     {
-        let Row::Sample { stamps, .. } = row else { continue };
+        let Row::Sample { stamps, sample, .. } = row else { continue };
+        let repeats = last.replace(sample.clone()).is_some_and(|last| last.same_values(&sample));
         looked_at += 1;
         let (rows, columns) = &mut by_count[stamps.count()];
         *rows += 1;
@@ -175,7 +205,7 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
             let Some(stamp_ns) = stamps.get(index) else { break };
             column.unix += u64::from(stamp_ns >= UNIX_FROM_NS);
             if looked_at > 1 {
-                column.add(stamp_ns);
+                column.add(stamp_ns, repeats);
             }
         }
     }
@@ -199,5 +229,6 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let unix = 2 * columns[column].unix >= *rows;
     let own_clock = |stamp_ns: &i64| (*stamp_ns >= UNIX_FROM_NS) == unix;
     let stamps: Vec<i64> = columns[column].stamps.iter().copied().filter(own_clock).collect();
-    Ok(Chosen { count, column: Some(column), unix, regular, pairs, falls: Falls::of(&stamps), ..Chosen::default() })
+    let falls = Falls::of(&stamps, columns[column].shared);
+    Ok(Chosen { count, column: Some(column), unix, regular, pairs, falls, ..Chosen::default() })
 }

@@ -149,7 +149,8 @@ impl Order {
             Waiting::Stamped { line, stamp_ns, sample, falls } => {
                 self.stamped -= 1;
                 self.falling -= usize::from(falls);
-                let repeats = self.last_stamp_ns == Some(stamp_ns)
+                let repeats = !self.falls.alike
+                    && self.last_stamp_ns == Some(stamp_ns)
                     && self.last_sample.as_ref().is_some_and(|last| last.same_values(&sample));
                 if let Some(last) = self.last_stamp_ns.filter(|last| repeats || !self.follows(*last, stamp_ns)) {
                     let text = format!("stamp {} s is not later than the one before", seconds(stamp_ns));
@@ -163,7 +164,7 @@ impl Order {
                 }
                 // A stamp that jitter put back does not make room for another one.
                 self.last_stamp_ns = Some(self.last_stamp_ns.map_or(stamp_ns, |last| last.max(stamp_ns)));
-                if self.falls.equal {
+                if self.falls.equal && !self.falls.alike {
                     self.last_sample = Some(sample.clone());
                 }
                 Entry::Sample { stamp_ns: Some(stamp_ns), sample }

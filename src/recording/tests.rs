@@ -166,6 +166,57 @@ fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
     assert!((loaded.duration_s() - 600.0).abs() < 0.011, "{}", loaded.duration_s());
 }
 
+/// The rate of a recording whose stamps, s, are written with so many decimals; none of its samples may be lost.
+fn rate_of(stamps_s: impl Iterator<Item = f64>, decimals: usize) -> (f64, u64) {
+    let mut content = "time_s,gyro_x_rad_s\n".to_owned();
+    let mut count = 0;
+    for (index, stamp_s) in stamps_s.enumerate() {
+        // A coarse channel: neighbours are often equal.
+        content.push_str(&format!("{stamp_s:.decimals$},{}\n", 0.01 * ((index * index) % 3) as f64));
+        count += 1;
+    }
+    let loaded = Folder::new().load(&content, Options::default()).unwrap();
+    assert_eq!((loaded.samples, loaded.info.rejected.len()), (count, 0), "{:?}", loaded.info.remarks());
+    assert!(loaded.stamps_ns.is_sorted_by(|one, other| one < other));
+    (loaded.info.rate_hz, loaded.missing)
+}
+
+/// Each was taken for a duplicate: 1024 Hz in whole ms was "1000 Hz" with 2.3 % rejected, pairs of one stamp half their rate.
+#[test]
+fn samples_that_share_a_stamp_by_rounding_or_delivery_all_count() {
+    let is = |(found_hz, missing): (f64, u64), rate_hz: f64| {
+        assert!((found_hz / rate_hz - 1.0).abs() < 1e-4 && missing == 0, "{found_hz} for {rate_hz}, {missing} missing");
+    };
+    for (rate_hz, decimals) in [(1024.0, 3), (102.4, 2), (100.3, 2), (1000.5, 3), (119.0, 2), (1600.0, 3)] {
+        is(rate_of((0..60_000).map(|index| f64::from(index) / rate_hz), decimals), rate_hz);
+    }
+    // Pairs, and a buffer of eight, with the stamp of their delivery.
+    for (group, decimals) in [(2, 3), (2, 6), (8, 6)] {
+        let delivered = |index: u32| (f64::from(index / group * group + group) * 0.01 * 1e3).round() / 1e3;
+        let (found_hz, missing) = rate_of((0..40_000).map(delivered), decimals);
+        assert!((found_hz / 100.0 - 1.0).abs() < 1e-3 && missing == 0, "{found_hz}, {missing} missing");
+    }
+}
+
+/// At 200 Hz with 1 ms of jitter one stamp in five thousand lies before the last one: it was rejected.
+#[test]
+fn rare_falls_by_jitter_are_no_misplaced_samples() {
+    let mut state = 5_u64;
+    let mut normal = || {
+        (0..12).fold(-6.0, |sum, _| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sum + (state >> 11) as f64 / (1_u64 << 53) as f64
+        })
+    };
+    for (rate_hz, jitter_s, decimals) in [(200.0, 0.001, 6), (40.0, 0.005, 9), (800.0, 0.0003, 3)] {
+        let stamps_s: Vec<f64> =
+            (0..120_000).map(|index| 1.0 + f64::from(index) / rate_hz + jitter_s * normal()).collect();
+        let (found_hz, missing) = rate_of(stamps_s.into_iter(), decimals);
+        assert!((found_hz / rate_hz - 1.0).abs() < 1e-4, "{found_hz} for {rate_hz}, {missing} missing");
+        assert!(missing == 0 || decimals == 3, "{rate_hz}: {missing} missing");
+    }
+}
+
 #[test]
 fn a_told_rate_overrides_the_stamps_and_says_so() {
     let content: String =

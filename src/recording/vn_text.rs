@@ -190,7 +190,10 @@ fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
     let bare = text.trim_end_matches(['"', '\'']);
     let text =
         if bare.len() < text.len() { bare.strip_suffix('b').unwrap_or(bare).trim_end_matches('"') } else { text };
-    for word in text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty()) {
+    // A stamp may be a cell in quotation marks as well.
+    let words =
+        text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').map(|word| word.trim_matches(['"', '\'']));
+    for word in words.filter(|word| !word.is_empty()) {
         match parse_seconds(word) {
             Some(nanos) => stamps.push(nanos),
             None => return (RowStamps::default(), true),

@@ -18,6 +18,8 @@ const WINDOWS: [usize; 15] = [1, 2, 4, 5, 8, 10, 16, 20, 32, 64, 100, 200, 256, 
 const STRETCHES: [usize; 5] = [64, 256, 1024, 4096, 8192];
 /// Without any phase to begin with, stretches are not longer: that many periods would have to be tried.
 const STRETCHES_MOST: usize = 1024;
+/// Periods around a proposal that are looked at: more there are where two stamps next to each other proposed it by chance.
+const TRIES_MOST: i64 = 20_000;
 /// Stamps whose steps are a smaller share of the period were delivered together.
 const TOGETHER: f64 = 0.3;
 /// How far from a proposal it is looked at first, of it.
@@ -47,6 +49,17 @@ const CELL_MOST: f64 = 16.0;
 const GUESS: f64 = 4.0;
 /// Gain with which a period is tried: so low that it does not follow losses.
 const GAIN: f64 = 1.0 / 2048.0;
+/// Steps of the stretches whose lengths are compared.
+const SCATTER_STEPS: usize = 256;
+/// Fewer tell nothing.
+const SCATTER_STEPS_LEAST: usize = 32;
+/// Losses whose numbers vary by less than this share of what chance makes are none.
+const REGULAR: f64 = 0.5;
+/// Points and stamps last equally long, to this share of it and so many periods.
+const BEYOND: f64 = 0.02;
+const BEYOND_PERIODS: f64 = 32.0;
+/// Of fewer losses nothing is said.
+const REGULAR_LEAST: u64 = 40;
 /// Jitters, in periods, with which a period is tried.
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
@@ -109,19 +122,58 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
         }
     }
     let mut best: Option<(f64, StampGrid)> = None;
+    let scatter = Scatter::of(&at_ns);
+    let mut better = |period_ns: f64, jitter: f64, gain: f64| {
+        let Some((nats, grid)) = tried_with(stamps, &at_ns, period_ns, jitter, rounding_ns, gain, &scatter) else {
+            return;
+        };
+        if best.as_ref().is_none_or(|(least, _)| nats < *least) {
+            best = Some((nats, grid));
+        }
+    };
     for (place, period_ns) in tried.iter().enumerate() {
         if tried[..place].iter().any(|tried| (period_ns / tried - 1.0).abs() < 1e-6) {
             continue;
         }
-        for jitter in JITTERS {
-            let Some((nats, grid)) = tried_with(stamps, &at_ns, *period_ns, jitter, rounding_ns) else { continue };
-            if best.as_ref().is_none_or(|(least, _)| nats < *least) {
-                best = Some((nats, grid));
-            }
-        }
+        JITTERS.iter().for_each(|jitter| better(*period_ns, *jitter, GAIN));
+    }
+    // A clock that wanders is followed as it will be: its errors are no jitter then.
+    if let Some((_, grid)) = best.clone() {
+        let mut better = |jitter: f64| {
+            let with = tried_with(stamps, &at_ns, grid.period_ns, jitter, rounding_ns, super::track::GAIN, &scatter);
+            let least = best.as_ref().map_or(f64::INFINITY, |best| best.0);
+            best = with.filter(|(nats, _)| *nats < least).or(best.take());
+        };
+        JITTERS.iter().for_each(|jitter| better(*jitter));
     }
     let resolved = best.map(|(_, grid)| grid).filter(|grid| grid.jitter_ns < UNRESOLVED * grid.period_ns);
     resolved.or_else(|| unresolved(&at_ns, rounding_ns))
+}
+
+/// How much the lengths of stretches of so many steps vary.
+///
+/// Losses come at random, so that a stretch of W steps is longer by as many periods as it has lost, with a variance of at least their mean.
+/// Steps of a clock other than the sensor's, such as those in which a port delivers, leave empty points at regular intervals: no stretch
+/// differs from the next by more than a delivery.
+struct Scatter {
+    steps: usize,
+    variance_ns2: f64,
+}
+
+impl Scatter {
+    fn of(at_ns: &[f64]) -> Option<Self> {
+        let steps = SCATTER_STEPS.min(at_ns.len() / 32);
+        let lengths = || at_ns.iter().zip(at_ns.get(steps..).unwrap_or_default()).map(|(from, to)| to - from);
+        let count = lengths().count() as f64;
+        let mean = lengths().sum::<f64>() / count;
+        let variance_ns2 = lengths().map(|length| (length - mean).powi(2)).sum::<f64>() / count;
+        (steps >= SCATTER_STEPS_LEAST).then_some(Self { steps, variance_ns2 })
+    }
+
+    /// Whether so many losses, a sample, are too regular to be any.
+    fn denies(&self, lost: f64, period_ns: f64) -> bool {
+        self.variance_ns2 < REGULAR * lost * self.steps as f64 * period_ns * period_ns
+    }
 }
 
 /// Jitter from this share of the period on hides single losses.
@@ -163,6 +215,8 @@ fn tried_with(
     period_ns: f64,
     jitter: f64,
     rounding_ns: u64,
+    gain: f64,
+    scatter: &Option<Scatter>,
 ) -> Option<(f64, StampGrid)> {
     let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
     let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
@@ -176,7 +230,7 @@ fn tried_with(
         StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
     let mut nats = None;
     for _ in 0..2 {
-        let mut tracker = Tracker::with_gain(&grid, GAIN);
+        let mut tracker = Tracker::with_gain(&grid, gain);
         stamps.iter().for_each(|stamp_ns| tracker.push(*stamp_ns));
         tracker.finish();
         let (mut errors, mut missing) = (Vec::with_capacity(stamps.len()), 0);
@@ -199,6 +253,15 @@ fn tried_with(
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
+        let denied = |scatter: &Scatter| scatter.denies(missing as f64 / count, grid.period_ns);
+        // Neither more points than the stamps last, nor more samples than points.
+        let beyond_ns = (points - 1.0) * grid.period_ns - at_ns.last()?;
+        if beyond_ns.abs() > BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns || lost > 1.0 - RECEIVED_LEAST {
+            return None;
+        }
+        if missing >= REGULAR_LEAST && scatter.as_ref().is_some_and(denied) {
+            return None;
+        }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
         // Rounding that hides the period explains any steps: it has to explain many losses.
         let guess = if rounding_ns as f64 > COARSE_FROM * mean_ns { GUESS * count.ln() / count } else { 0.0 };
@@ -303,6 +366,9 @@ fn sharpened(at_ns: &[f64], proposal_ns: f64) -> Option<f64> {
         let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { return None };
         let step = 0.25 * period_ns / (last - first).max(period_ns);
         let tries = (within / step).ceil() as i64;
+        if tries > TRIES_MOST {
+            return None;
+        }
         let power = |factor: f64| {
             let turn = std::f64::consts::TAU / (period_ns * factor);
             let (sine, cosine) = stamps.iter().fold((0.0, 0.0), |(sine, cosine), at_ns| {

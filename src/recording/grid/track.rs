@@ -33,7 +33,7 @@ const LEVEL_MOST: f64 = 1e15;
 /// How often, in samples, it is looked how far all paths are one.
 const LOOK_EVERY: usize = 64;
 /// Gain of the loop that follows the phase; that of the one that follows the period is a quarter of its square.
-const GAIN: f64 = 1.0 / 256.0;
+pub(super) const GAIN: f64 = 1.0 / 256.0;
 /// Stamps that the phase at the begin rests on.
 const BEGUN: u32 = 32;
 /// A rise by so many periods, and by so long, makes the phase uncertain: it is found again. Shorter ones may be deliveries
@@ -197,7 +197,8 @@ impl Tracker {
 
     /// The period that the stamps placed so far have on average, ns.
     pub(in crate::recording) fn mean_period_ns(&self) -> Option<f64> {
-        let slope = self.line.slope()?;
+        // Of stamps that are late by as much, as many in batches are, none is near its point.
+        let slope = self.line.slope().unwrap_or(self.period_ns);
         // Stamps are whole ns, and so are most periods.
         Some(if (slope - slope.round()).abs() < WHOLE_NS { slope.round() } else { slope })
     }
