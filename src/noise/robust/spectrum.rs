@@ -7,6 +7,7 @@
 use super::Part;
 use super::scale::{median, spread_of_95};
 use crate::noise::welch::Windows;
+use crate::noise::whittle::boxcar;
 
 /// Windows that a spectrum should at least be averaged from.
 const LEAST_WINDOWS: usize = 16;
@@ -111,8 +112,58 @@ fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<boo
     roughness.iter().map(|value| value - centre > WILD * spread + 0.1).collect()
 }
 
-/// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.
+/// What the density would be without lines: its running median, under the lobes of a moving average if the samples are means of many.
 fn background(power: &[f64]) -> Vec<f64> {
+    let plain = running_median(power);
+    let Some(gain) = lobes(power) else { return plain };
+    let flat: Vec<f64> = power.iter().zip(&gain).map(|(power, gain)| power / gain).collect();
+    let lobed: Vec<f64> = running_median(&flat).iter().zip(&gain).map(|(level, gain)| level * gain).collect();
+    if misfit(power, &lobed) < misfit(power, &plain) - LOBED * power.len() as f64 { lobed } else { plain }
+}
+
+/// Windows whose lobes are narrow enough for lines.
+const WINDOWS: std::ops::RangeInclusive<u32> = 6..=64;
+/// What lobes have to add to the likelihood, nats a bin.
+const LOBED: f64 = 0.02;
+/// Ratios to the background beyond are lines.
+const LINE: f64 = 4.0;
+
+/// −log L of densities that are the background's but for chance; lines count little.
+fn misfit(power: &[f64], background: &[f64]) -> f64 {
+    let bins = power.iter().zip(background).skip(Spectrum::FIRST);
+    bins.map(|(power, level)| (power / level).min(LINE) + level.ln()).sum()
+}
+
+/// The gain of the moving average under which the density is most nearly flat, of [`WINDOWS`]; `None` if the density does not fall as theirs do.
+fn lobes(power: &[f64]) -> Option<Vec<f64>> {
+    /// Windows are compared on so many means of bins.
+    const COARSE: usize = 1024;
+    /// The upper half of the band holds less than this share of the lowest eighth's density.
+    const FALLS: f64 = 0.2;
+    let last = power.len().checked_sub(1).filter(|last| *last > 4 * Spectrum::FIRST)?;
+    let level = |from: usize, to: usize| median(power.get(from..to)?.iter().copied());
+    if level(last / 2, last)? > FALLS * level(Spectrum::FIRST, last / 8)? {
+        return None;
+    }
+    let gain_of = |window: u32, bins: &mut dyn Iterator<Item = f64>| -> Vec<f64> {
+        // A Hann window smears a bin over its neighbours.
+        let at = |bin: f64| boxcar(window, 0.5 * bin / last as f64);
+        bins.map(|bin| (0.5 * at(bin) + 0.25 * (at(bin - 1.0) + at(bin + 1.0))).max(1e-6)).collect()
+    };
+    let size = last.div_ceil(COARSE);
+    let coarse: Vec<f64> = power.chunks(size).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
+    let flatness = |window: u32| {
+        let middle = |place: usize| place as f64 * size as f64 + 0.5 * (size as f64 - 1.0);
+        let gain = gain_of(window, &mut (0..coarse.len()).map(middle));
+        let level = median(coarse.iter().zip(&gain).skip(Spectrum::FIRST).map(|(power, gain)| power / gain))?;
+        Some((misfit(&coarse, &gain.iter().map(|gain| level * gain).collect::<Vec<_>>()), window))
+    };
+    let (_, window) = WINDOWS.filter_map(flatness).min_by(|one, other| one.0.total_cmp(&other.0))?;
+    Some(gain_of(window, &mut (0..power.len()).map(|bin| bin as f64)))
+}
+
+/// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.
+fn running_median(power: &[f64]) -> Vec<f64> {
     let bins = power.len();
     // Nothing but rounding lies below: ratios to it stay numbers.
     let floor = (1e-12 * power.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
@@ -164,6 +215,23 @@ mod tests {
         let most = ratios.iter().copied().fold(0.0, f64::max);
         let least = ratios.iter().copied().fold(most, f64::min);
         assert!(least > 0.2 && most < 3.0, "{least} {most}");
+    }
+
+    #[test]
+    fn lobes_of_a_moving_average_are_background() {
+        for (seed, window) in [(5, 8), (6, 32), (7, 50)] {
+            let white = Noise::new(seed).white(60_000 + window, 1.0);
+            let mut values: Vec<f64> = white.windows(window).map(|of| of.iter().sum::<f64>() / window as f64).collect();
+            let found = |values: &[f64]| {
+                let spectrum = Spectrum::of(&[Part { start_s: 0.0, values: values.to_vec() }], 100.0).unwrap();
+                super::super::lines::find(&spectrum, 100.0)
+            };
+            assert!(found(&values).is_empty(), "{window}: {:?}", found(&values));
+            // A line on a lobe is one all the same.
+            values.iter_mut().enumerate().for_each(|(i, value)| *value += 0.05 * (1.1 * i as f64).sin());
+            let lines = found(&values);
+            assert!(lines.len() == 1 && (lines[0].frequency_hz - 17.507).abs() < 0.1, "{window}: {lines:?}");
+        }
     }
 
     #[test]

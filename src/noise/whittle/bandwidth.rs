@@ -5,10 +5,10 @@
 //! boxcar and a decimation, is no candidate but the law itself.
 //!
 //! # Validation
-//! `tests` of this file's worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
+//! `tests::filters` has worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
 
 use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
-use super::likelihood::{BEHIND, Held, Likelihood, Model};
+use super::likelihood::{BEHIND, Held, Likelihood, Model, SIGMA};
 use super::residual::{MISFIT, Residual};
 use super::shape::{Gains, Shape, TILTS};
 use super::sums::DstSums;
@@ -22,6 +22,8 @@ const ORDERS: std::ops::RangeInclusive<u32> = 1..=4;
 const CLOSELY: usize = 2;
 /// Cutoffs that a search begins at, cycles a sample.
 const CUTOFFS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.42];
+/// Filters reach this far up at least, cycles a sample: nobody sends samples 125 times as often as they change.
+const LOWEST: f64 = 0.004;
 /// A shape has to better 2 log L by this beyond its price, in units of the plain law's misfit.
 const PLAINLY: f64 = 10.0;
 /// Times that slopes are taken anew at the numbers that were found.
@@ -141,26 +143,43 @@ pub(super) fn basic(
     }
 }
 
-/// A better law than that of `basic`, where that misfits and there is one.
+/// A better law than that of `basic`, if that misfits and there is one. A known sampling is given up only for a law that describes the
+/// record.
 pub(super) fn compete(
     sums: &DstSums,
     rate_hz: f64,
     excluded_bands_hz: &[[f64; 2]],
+    shape: &Shape,
     basic: &Choice,
 ) -> Option<(Likelihood, Choice)> {
-    basic.residual.filter(|residual| residual.p_value < MISFIT)?;
+    let misfits = basic.residual.is_some_and(|residual| residual.p_value < MISFIT);
+    if !misfits && !is_filter(basic, rate_hz) {
+        return None;
+    }
     let search = Search { sums, rate_hz, excluded_bands_hz };
-    let open = search.of(&Shape::Open, false)?;
+    let known = search.of(shape, false)?;
     let best = search.best()?;
-    let widen = Residual::widen(Residual::of(&open.likelihood, &open.model));
-    let gain = (open.score() - best.score()) / (widen * widen);
+    let widen = Residual::widen(Residual::of(&known.likelihood, &known.model));
+    let gain = (known.score() - best.score()) / (widen * widen);
     let named = (gain > PLAINLY).then(|| (choose(&best.likelihood), best.likelihood));
     let named = named.and_then(|(choice, likelihood)| Some((likelihood, choice?)));
     let described = |choice: &Choice| choice.residual.is_some_and(|residual| residual.p_value >= MISFIT);
     match named {
         Some((likelihood, choice)) if described(&choice) => Some((likelihood, choice)),
+        _ if *shape != Shape::Open => None,
         other => search.smooth().filter(|(_, choice)| described(choice)).or(other),
     }
+}
+
+/// Whether a law has a Gauss–Markov process in place of white noise: so does a low pass of first order look. No sensor is without white noise.
+fn is_filter(choice: &Choice, rate_hz: f64) -> bool {
+    /// White noise is at most this share of the process at half the rate.
+    const SHARE: f64 = 0.1;
+    let Model { terms, squares, tc_s, .. } = choice.model;
+    let decay = 1.0 / (rate_hz * tc_s);
+    // At half the rate over dt: σ² (1 − φ)/(1 + φ).
+    let process = squares[SIGMA] * (0.5 * decay).tanh();
+    terms.has_gauss_markov() && squares[0] * rate_hz < SHARE * process
 }
 
 /// A shape with its best model.
@@ -184,19 +203,35 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// The best N, B and K under a shape whose numbers are fitted.
+    ///
+    /// The slope of a low pass of first order is so gentle that flicker may take its place for good. So these are sought from the shape that
+    /// white noise alone has as well.
     fn of(&self, shape: &Shape, behind: bool) -> Option<Candidate> {
+        let gentle = matches!(shape, Shape::Butterworth { order: 1, .. } | Shape::Exponential { .. });
+        let from_white = gentle.then(|| self.from(shape, behind, 4)).flatten();
+        let all = self.from(shape, behind, 0).into_iter().chain(from_white);
+        all.min_by(|a, b| a.score().total_cmp(&b.score()))
+    }
+
+    /// The same from this shape on, with white noise alone in so many first rounds.
+    fn from(&self, shape: &Shape, behind: bool, white: usize) -> Option<Candidate> {
         let mut shape = shape.clone();
         let mut last: Option<Model> = None;
         for round in 0..ROUNDS {
             let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, behind);
-            let terms = likelihood.least_terms().with(Term::B).with(Term::K);
+            let terms = likelihood.least_terms();
+            let terms = if round < white { terms } else { terms.with(Term::B).with(Term::K) };
             let start = last.map(|model| Model { tilt: [0.0; TILTS], ..model });
             let model = likelihood.maximise(terms, 1.0, Held::Nothing, start.as_ref())?;
             let moved = model.tilt.iter().fold(0.0f64, |most, by| most.max(by.abs()));
-            if moved < 1e-3 || round + 1 == ROUNDS {
+            if (moved < 1e-3 && round >= white) || round + 1 == ROUNDS {
                 // White noise behind the filter is a part of the plateau. Where it is more than half of it, that is no filter: the
                 // skirt of a vibration looks so.
                 if 2.0 * model.squares[BEHIND] > model.squares[0] {
+                    return None;
+                }
+                // Nor is what falls off where no sensor's output does: a slow motion looks so.
+                if shape.gains(LOWEST).white < 0.5 {
                     return None;
                 }
                 let price = price(&shape, behind);
@@ -232,9 +267,9 @@ impl Search<'_> {
 
     /// A smooth shape over as much of the band as it describes.
     fn smooth(&self) -> Option<(Likelihood, Choice)> {
-        /// The ends of the band tried, cycles a sample.
         /// A band is described by a shape from this p-value on: what nearly misfits already moves N.
         const DESCRIBED: f64 = 0.05;
+        /// The ends of the band tried, cycles a sample.
         const ENDS: [f64; 8] = [0.5, 0.42, 0.34, 0.26, 0.18, 0.12, 0.08, 0.05];
         for up_to in ENDS {
             let mut best: Option<Candidate> = None;
@@ -312,11 +347,11 @@ pub(super) fn statement(
         Shape::Decimated { .. } => sampling.map(Sampling::bandwidth),
         Shape::MovingAverage(window) => Some(of("moving_average", Some(f64::from(window)), None)),
         Shape::Butterworth { order, cutoff } => {
-            let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
+            let ci95 = interval(likelihood, choice).and_then(|ends| below_half(ends.map(|end| end * cutoff), rate_hz));
             Some(Bandwidth { ci95, ..of("low_pass", Some(cutoff * rate_hz), Some(order)) })
         }
         Shape::Exponential { cutoff } => {
-            let ci95 = interval(likelihood, choice).map(|ends| ends.map(|end| end * cutoff * rate_hz));
+            let ci95 = interval(likelihood, choice).and_then(|ends| below_half(ends.map(|end| end * cutoff), rate_hz));
             Some(Bandwidth { ci95, exponential: true, ..of("low_pass", Some(cutoff * rate_hz), Some(1)) })
         }
         Shape::Smooth { up_to, .. } => {
@@ -325,6 +360,11 @@ pub(super) fn statement(
             Some(Bandwidth { up_to_hz, ..of("other", half.map(|u| u * rate_hz), None) })
         }
     }
+}
+
+/// An interval of cutoffs in Hz; none if it reaches half the rate, where the shapes are those of no filter.
+fn below_half(ends: [f64; 2], rate_hz: f64) -> Option<[f64; 2]> {
+    (ends[1] < 0.5).then_some(ends.map(|end| end * rate_hz))
 }
 
 /// The 95 % interval of a cutoff over its value, by its profile likelihood.

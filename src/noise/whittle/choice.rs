@@ -121,9 +121,19 @@ fn average_walk(likelihood: &Likelihood, values: &mut Model) {
     values.squares[walk] = k * k;
 }
 
+/// The shortest correlation time of a process: behind a filter that is fitted, ten times the filter's own, which is 1/2πf at its half-power
+/// frequency f. A shorter one and the filter would share the white noise between them in any proportion.
+fn shortest_process_s(likelihood: &Likelihood) -> f64 {
+    const FILTERS: f64 = 10.0;
+    let shape = likelihood.shape();
+    let half = (1..=500).map(|at| f64::from(at) / 1000.0).find(|u| shape.gains(*u).white < 0.5);
+    let own = half.filter(|_| shape.tilts() > 0).map_or(0.0, |u| FILTERS / (std::f64::consts::TAU * u));
+    SHORTEST_PROCESS.max(own) * likelihood.dt_s()
+}
+
 /// The best model with a Gauss–Markov process.
 fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
-    let (least, most) = (SHORTEST_PROCESS * likelihood.dt_s(), likelihood.longest_s());
+    let (least, most) = (shortest_process_s(likelihood), likelihood.longest_s());
     let steps = ((most / least).log10() * PER_DECADE).ceil();
     if steps.is_nan() || steps < 1.0 {
         return None;
@@ -152,7 +162,7 @@ fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
 pub(super) fn correlation_time(likelihood: &Likelihood, held: Held, start: &Model) -> Option<Model> {
     const STEP: f64 = 0.25;
     const MOVES: usize = 40;
-    let (least, most) = ((SHORTEST_PROCESS * likelihood.dt_s()).ln(), (100.0 * likelihood.longest_s()).ln());
+    let (least, most) = (shortest_process_s(likelihood).ln(), (100.0 * likelihood.longest_s()).ln());
     let at =
         |log_tc: f64, near: &Model| likelihood.maximise(start.terms, log_tc.clamp(least, most).exp(), held, Some(near));
     let mut centre = at(start.tc_s.ln(), start)?;

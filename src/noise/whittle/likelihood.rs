@@ -9,6 +9,7 @@
 //! P. Whittle, Ark. Mat. 2 (1953) 423, for the likelihood; P. McCullagh, J. A. Nelder, Generalized Linear Models (1989),
 //! section 8, for the scoring.
 
+use super::ends::{Excess, Own};
 use super::shape::{Shape, TILTS};
 use super::sums::{Bin, DstSums};
 use crate::noise::fit::Term;
@@ -169,8 +170,8 @@ impl Row {
         }
     }
 
-    /// Puts a filter before the row: the mean of its gains over the bin's frequencies.
-    fn filtered(mut self, [low, high]: [f64; 2], shape: &Shape, dt_s: f64) -> Self {
+    /// Puts a filter before the row: the mean of its gains over the bin's frequencies, with what a stretch's ends add to white noise.
+    fn filtered(mut self, [low, high]: [f64; 2], shape: &Shape, excess: Option<&Excess>, dt_s: f64) -> Self {
         /// Gauss–Legendre of three points.
         const POINTS: [(f64, f64); 3] =
             [(-0.774_596_669_241_483, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774_596_669_241_483, 5.0 / 18.0)];
@@ -186,6 +187,9 @@ impl Row {
             }
         }
         self.slopes = slopes.map(|slope| if white > 0.0 { slope / white } else { 0.0 });
+        let added = excess.map_or(0.0, |excess| excess.at(0.5 * (low + high)) * self.ends);
+        // Of a stretch shorter than the filter the sum is none.
+        let white = f64::max(white + added, 0.1 * white);
         (self.white_gain, self.process_gain) = (white, walk);
         self.basis[0] *= white;
         self.basis[1] *= flicker;
@@ -236,8 +240,8 @@ impl Likelihood {
 
     /// The same with a filter behind the noise, over finer bins; `behind`: white noise may come in behind the filter.
     ///
-    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends leak there is more. They are
-    /// told by the data alone, so that all shapes are held against the same.
+    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends add there is more, and of few
+    /// independent numbers. The data alone decides which, so that all shapes are held against the same.
     pub(super) fn filtered(
         sums: &DstSums,
         rate_hz: f64,
@@ -245,20 +249,26 @@ impl Likelihood {
         shape: &Shape,
         behind: bool,
     ) -> Self {
-        /// Powers below that many times what the ends leak take no part.
-        const LEAKS: f64 = 200.0;
+        /// What ends add is at most this share of a power that takes part.
+        const ADDED_MOST: f64 = 0.1;
         let dt_s = 1.0 / rate_hz;
         let up_to = if let Shape::Smooth { up_to, .. } = shape { *up_to } else { 0.5 };
         let bins = sums
             .finely_filled()
             .filter(|(range, _)| range[1] <= up_to * (1.0 + 1e-9) && !excluded(*range, rate_hz, excluded_bands_hz));
-        let mut rows: Vec<Row> = bins.map(|(range, bin)| Row::of(bin, dt_s).filtered(range, shape, dt_s)).collect();
+        let (excess, own) = (Excess::of(shape), Own::of(sums));
+        let (middles, mut rows): (Vec<f64>, Vec<Row>) = bins
+            .map(|(range, bin)| {
+                let row = Row::of(bin, dt_s).filtered(range, shape, excess.as_ref(), dt_s);
+                (0.5 * (range[0] + range[1]), row)
+            })
+            .unzip();
         level(&mut rows);
-        let (count, changes) = rows
-            .iter()
-            .fold((0.0, 0.0), |(count, sum), row| (count + row.count, sum + row.count * row.power * row.sine));
-        let leaks = LEAKS * changes / f64::max(count, 1.0);
-        rows.retain(|row| row.level * row.sine > leaks * row.ends || row.sine < 1e-3);
+        let mut middles = middles.into_iter();
+        rows.retain(|row| {
+            let added = middles.next().map_or(0.0, |u| own.excess(u).abs() * row.ends);
+            added < ADDED_MOST * row.level * row.sine || row.sine < 1e-3
+        });
         Self { rows, dt_s, shape: shape.clone(), behind }
     }
 
@@ -550,7 +560,8 @@ fn non_negative(
     if right.iter().any(|value| !value.is_finite()) {
         return None;
     }
-    for chosen in 1u32..1 << free.len() {
+    // With no square at all the signed ones move all the same.
+    for chosen in u32::from(signed.is_empty())..1 << free.len() {
         let set: Vec<usize> =
             free.iter().enumerate().filter(|(index, _)| chosen & 1 << index != 0).map(|(_, at)| *at).collect();
         let squares = set.len();
@@ -602,6 +613,18 @@ fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[u
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// It stood still where N was held and neither B nor K was there: intervals of N were those of a known filter.
+    #[test]
+    fn a_signed_column_moves_where_no_square_does() {
+        let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];
+        normal[1][1] = 2.0;
+        normal[SQUARES][SQUARES] = 4.0;
+        let mut right = [0.0; UNKNOWNS];
+        (right[1], right[SQUARES]) = (-1.0, -6.0);
+        let found = non_negative(&normal, &right, &[1], &[SQUARES]).unwrap();
+        assert!(found[1] == 0.0 && (found[SQUARES] + 1.5).abs() < 1e-12, "{found:?}");
+    }
 
     #[test]
     fn a_column_that_would_be_negative_is_left_out() {

@@ -11,6 +11,7 @@
 mod bandwidth;
 mod choice;
 mod dst;
+mod ends;
 mod estimator;
 mod likelihood;
 mod residual;
@@ -24,6 +25,7 @@ pub(in crate::noise) use bandwidth::Filter;
 pub use bandwidth::{Sampling, density_factor};
 pub use dst::Transform;
 pub use estimator::DstEstimator;
+pub(in crate::noise) use shape::boxcar;
 pub use sums::DstSums;
 
 use super::fit::{
@@ -102,11 +104,14 @@ fn of_law(
     let Some(choice) = choice::choose(&likelihood) else {
         return nothing(channel, METHOD, Flag::whole("misfit", "no noise model describes the spectrum"));
     };
-    let better = (search == Search::Filters).then(|| bandwidth::compete(sums, rate_hz, excluded_bands_hz, &choice));
+    let compete = || bandwidth::compete(sums, rate_hz, excluded_bands_hz, likelihood.shape(), &choice);
+    let better = (search == Search::Filters).then(compete);
     let (likelihood, choice) = better.flatten().unwrap_or((likelihood, choice));
     let mut parameters = of_choice(&likelihood, &choice, channel);
     parameters.bandwidth = bandwidth::statement(&likelihood, &choice, rate_hz, sampling);
-    let factor = sampling.and_then(|sampling| sampling.density_factor(rate_hz));
+    // A law that was found in place of the known sampling denies it.
+    let is_known = parameters.bandwidth.as_ref().is_none_or(|of| of.internal_rate_hz.is_some());
+    let factor = sampling.filter(|_| is_known).and_then(|sampling| sampling.density_factor(rate_hz));
     parameters.n.internal = parameters.n.value.zip(factor).map(|(density, factor)| density / factor);
     parameters
 }
@@ -190,8 +195,7 @@ fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
         (term.letter(), Box::new(variance) as Box<dyn Fn(usize) -> f64 + '_>)
     });
     let process = model.terms.has_gauss_markov().then(|| {
-        let (square, tc_s) = (model.squares[SIGMA], model.tc_s);
-        let decay = dt_s / tc_s;
+        let (square, decay) = (model.squares[SIGMA], dt_s / model.tc_s);
         let spectrum = move |u: f64| {
             let (phi, s) = ((-decay).exp(), 4.0 * (std::f64::consts::PI * u).sin().powi(2));
             (1.0 - phi * phi) / ((1.0 - phi).powi(2) + phi * s)
@@ -199,7 +203,7 @@ fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
         let ratio = ratios(walk_like, &spectrum);
         let variance = move |m: usize| {
             let ratio = at(m).and_then(|at| ratio.get(at).copied()).unwrap_or(1.0);
-            square * ratio * gauss_markov_variance(m as f64 * dt_s, tc_s)
+            square * ratio * gauss_markov_variance(m, decay)
         };
         ("gauss_markov", Box::new(variance) as Box<dyn Fn(usize) -> f64 + '_>)
     });

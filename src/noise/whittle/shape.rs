@@ -129,7 +129,7 @@ impl Shape {
 }
 
 /// |H|² of the mean of `window` samples.
-fn boxcar(window: u32, u: f64) -> f64 {
+pub(in crate::noise) fn boxcar(window: u32, u: f64) -> f64 {
     let sine = (PI * u).sin();
     let window = f64::from(window.max(1));
     if sine.abs() < 1e-12 { 1.0 } else { ((PI * u * window).sin() / (window * sine)).powi(2) }
