@@ -56,6 +56,8 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
     const REACH: f64 = 2.1;
     /// Averaging times that a segment has to hold.
     const LEAST: f64 = 30.0;
+    /// A slope of fewer is wrong by half now and then.
+    const CHANCE: f64 = 300.0;
     /// Points that a slope is made of at most, evenly chosen: every averaging time may be a point.
     const MOST: usize = 64;
     let logs: Vec<(f64, f64)> = points.iter().map(|point| ((point.m as f64).ln(), point.variance.ln())).collect();
@@ -86,6 +88,14 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
             }
         })
         .collect();
+    // A slope of −2 that begins at a long averaging time is chance: angle noise dominates short ones.
+    for at in 1..kinds.len() {
+        let (before, own) = (kinds[at - 1], kinds[at]);
+        let is_long = points[at].phases() < CHANCE * points[at].m as f64;
+        if is_long && own == NoiseType::WhiteAngle && before != own {
+            kinds[at] = before;
+        }
+    }
     let told = points.iter().take_while(|point| point.phases() >= LEAST * point.m as f64).count();
     if let Some(last) = told.checked_sub(1).and_then(|last| kinds.get(last).copied()) {
         kinds.iter_mut().skip(told).for_each(|kind| *kind = last);
@@ -128,6 +138,14 @@ mod tests {
             .map(|k| AllanPoint { m: 1 << k, variance: f64::from(1 << k), terms: 5, segments: 1, stride: 1 })
             .collect();
         assert_eq!(noise_by_slope(&short), [NoiseType::RandomWalkRate; 3]);
+    }
+
+    #[test]
+    fn angle_noise_does_not_begin_at_long_averaging_times() {
+        // White rate noise whose last slope is by chance that of angle noise.
+        let chance = |m: f64| if m > 200.0 { 40.0 / (m * m).max(1.0) } else { 1.0 / m };
+        assert!(noise_by_slope(&points(chance)).iter().all(|kind| *kind != NoiseType::WhiteAngle));
+        assert_eq!(noise_by_slope(&points(|m| 1.0 / (m * m))), [NoiseType::WhiteAngle; 10]);
     }
 
     #[test]

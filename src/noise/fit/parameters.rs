@@ -181,18 +181,26 @@ impl FittedCurve {
     }
 }
 
-/// Allan variance at `tau_s` of a Gauss–Markov process with σ = 1 and correlation time `tc_s`.
+/// Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose correlation time is 1/`decay` samples.
+///
+/// The samples are an AR(1) sequence with φ = e^(−decay). A sum of m of them has the variance m (1 + φ)/(1 − φ) − 2 φ (1 − φᵐ)/(1 − φ)².
 ///
 /// # Source
-/// IEEE Std 952-1997, annex C (exponentially correlated noise); the series where the closed form would lose its digits.
+/// IEEE Std 952-1997, annex C, has the same for a process that is averaged without sampling it: 2/3 of it at m = 1.
+///
+/// # Validation
+/// `a_sampled_processs_variance_is_that_of_its_covariance`, by summing covariances.
 #[must_use]
-pub fn gauss_markov_variance(tau_s: f64, tc_s: f64) -> f64 {
-    let x = tau_s / tc_s;
-    if x < 1e-3 {
-        // (2/x)(1 − (3 − 4e⁻ˣ + e⁻²ˣ)/2x), whose series begins with 2x/3.
-        return 2.0 * x / 3.0 - 0.5 * x * x;
+pub fn gauss_markov_variance(m: usize, decay: f64) -> f64 {
+    let count = m as f64;
+    let (phi, rest) = ((-decay).exp(), -(-decay).exp_m1());
+    let x = count * decay;
+    if x < 1e-5 {
+        // That of a random walk of the same steps, where differences would lose their digits.
+        return rest * (1.0 + phi) * (2.0 * count * count + 1.0) / (6.0 * count);
     }
-    2.0 / x * (1.0 - (3.0 - 4.0 * (-x).exp() + (-2.0 * x).exp()) / (2.0 * x))
+    let sum = |count: f64| count * (1.0 + phi) / rest + 2.0 * phi * (-count * decay).exp_m1() / (rest * rest);
+    (4.0 * sum(count) - sum(2.0 * count)) / (2.0 * count * count)
 }
 
 /// Something to know about a channel's data.
@@ -407,6 +415,25 @@ fn quoted(channel: Channel, term: Term) -> &'static [(&'static str, f64)] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sampled_processs_variance_is_that_of_its_covariance() {
+        for decay in [1e-7, 1e-5, 1e-3, 0.02, 0.3, 2.0] {
+            for m in [1_usize, 2, 7, 64] {
+                let weight = |at: usize| if at < m { -1.0 } else { 1.0 };
+                let mut sum = 0.0;
+                for one in 0..2 * m {
+                    for other in 0..2 * m {
+                        // Less the variance itself, which the weights cancel: digits stay.
+                        sum += weight(one) * weight(other) * (-(one.abs_diff(other) as f64) * decay).exp_m1();
+                    }
+                }
+                let expected = sum / (2.0 * (m * m) as f64);
+                let found = gauss_markov_variance(m, decay);
+                assert!((found / expected - 1.0).abs() < 2e-5, "{decay} {m}: {found} for {expected}");
+            }
+        }
+    }
 
     #[test]
     fn an_identified_parameter_is_written_as_the_contract_has_it() {
