@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use vn100d::clock::ScaledClock;
-use vn100d::config::{Config, Device};
+use vn100d::config::{Baud, Config, Device};
 use vn100d::control::CaptureRequest;
 use vn100d::daemon::{self, Options};
 use vn100d::emulator::source::Source;
@@ -54,6 +54,8 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
     let mut config = Config::default();
     config.sensor.device = Device::Path(terminal.path().to_owned());
     config.sensor.rate_hz = rate_hz;
+    // 800 Hz do not fit 115,200 baud.
+    config.sensor.baud = Baud::Fixed(921_600);
     config.http.listen = "127.0.0.1:0".parse()?;
     let stop_emulator = Arc::new(AtomicBool::new(false));
     let source = Source::model(SensorModel::from_json(MODEL, "emulated")?, seed);

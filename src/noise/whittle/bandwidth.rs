@@ -167,7 +167,7 @@ pub(super) fn compete(
     match named {
         Some((likelihood, choice)) if described(&choice) => Some((likelihood, choice)),
         _ if *shape != Shape::Open => None,
-        other => search.smooth().filter(|(_, choice)| described(choice)).or(other),
+        other => search.smooth(basic.residual).filter(|(_, choice)| described(choice)).or(other),
     }
 }
 
@@ -265,8 +265,13 @@ impl Search<'_> {
         both.flatten().min_by(|a, b| a.score().total_cmp(&b.score()))
     }
 
-    /// A smooth shape over as much of the band as it describes.
-    fn smooth(&self) -> Option<(Likelihood, Choice)> {
+    /// A smooth shape over as much of the band as it describes; `plain`: how the law without one does.
+    ///
+    /// In one of a thousand records the plain law misfits by chance. A shape then has to be worth as much as a named one.
+    fn smooth(&self, plain: Option<Residual>) -> Option<(Likelihood, Choice)> {
+        /// No chance does this.
+        const BEYOND_CHANCE: f64 = 1e-6;
+        let is_chance = plain.is_none_or(|plain| plain.p_value > BEYOND_CHANCE);
         /// A band is described by a shape from this p-value on: what nearly misfits already moves N.
         const DESCRIBED: f64 = 0.05;
         /// The ends of the band tried, cycles a sample.
@@ -294,6 +299,11 @@ impl Search<'_> {
                 }
                 _ => None,
             };
+            let open = self.of(&Shape::Smooth { coefficients: Vec::new(), up_to }, false);
+            let is_plain = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
+            if is_chance && !is_plain {
+                continue;
+            }
             let best = finer.unwrap_or(best);
             let residual = Residual::of(&best.likelihood, &best.model);
             if residual.is_some_and(|residual| residual.p_value >= DESCRIBED)
