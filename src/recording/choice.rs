@@ -72,12 +72,25 @@ pub(super) struct Falls {
     pub(super) back_ns: i64,
 }
 
+/// How many samples have other values than the one before, and how many the same: with its stamp, and with another.
+#[derive(Debug, Default)]
+struct Repeats {
+    shared: [u64; 2],
+    apart: [u64; 2],
+}
+
+impl Repeats {
+    /// Whether samples of one stamp have the same values no more often than others do: a coarse channel, not a line that was written twice.
+    fn by_chance(&self) -> bool {
+        let share = |[other, same]: [u64; 2]| same as f64 / (other + same).max(1) as f64;
+        self.shared[0] > 0 && share(self.shared) <= 2.0 * share(self.apart) + 0.05
+    }
+}
+
 /// Fewer stamps tell nothing of their jitter.
 const JITTER_LEAST: usize = 64;
 /// Rounding to this share of the mean step makes equal stamps, if there is jitter too.
 const ROUNDED_FROM: f64 = 0.2;
-/// Rounding to this share of it makes them without.
-const COARSE_FROM: f64 = 0.9;
 /// If so large a share of the samples has the stamp of the one before, stamps are those of deliveries.
 const SHARED_FROM: f64 = 0.02;
 /// Stamps of which so many are those of the one before are of several sensors, or none.
@@ -94,8 +107,8 @@ const DEVIATIONS: f64 = 8.0;
 const STD_OF_PERCENTILES: f64 = 2.563;
 
 impl Falls {
-    /// Of stamps in the order of their samples, ns; `shared` of them are those of a sample before with other values.
-    fn of(stamps: &[i64], shared: u64) -> Self {
+    /// Of stamps in the order of their samples, ns.
+    fn of(stamps: &[i64], values: &Repeats) -> Self {
         let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
         let span_ns = stamps.first().zip(stamps.last()).map_or(0, |(first, last)| last.saturating_sub(*first));
         if stamps.len() < JITTER_LEAST || span_ns <= 0 {
@@ -105,8 +118,9 @@ impl Falls {
         let mean_ns = span_ns as f64 / count;
         let rounding_ns = rounding(stamps) as f64;
         let rounded = rounding_ns >= ROUNDED_FROM * mean_ns;
+        let shared = values.shared[0];
         let shared_of = shared as f64 / count;
-        let alike = rounding_ns >= COARSE_FROM * mean_ns && shared > 0;
+        let alike = rounded && values.by_chance();
         let together = (SHARED_FROM..SHARED_MOST).contains(&shared_of) || (rounded && shared > 0);
         let falling = steps.iter().filter(|step| **step < 0.0 || (rounded && **step == 0.0)).count() as f64;
         let spread_ns = if rounded {
@@ -122,7 +136,7 @@ impl Falls {
         let back_ns = (DEVIATIONS * jitter_ns - mean_ns).max(0.0) as i64;
         let jitters =
             back_ns > 0 && falling < FALLING_MOST * count && falling + FALLING_CHANCE >= FALLING_SHARE * expected;
-        Self { equal: jitters || alike || together, alike, back_ns: if jitters { back_ns } else { 0 } }
+        Self { equal: jitters || together, alike, back_ns: if jitters { back_ns } else { 0 } }
     }
 }
 
@@ -135,8 +149,7 @@ struct Column {
     pairing: Pairing,
     /// Steps that do not advance.
     backward: u64,
-    /// Samples with the stamp of the one before and other values.
-    shared: u64,
+    values: Repeats,
     /// Stamps since 1970.
     unix: u64,
     stamps: Vec<i64>,
@@ -145,7 +158,10 @@ struct Column {
 impl Column {
     fn add(&mut self, stamp_ns: i64, repeats: bool) {
         self.stamps.push(stamp_ns);
-        self.shared += u64::from(self.first.is_some() && stamp_ns == self.last && !repeats);
+        if self.first.is_some() {
+            let counts = if stamp_ns == self.last { &mut self.values.shared } else { &mut self.values.apart };
+            counts[usize::from(repeats)] += 1;
+        }
         if self.first.replace(self.first.unwrap_or(stamp_ns)).is_some() {
             if stamp_ns > self.last {
                 let step_ns = stamp_ns.abs_diff(self.last);
@@ -229,6 +245,6 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let unix = 2 * columns[column].unix >= *rows;
     let own_clock = |stamp_ns: &i64| (*stamp_ns >= UNIX_FROM_NS) == unix;
     let stamps: Vec<i64> = columns[column].stamps.iter().copied().filter(own_clock).collect();
-    let falls = Falls::of(&stamps, columns[column].shared);
+    let falls = Falls::of(&stamps, &columns[column].values);
     Ok(Chosen { count, column: Some(column), unix, regular, pairs, falls, ..Chosen::default() })
 }

@@ -58,8 +58,9 @@ const REGULAR: f64 = 0.5;
 /// Points and stamps last equally long, to this share of it and so many periods.
 const BEYOND: f64 = 0.02;
 const BEYOND_PERIODS: f64 = 32.0;
-/// Of fewer losses nothing is said.
+/// Of fewer losses nothing is said, nor of a smaller share: a logger may well drop each hundredth sample.
 const REGULAR_LEAST: u64 = 40;
+const REGULAR_SHARE: f64 = 0.03;
 /// Jitters, in periods, with which a period is tried.
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
@@ -259,7 +260,7 @@ fn tried_with(
         if beyond_ns.abs() > BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns || lost > 1.0 - RECEIVED_LEAST {
             return None;
         }
-        if missing >= REGULAR_LEAST && scatter.as_ref().is_some_and(denied) {
+        if missing >= REGULAR_LEAST && lost > REGULAR_SHARE && scatter.as_ref().is_some_and(denied) {
             return None;
         }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
