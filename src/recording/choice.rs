@@ -83,7 +83,7 @@ impl Repeats {
     /// Whether samples of one stamp have the same values no more often than others do: a coarse channel, not a line that was written twice.
     fn by_chance(&self) -> bool {
         let share = |[other, same]: [u64; 2]| same as f64 / (other + same).max(1) as f64;
-        self.shared[0] > 0 && share(self.shared) <= 2.0 * share(self.apart) + 0.05
+        self.shared != [0, 0] && share(self.shared) <= 2.0 * share(self.apart) + 0.05
     }
 }
 
@@ -121,7 +121,7 @@ impl Falls {
         let shared = values.shared[0];
         let shared_of = shared as f64 / count;
         let alike = rounded && values.by_chance();
-        let together = (SHARED_FROM..SHARED_MOST).contains(&shared_of) || (rounded && shared > 0);
+        let together = (SHARED_FROM..SHARED_MOST).contains(&shared_of) || (rounded && shared > 0) || alike;
         let falling = steps.iter().filter(|step| **step < 0.0 || (rounded && **step == 0.0)).count() as f64;
         let spread_ns = if rounded {
             // Most steps may be the same.
@@ -133,7 +133,8 @@ impl Falls {
         let jitter_ns = spread_ns / std::f64::consts::SQRT_2;
         let expected = count * Normal::standard().cdf(-mean_ns / (std::f64::consts::SQRT_2 * jitter_ns));
         // Jitter of an eighth of a step puts no stamp before the last one, however many there are.
-        let back_ns = (DEVIATIONS * jitter_ns - mean_ns).max(0.0) as i64;
+        let rounded_by_ns = if rounded { rounding_ns } else { 0.0 };
+        let back_ns = (DEVIATIONS * jitter_ns - mean_ns + rounded_by_ns).max(0.0) as i64;
         let jitters =
             back_ns > 0 && falling < FALLING_MOST * count && falling + FALLING_CHANCE >= FALLING_SHARE * expected;
         Self { equal: jitters || together, alike, back_ns: if jitters { back_ns } else { 0 } }

@@ -174,7 +174,7 @@ fn rate_of(stamps_s: impl Iterator<Item = f64>, decimals: usize) -> (f64, u64) {
         // A coarse channel: neighbours are often equal.
         content.push_str(&format!(
             "{stamp_s:.decimals$},{}\n",
-            0.01 * (index.wrapping_mul(2_654_435_761) >> 13 & 3) as f64
+            0.01 * ((index * index).wrapping_mul(2_654_435_761) >> 30 & 3) as f64
         ));
         count += 1;
     }

@@ -58,9 +58,15 @@ const REGULAR: f64 = 0.5;
 /// Points and stamps last equally long, to this share of it and so many periods.
 const BEYOND: f64 = 0.02;
 const BEYOND_PERIODS: f64 = 32.0;
-/// Of fewer losses nothing is said, nor of a smaller share: a logger may well drop each hundredth sample.
+/// Of fewer losses nothing is said, nor of a smaller share without batches: a logger may well drop each hundredth sample.
 const REGULAR_LEAST: u64 = 40;
 const REGULAR_SHARE: f64 = 0.03;
+/// From this share of the period on jitter is that of a host's clock.
+const JITTER_OF_HOSTS: f64 = 1e-3;
+/// From so large a share of short steps on batches are so large that they hide the grid.
+const BATCHED: f64 = 0.8;
+/// From so large a share of short steps on samples come in batches.
+const BUNCHED: f64 = 0.2;
 /// Jitters, in periods, with which a period is tried.
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
@@ -94,6 +100,12 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     let at_ns = since_first(stamps);
     let mean_ns = span_ns / (stamps.len() - 1) as f64;
     let rounding_ns = rounding(stamps);
+    // Of large batches the delivery is all that is known; a rounding that makes them is known better.
+    let batched = at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * mean_ns).count();
+    let rounded = rounding_ns as f64 > COARSE_FROM * mean_ns && (rounding_ns as f64) < CELL_MOST * mean_ns;
+    if batched as f64 > BATCHED * stamps.len() as f64 && !(rounded && steps_are(stamps, rounding_ns)) {
+        return unresolved(&at_ns, rounding_ns);
+    }
     let windows = WINDOWS.iter().filter(|window| 4 * **window < stamps.len() || **window == 1);
     let lengths = |window: usize| -> Vec<f64> {
         at_ns.windows(window + 1).map(|of| (of[window] - of[0]) / window as f64).collect()
@@ -180,6 +192,12 @@ impl Scatter {
 /// Jitter from this share of the period on hides single losses.
 const UNRESOLVED: f64 = 0.6;
 
+/// Whether most steps from stamp to another stamp are one step of the rounding: nearly every multiple of it occurs.
+fn steps_are(stamps: &[i64], rounding_ns: u64) -> bool {
+    let steps = || stamps.windows(2).map(|two| two[1].abs_diff(two[0])).filter(|step| *step > 0);
+    2 * steps().filter(|step| *step == rounding_ns).count() > steps().count()
+}
+
 /// The grid of stamps whose errors are as large as the period: its period is their mean step.
 fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
     let period_ns = line(at_ns)?;
@@ -229,6 +247,8 @@ fn tried_with(
     let jitter_ns = jitter * period_ns;
     let mut grid =
         StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
+    let together = at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * period_ns).count();
+    let bunched = together as f64 > BUNCHED * at_ns.len() as f64;
     let mut nats = None;
     for _ in 0..2 {
         let mut tracker = Tracker::with_gain(&grid, gain);
@@ -260,7 +280,9 @@ fn tried_with(
         if beyond_ns.abs() > BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns || lost > 1.0 - RECEIVED_LEAST {
             return None;
         }
-        if missing >= REGULAR_LEAST && lost > REGULAR_SHARE && scatter.as_ref().is_some_and(denied) {
+        // Nobody else's clock is so steady as to have no jitter, unless several samples share its step.
+        let delivered = bunched || (lost > REGULAR_SHARE && grid.jitter_ns > JITTER_OF_HOSTS * grid.period_ns);
+        if missing >= REGULAR_LEAST && delivered && scatter.as_ref().is_some_and(denied) {
             return None;
         }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };

@@ -244,7 +244,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
     }
     // Batches: so many samples at once, 100 µs apart, or with one stamp.
     for (batch, rate_hz, apart_ns) in
-        [(2, 1000.0, 100_000), (3, 1000.0, 100_000), (8, 200.0, 0), (2, 100.0, 0), (8, 100.0, 100_000)]
+        [(2, 1000.0, 100_000), (3, 1000.0, 100_000), (8, 200.0, 0), (2, 100.0, 0), (8, 100.0, 100_000), (8, 100.0, 0)]
     {
         let stamp = |index: i64| (((index / batch * batch) as f64) * 1e9 / rate_hz) as i64 + index % batch * apart_ns;
         let stamps: Vec<i64> = (0..24_000).map(stamp).collect();
@@ -254,4 +254,24 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
             "{found_hz} for {rate_hz}, {missing}, {grid:?}"
         );
     }
+}
+
+#[test]
+fn regular_losses_of_a_steady_clock_are_losses() {
+    // Every third: 0, 1, 3, 4. From 0, 2, 3, 5 on they are as well pairs.
+    let stamps: Vec<i64> = (0..60_000_i64).filter(|index| index % 3 != 2).map(|index| index * 25_000_000).collect();
+    let (_, missing, rate_hz) = told(&stamps);
+    assert!((rate_hz - 40.0).abs() < 1e-6 && missing == 19_999, "{rate_hz} Hz, {missing} missing");
+    let mut random = ChaCha8Rng::seed_from_u64(12);
+    let mut jitter = || -> f64 { StandardNormal.sample(&mut random) };
+    let mut last = 0;
+    let stamps: Vec<i64> = (0..60_000_i64)
+        .filter(|index| index % 97 != 50)
+        .map(|index| {
+            last = (index * 10_000_000 + (3e6 * jitter()) as i64).max(last);
+            last
+        })
+        .collect();
+    let (_, missing, rate_hz) = told(&stamps);
+    assert!((rate_hz - 100.0).abs() < 2e-3 && missing == 60_000 / 97 + 1, "{rate_hz} Hz, {missing} missing");
 }
