@@ -65,6 +65,8 @@ const REGULAR_SHARE: f64 = 0.03;
 const JITTER_OF_HOSTS: f64 = 1e-3;
 /// From so large a share of short steps on batches are so large that they hide the grid.
 const BATCHED: f64 = 0.8;
+/// A period of so few steps of the rounding has no jitter to be seen, whatever the clock.
+const NO_CLOCK: f64 = 2.5;
 /// From so large a share of short steps on samples come in batches.
 const BUNCHED: f64 = 0.2;
 /// Jitters, in periods, with which a period is tried.
@@ -239,6 +241,7 @@ fn tried_with(
 ) -> Option<(f64, StampGrid)> {
     let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
     let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
+    let stamp_step_ns = rounding_ns;
     // A period of whole steps is rounded always alike: not at all.
     let steps = period_ns / rounding_ns.max(1) as f64;
     let rounding_ns = if (steps - steps.round()).abs() < EXACT && steps > 0.5 { 0 } else { rounding_ns };
@@ -247,6 +250,7 @@ fn tried_with(
     let jitter_ns = jitter * period_ns;
     let mut grid =
         StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
+    let step_ns = stamp_step_ns as f64;
     let together = at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * period_ns).count();
     let bunched = together as f64 > BUNCHED * at_ns.len() as f64;
     let mut nats = None;
@@ -281,7 +285,8 @@ fn tried_with(
             return None;
         }
         // Nobody else's clock is so steady as to have no jitter, unless several samples share its step.
-        let delivered = bunched || (lost > REGULAR_SHARE && grid.jitter_ns > JITTER_OF_HOSTS * grid.period_ns);
+        let unsteady = grid.jitter_ns > JITTER_OF_HOSTS * grid.period_ns || grid.period_ns < NO_CLOCK * step_ns;
+        let delivered = bunched || (lost > REGULAR_SHARE && unsteady);
         if missing >= REGULAR_LEAST && delivered && scatter.as_ref().is_some_and(denied) {
             return None;
         }
