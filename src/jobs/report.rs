@@ -206,7 +206,7 @@ pub(super) fn noise(
     for (channel, (mut parameters, disturbance)) in found.channels {
         let counted = sums.iter().find(|(own, _)| *own == channel);
         let beyond = counted.map_or((0, 0), |(_, sums)| (sums.out_of_range(), sums.out_of_range() + sums.samples()));
-        // In which unit the others are then nobody knows either, nor whether the sensor was at rest.
+        // Nobody knows then in which units the other channels are, nor whether the sensor was at rest.
         let of_all = plan.raw_counts.filter(|_| TELLING.contains(&channel) || !plan.has_rest());
         if let Some(raw) = of_all.or_else(|| RawCounts::of(channel, beyond.0, beyond.1)) {
             parameters.refuse(raw.to_string());

@@ -91,19 +91,19 @@ impl Repeats {
 const JITTER_LEAST: usize = 64;
 /// Rounding to this share of the mean step makes equal stamps, if there is jitter too.
 const ROUNDED_FROM: f64 = 0.2;
-/// If so large a share of the samples has the stamp of the one before, stamps are those of deliveries.
+/// If this share of the samples has the stamp of the sample before, stamps are those of deliveries.
 const SHARED_FROM: f64 = 0.02;
-/// Stamps of which so many are those of the one before are of several sensors, or none.
+/// If this share has it, the column is no time.
 const SHARED_MOST: f64 = 0.98;
-/// Of more falling steps no stamps are made.
+/// If this share of the steps falls, the column is no time.
 const FALLING_MOST: f64 = 0.5;
-/// Of the steps that normal jitter makes fall this share has to fall, at least: the spread of bursts is no jitter.
+/// At least this share of the steps that normal jitter would make fall has to fall: bursts spread as well, and none falls.
 const FALLING_SHARE: f64 = 0.3;
-/// So many steps fewer may fall by chance.
+/// By chance this many steps fewer fall.
 const FALLING_CHANCE: f64 = 4.0;
-/// Two neighbours' jitters differ by at most so many standard deviations of one.
+/// The jitters of two neighbours differ by at most this many standard deviations of one.
 const DEVIATIONS: f64 = 8.0;
-/// A normal distribution's tenth and ninetieth percentile are so many standard deviations apart.
+/// The tenth and the ninetieth percentile of a normal distribution are this many standard deviations apart.
 const STD_OF_PERCENTILES: f64 = 2.563;
 
 impl Falls {

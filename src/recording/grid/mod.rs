@@ -8,6 +8,7 @@
 //! Invariant: (samples + missing) periods = last stamp − first stamp + one period, to the jitter of these two stamps.
 //! Validated in `tests` on 8 rates × rounding, jitter, delays, pairs × losses (docs/validation.md).
 
+mod deliveries;
 mod period;
 #[cfg(test)]
 mod tests;

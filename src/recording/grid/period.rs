@@ -6,6 +6,7 @@
 //! which the stamps' errors and the losses together take the fewest nats.
 
 use super::StampGrid;
+use super::deliveries::{Deliveries, TOGETHER};
 use super::track::Tracker;
 
 /// Stamps that are looked at.
@@ -20,8 +21,6 @@ const STRETCHES: [usize; 5] = [64, 256, 1024, 4096, 8192];
 const STRETCHES_MOST: usize = 1024;
 /// Periods around a proposal that are looked at: more there are where two stamps next to each other proposed it by chance.
 const TRIES_MOST: i64 = 20_000;
-/// Stamps whose steps are a smaller share of the period were delivered together.
-const TOGETHER: f64 = 0.3;
 /// How far from a proposal it is looked at first, of it.
 const FIRST_WITHIN: f64 = 0.01;
 /// Phases agree beyond chance where their sum's square, over their number, is above.
@@ -49,26 +48,9 @@ const CELL_MOST: f64 = 16.0;
 const GUESS: f64 = 4.0;
 /// Gain with which a period is tried: so low that it does not follow losses.
 const GAIN: f64 = 1.0 / 2048.0;
-/// Steps of the stretches whose lengths are compared.
-const SCATTER_STEPS: usize = 256;
-/// Fewer tell nothing.
-const SCATTER_STEPS_LEAST: usize = 32;
-/// Losses whose numbers vary by less than this share of what chance makes are none.
-const REGULAR: f64 = 0.5;
 /// Points and stamps last equally long, to this share of it and so many periods.
 const BEYOND: f64 = 0.02;
 const BEYOND_PERIODS: f64 = 32.0;
-/// Of fewer losses nothing is said, nor of a smaller share without batches: a logger may well drop each hundredth sample.
-const REGULAR_LEAST: u64 = 40;
-const REGULAR_SHARE: f64 = 0.03;
-/// From this share of the period on jitter is that of a host's clock.
-const JITTER_OF_HOSTS: f64 = 1e-3;
-/// From so large a share of short steps on batches are so large that they hide the grid.
-const BATCHED: f64 = 0.8;
-/// A period of so few steps of the rounding has no jitter to be seen, whatever the clock.
-const NO_CLOCK: f64 = 2.5;
-/// From so large a share of short steps on samples come in batches.
-const BUNCHED: f64 = 0.2;
 /// Jitters, in periods, with which a period is tried.
 const JITTERS: [f64; 2] = [0.03, 0.25];
 
@@ -102,10 +84,8 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     let at_ns = since_first(stamps);
     let mean_ns = span_ns / (stamps.len() - 1) as f64;
     let rounding_ns = rounding(stamps);
-    // Of large batches the delivery is all that is known; a rounding that makes them is known better.
-    let batched = at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * mean_ns).count();
-    let rounded = rounding_ns as f64 > COARSE_FROM * mean_ns && (rounding_ns as f64) < CELL_MOST * mean_ns;
-    if batched as f64 > BATCHED * stamps.len() as f64 && !(rounded && steps_are(stamps, rounding_ns)) {
+    let deliveries = Deliveries::of(&at_ns, rounding_ns);
+    if deliveries.hide_the_grid(mean_ns) {
         return unresolved(&at_ns, rounding_ns);
     }
     let windows = WINDOWS.iter().filter(|window| 4 * **window < stamps.len() || **window == 1);
@@ -136,69 +116,27 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
             tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
         }
     }
-    let mut best: Option<(f64, StampGrid)> = None;
-    let scatter = Scatter::of(&at_ns);
-    let mut better = |period_ns: f64, jitter: f64, gain: f64| {
-        let Some((nats, grid)) = tried_with(stamps, &at_ns, period_ns, jitter, rounding_ns, gain, &scatter) else {
-            return;
-        };
-        if best.as_ref().is_none_or(|(least, _)| nats < *least) {
-            best = Some((nats, grid));
-        }
+    let with = |period_ns: f64, jitter: f64, gain: f64| {
+        tried_with(stamps, &at_ns, &deliveries, rounding_ns, period_ns, jitter, gain)
     };
-    for (place, period_ns) in tried.iter().enumerate() {
-        if tried[..place].iter().any(|tried| (period_ns / tried - 1.0).abs() < 1e-6) {
-            continue;
-        }
-        JITTERS.iter().for_each(|jitter| better(*period_ns, *jitter, GAIN));
-    }
+    let likelier = |best: Option<(f64, StampGrid)>, other: Option<(f64, StampGrid)>| match (best, other) {
+        (Some(best), Some(other)) => Some(if other.0 < best.0 { other } else { best }),
+        (best, other) => best.or(other),
+    };
+    let is_new = |place: &usize| tried[..*place].iter().all(|before| (tried[*place] / before - 1.0).abs() >= 1e-6);
+    let periods = (0..tried.len()).filter(is_new).map(|place| tried[place]);
+    let mut best =
+        periods.flat_map(|period_ns| JITTERS.map(|jitter| with(period_ns, jitter, GAIN))).fold(None, likelier);
     // A clock that wanders is followed as it will be: its errors are no jitter then.
-    if let Some((_, grid)) = best.clone() {
-        let mut better = |jitter: f64| {
-            let with = tried_with(stamps, &at_ns, grid.period_ns, jitter, rounding_ns, super::track::GAIN, &scatter);
-            let least = best.as_ref().map_or(f64::INFINITY, |best| best.0);
-            best = with.filter(|(nats, _)| *nats < least).or(best.take());
-        };
-        JITTERS.iter().for_each(|jitter| better(*jitter));
+    if let Some(period_ns) = best.as_ref().map(|(_, grid)| grid.period_ns) {
+        best = JITTERS.map(|jitter| with(period_ns, jitter, super::track::GAIN)).into_iter().fold(best, likelier);
     }
     let resolved = best.map(|(_, grid)| grid).filter(|grid| grid.jitter_ns < UNRESOLVED * grid.period_ns);
     resolved.or_else(|| unresolved(&at_ns, rounding_ns))
 }
 
-/// How much the lengths of stretches of so many steps vary.
-///
-/// Losses come at random, so that a stretch of W steps is longer by as many periods as it has lost, with a variance of at least their mean.
-/// Steps of a clock other than the sensor's, such as those in which a port delivers, leave empty points at regular intervals: no stretch
-/// differs from the next by more than a delivery.
-struct Scatter {
-    steps: usize,
-    variance_ns2: f64,
-}
-
-impl Scatter {
-    fn of(at_ns: &[f64]) -> Option<Self> {
-        let steps = SCATTER_STEPS.min(at_ns.len() / 32);
-        let lengths = || at_ns.iter().zip(at_ns.get(steps..).unwrap_or_default()).map(|(from, to)| to - from);
-        let count = lengths().count() as f64;
-        let mean = lengths().sum::<f64>() / count;
-        let variance_ns2 = lengths().map(|length| (length - mean).powi(2)).sum::<f64>() / count;
-        (steps >= SCATTER_STEPS_LEAST).then_some(Self { steps, variance_ns2 })
-    }
-
-    /// Whether so many losses, a sample, are too regular to be any.
-    fn denies(&self, lost: f64, period_ns: f64) -> bool {
-        self.variance_ns2 < REGULAR * lost * self.steps as f64 * period_ns * period_ns
-    }
-}
-
 /// Jitter from this share of the period on hides single losses.
 const UNRESOLVED: f64 = 0.6;
-
-/// Whether most steps from stamp to another stamp are one step of the rounding: nearly every multiple of it occurs.
-fn steps_are(stamps: &[i64], rounding_ns: u64) -> bool {
-    let steps = || stamps.windows(2).map(|two| two[1].abs_diff(two[0])).filter(|step| *step > 0);
-    2 * steps().filter(|step| *step == rounding_ns).count() > steps().count()
-}
 
 /// The grid of stamps whose errors are as large as the period: its period is their mean step.
 fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
@@ -233,15 +171,14 @@ fn line(at_ns: &[f64]) -> Option<f64> {
 fn tried_with(
     stamps: &[i64],
     at_ns: &[f64],
+    deliveries: &Deliveries,
+    rounding_ns: u64,
     period_ns: f64,
     jitter: f64,
-    rounding_ns: u64,
     gain: f64,
-    scatter: &Option<Scatter>,
 ) -> Option<(f64, StampGrid)> {
     let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
     let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
-    let stamp_step_ns = rounding_ns;
     // A period of whole steps is rounded always alike: not at all.
     let steps = period_ns / rounding_ns.max(1) as f64;
     let rounding_ns = if (steps - steps.round()).abs() < EXACT && steps > 0.5 { 0 } else { rounding_ns };
@@ -250,9 +187,6 @@ fn tried_with(
     let jitter_ns = jitter * period_ns;
     let mut grid =
         StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
-    let step_ns = stamp_step_ns as f64;
-    let together = at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * period_ns).count();
-    let bunched = together as f64 > BUNCHED * at_ns.len() as f64;
     let mut nats = None;
     for _ in 0..2 {
         let mut tracker = Tracker::with_gain(&grid, gain);
@@ -278,16 +212,10 @@ fn tried_with(
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
-        let denied = |scatter: &Scatter| scatter.denies(missing as f64 / count, grid.period_ns);
         // Neither more points than the stamps last, nor more samples than points.
         let beyond_ns = (points - 1.0) * grid.period_ns - at_ns.last()?;
-        if beyond_ns.abs() > BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns || lost > 1.0 - RECEIVED_LEAST {
-            return None;
-        }
-        // Nobody else's clock is so steady as to have no jitter, unless several samples share its step.
-        let unsteady = grid.jitter_ns > JITTER_OF_HOSTS * grid.period_ns || grid.period_ns < NO_CLOCK * step_ns;
-        let delivered = bunched || (lost > REGULAR_SHARE && unsteady);
-        if missing >= REGULAR_LEAST && delivered && scatter.as_ref().is_some_and(denied) {
+        let fits = beyond_ns.abs() <= BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns;
+        if !fits || lost > 1.0 - RECEIVED_LEAST || deliveries.explain(missing, count, &grid) {
             return None;
         }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
