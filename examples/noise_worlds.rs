@@ -1,7 +1,7 @@
 //! The noise fit on records whose noise went through a filter, against truth.
 //!
 //! ```text
-//! cargo run --release --example noise_worlds -- --seeds 100 [--first 1] [--world boxcar-4] [--samples 144000] [--threads 2]
+//! cargo run --release --example noise_worlds -- --seeds 100 [--first 1] [--world boxcar-4] [--samples 144000] [--slow 1] [--threads 2]
 //! ```
 //!
 //! Records come from this program alone: normal numbers of ChaCha20, flicker by a Fourier series four times as long as the
@@ -113,8 +113,8 @@ fn convolve(values: &[f64], taps: &[f64]) -> Vec<f64> {
     (0..values.len()).map(|i| taps.iter().zip(0..=i).map(|(tap, lag)| tap * values[i - lag]).sum()).collect()
 }
 
-/// N, B and K in front of the filter, and white noise behind it.
-fn record(filter: Filter, behind: f64, samples: usize, seed: u64) -> Vec<f64> {
+/// N, B and K in front of the filter, and white noise behind it; `slow`: factor on B and K.
+fn record(filter: Filter, behind: f64, slow: f64, samples: usize, seed: u64) -> Vec<f64> {
     let mut rng = ChaCha20Rng::seed_from_u64(0x9e37_79b9_7f4a_7c15 ^ seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
     let length = samples + LEAD;
@@ -135,7 +135,7 @@ fn record(filter: Filter, behind: f64, samples: usize, seed: u64) -> Vec<f64> {
     let mut walk = 0.0;
     for (value, flicker) in front.iter_mut().zip(&flicker) {
         walk += K / RATE_HZ.sqrt() * normal();
-        *value += flicker + walk;
+        *value += slow * (flicker + walk);
     }
     let filtered = filter.apply(&front);
     filtered.iter().skip(LEAD).map(|value| value + behind * RATE_HZ.sqrt() * normal()).collect()
@@ -155,7 +155,7 @@ fn gains(filter: Filter) -> Vec<f64> {
 
 /// The relative bound on N, the plateau, where B, K and, if there is any, the white noise behind the filter are fitted with it;
 /// `free`: the cutoff as well.
-fn bound(filter: Filter, behind: f64, samples: usize, free: bool) -> f64 {
+fn bound(filter: Filter, behind: f64, slow: f64, samples: usize, free: bool) -> f64 {
     const STEP: f64 = 1e-3;
     let moved = match filter {
         Filter::FirstOrder(cutoff) => Some(Filter::FirstOrder(cutoff * (1.0 + STEP))),
@@ -173,7 +173,7 @@ fn bound(filter: Filter, behind: f64, samples: usize, free: bool) -> f64 {
     parts.extend(moved.is_some().then_some(4));
     let count = parts.len();
     let mut information = DMatrix::<f64>::zeros(count, count);
-    let squares = [N * N + behind * behind, B * B, K * K, behind * behind];
+    let squares = [N * N + behind * behind, (slow * B).powi(2), (slow * K).powi(2), behind * behind];
     for k in 1..samples {
         let u = k as f64 / (2.0 * samples as f64);
         let gain = at(&table, u);
@@ -237,6 +237,7 @@ impl Score {
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let (mut seeds, mut first, mut wanted, mut samples, mut threads) = (100u64, 1u64, None, 144_000usize, 2usize);
+    let mut slow = 1.0;
     while let Some(flag) = arguments.next() {
         let value = arguments.next().expect("a value after each flag");
         match flag.as_str() {
@@ -244,6 +245,7 @@ fn main() {
             "--first" => first = value.parse().expect("a number"),
             "--world" => wanted = Some(value),
             "--samples" => samples = value.parse().expect("a number"),
+            "--slow" => slow = value.parse().expect("a number"),
             "--threads" => threads = value.parse().expect("a number"),
             other => panic!("unknown flag {other}"),
         }
@@ -258,7 +260,7 @@ fn main() {
         }
         for behind in [0.0, 0.3 * N] {
             let (next, score) = (AtomicU64::new(first), Mutex::new(Score::default()));
-            let truth = [N.hypot(behind), B, K];
+            let truth = [N.hypot(behind), slow * B, slow * K];
             std::thread::scope(|scope| {
                 for _ in 0..threads {
                     scope.spawn(|| {
@@ -267,7 +269,7 @@ fn main() {
                             if seed >= first + seeds {
                                 return;
                             }
-                            let values = record(filter, behind, samples, seed);
+                            let values = record(filter, behind, slow, samples, seed);
                             let mut transform = Transform::new();
                             let mut estimator = DstEstimator::new(FixedPoint::for_channel(Channel::GyroX));
                             estimator.push(&mut transform, &values);
@@ -295,8 +297,8 @@ fn main() {
                 behind / N,
                 100.0 * bias,
                 100.0 * rmse,
-                rmse / bound(filter, behind, samples, false),
-                rmse / bound(filter, behind, samples, true),
+                rmse / bound(filter, behind, slow, samples, false),
+                rmse / bound(filter, behind, slow, samples, true),
                 of(score.intervals[0]),
                 of(score.intervals[1]),
                 of(score.intervals[2]),

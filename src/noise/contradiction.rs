@@ -317,9 +317,9 @@ mod tests {
 
     #[test]
     fn true_fits_are_refused_no_more_often_than_the_test_says() {
-        // 8 of 600 with degrees of freedom by the measured slope, which is chance at long averaging times.
+        // None of 600 is: the prediction follows the record that it is held against.
         let refused = (0..600).filter(|seed| !fitted(white(4000, 1e-3, 100 + seed)).0.usable).count();
-        assert!(refused <= 8, "{refused}");
+        assert!(refused <= 2, "{refused}");
     }
 
     #[test]

@@ -26,6 +26,8 @@ const CUTOFFS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.42];
 const LOWEST: f64 = 0.004;
 /// A shape has to better 2 log L by this beyond its price, in units of the plain law's misfit.
 const PLAINLY: f64 = 10.0;
+/// A shape whose score is worse by less is a rival: white noise behind a filter that was not worth its price moves N all the same.
+const RIVALS: f64 = 9.0;
 /// Times that slopes are taken anew at the numbers that were found.
 const ROUNDS: usize = 24;
 
@@ -151,24 +153,37 @@ pub(super) fn compete(
     excluded_bands_hz: &[[f64; 2]],
     shape: &Shape,
     basic: &Choice,
-) -> Option<(Likelihood, Choice)> {
+) -> Option<Law> {
     let misfits = basic.residual.is_some_and(|residual| residual.p_value < MISFIT);
     if !misfits && !is_filter(basic, rate_hz) {
         return None;
     }
     let search = Search { sums, rate_hz, excluded_bands_hz };
     let known = search.of(shape, false)?;
-    let best = search.best()?;
+    let (best, rivals) = search.best()?;
     let widen = Residual::widen(Residual::of(&known.likelihood, &known.model));
     let gain = (known.score() - best.score()) / (widen * widen);
-    let named = (gain > PLAINLY).then(|| (choose(&best.likelihood), best.likelihood));
-    let named = named.and_then(|(choice, likelihood)| Some((likelihood, choice?)));
+    let chosen = |candidate: Candidate| Some((choose(&candidate.likelihood)?, candidate.likelihood));
     let described = |choice: &Choice| choice.residual.is_some_and(|residual| residual.p_value >= MISFIT);
-    match named {
-        Some((likelihood, choice)) if described(&choice) => Some((likelihood, choice)),
+    match (gain > PLAINLY).then(|| chosen(best)).flatten() {
+        Some((choice, likelihood)) if described(&choice) => {
+            let rivals = rivals.into_iter().filter_map(chosen).filter(|(choice, _)| described(choice));
+            Some(Law { likelihood, choice, rivals: rivals.map(|(choice, likelihood)| (likelihood, choice)).collect() })
+        }
         _ if *shape != Shape::Open => None,
-        other => search.smooth(basic.residual).filter(|(_, choice)| described(choice)).or(other),
+        other => {
+            let smooth = search.smooth(basic.residual).filter(|(_, choice)| described(choice));
+            let (likelihood, choice) = smooth.or(other.map(|(choice, likelihood)| (likelihood, choice)))?;
+            Some(Law { likelihood, choice, rivals: Vec::new() })
+        }
     }
+}
+
+/// A law with its filter, and the laws that describe the record nearly as well: what they say of N is not excluded.
+pub(super) struct Law {
+    pub(super) likelihood: Likelihood,
+    pub(super) choice: Choice,
+    pub(super) rivals: Vec<(Likelihood, Choice)>,
 }
 
 /// Whether a law has a Gauss–Markov process in place of white noise: so does a low pass of first order look. No sensor is without white noise.
@@ -243,8 +258,8 @@ impl Search<'_> {
         None
     }
 
-    /// The best of the named shapes.
-    fn best(&self) -> Option<Candidate> {
+    /// The best of the named shapes, and its rivals.
+    fn best(&self) -> Option<(Candidate, Vec<Candidate>)> {
         // Each with white noise behind it, which holds the one without; the best few are looked at closely.
         let glance = |shape: Shape| {
             let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, true);
@@ -262,7 +277,12 @@ impl Search<'_> {
             shapes.push(Shape::Exponential { cutoff });
         }
         let both = shapes.iter().flat_map(|shape| [false, true].map(|behind| self.of(shape, behind)));
-        both.flatten().min_by(|a, b| a.score().total_cmp(&b.score()))
+        let mut all: Vec<Candidate> = both.flatten().collect();
+        all.sort_by(|a, b| a.score().total_cmp(&b.score()));
+        let mut all = all.into_iter();
+        let best = all.next()?;
+        let most = best.score() + RIVALS;
+        Some((best, all.take_while(|other| other.score() < most).collect()))
     }
 
     /// A smooth shape over as much of the band as it describes; `plain`: how the law without one does.

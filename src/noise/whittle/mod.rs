@@ -105,9 +105,16 @@ fn of_law(
         return nothing(channel, METHOD, Flag::whole("misfit", "no noise model describes the spectrum"));
     };
     let compete = || bandwidth::compete(sums, rate_hz, excluded_bands_hz, likelihood.shape(), &choice);
-    let better = (search == Search::Filters).then(compete);
-    let (likelihood, choice) = better.flatten().unwrap_or((likelihood, choice));
+    let better = (search == Search::Filters).then(compete).flatten();
+    let (likelihood, choice, rivals) =
+        better.map_or((likelihood, choice, Vec::new()), |law| (law.likelihood, law.choice, law.rivals));
     let mut parameters = of_choice(&likelihood, &choice, channel);
+    for (likelihood, choice) in &rivals {
+        let rival = Profile::new(likelihood, choice).statement(Term::N);
+        if let (Some([low, high]), Statement::Named(_, ends)) = (&mut parameters.n.ci95, rival) {
+            (*low, *high) = (low.min(ends[0]), high.max(ends[1]));
+        }
+    }
     parameters.bandwidth = bandwidth::statement(&likelihood, &choice, rate_hz, sampling);
     // A law that was found in place of the known sampling denies it.
     let is_known = parameters.bandwidth.as_ref().is_none_or(|of| of.internal_rate_hz.is_some());
