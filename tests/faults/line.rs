@@ -374,7 +374,7 @@ fn a_capture_with_fourteen_hundred_gaps_keeps_working() {
     let took = begun.elapsed();
     assert!(status["capture"]["samples"].as_u64() > Some(4000), "{status}");
     let found = world.settle_and_audit(&mut daemon, &log, None);
-    println!("1,400 gaps: {} segments, status in {took:?}, {} MiB", found.segments, found.held.rss_bytes >> 20);
+    println!("1,400 gaps: {} segments, status in {took:?}, {} MiB", found.segments, found.held.anonymous_bytes >> 20);
     assert_eq!((found.missing, found.gaps.len(), found.segments), (1400, 1400, 1401));
 }
 

@@ -343,14 +343,14 @@ fn little_memory_is_enough_for_a_large_request_a_job_and_a_capture() {
             })
             .collect();
         while asking.iter().any(|asked| !asked.is_finished()) {
-            most = most.max(Held::of(daemon.id()).rss_bytes);
+            most = most.max(Held::of(daemon.id()).anonymous_bytes);
             std::thread::sleep(Duration::from_millis(50));
         }
         answered.extend(asking.into_iter().map(|asked| asked.join().unwrap()));
     });
     let job = || Some(world.get("/v1/jobs/1")).filter(|job| job["state"] == "done");
     world.until("the job is done", Duration::from_secs(60), job, &daemon);
-    most = most.max(Held::of(daemon.id()).rss_bytes);
+    most = most.max(Held::of(daemon.id()).anonymous_bytes);
     println!(
         "A5: at most {} MiB with {samples} samples; answers {answered:?}; limited: {}",
         most >> 20,

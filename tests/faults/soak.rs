@@ -210,8 +210,8 @@ fn everything_at_once_loses_nothing_silently() {
             let until = Instant::now() + pause;
             while Instant::now() < until {
                 let held = Held::of(daemon.id());
-                assert!(held.rss_bytes > 0, "the daemon ended by itself:\n{}", daemon.log());
-                memory.push((started.elapsed().as_secs_f64(), held.rss_bytes as f64));
+                assert!(held.anonymous_bytes > 0, "the daemon ended by itself:\n{}", daemon.log());
+                memory.push((started.elapsed().as_secs_f64(), held.anonymous_bytes as f64));
                 std::thread::sleep(Duration::from_millis(500).min(pause));
             }
             if calm {
@@ -289,7 +289,7 @@ fn everything_at_once_loses_nothing_silently() {
         found.gaps.len(),
         found.rejected,
         1e3 * p99,
-        found.held.rss_bytes >> 20,
+        found.held.anonymous_bytes >> 20,
     );
     assert_eq!(asked.server_errors.load(Ordering::Relaxed), 0);
     assert!(found.samples > 0 && asked.answered.load(Ordering::Relaxed) > 0);
