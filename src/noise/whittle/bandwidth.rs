@@ -8,7 +8,7 @@
 //! `tests::filters` has worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
 
 use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
-use super::likelihood::{BEHIND, Held, Likelihood, Model, SIGMA};
+use super::likelihood::{BEHIND, FineBins, Held, Likelihood, Model, SIGMA};
 use super::residual::{MISFIT, Residual};
 use super::shape::{Gains, Shape, TILTS};
 use super::sums::DstSums;
@@ -140,7 +140,7 @@ pub(super) fn basic(
     sampling: Option<&Sampling>,
 ) -> Likelihood {
     match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(shapes) {
-        Some(shape) => Likelihood::filtered(sums, rate_hz, excluded_bands_hz, &shape, false),
+        Some(shape) => Likelihood::filtered(&FineBins::new(sums, rate_hz, excluded_bands_hz), &shape, false),
         None => Likelihood::new(sums, rate_hz, excluded_bands_hz),
     }
 }
@@ -158,8 +158,8 @@ pub(super) fn compete(
     if !misfits && !is_filter(basic, rate_hz) {
         return None;
     }
-    let search = Search { sums, rate_hz, excluded_bands_hz };
-    let known = search.of(shape, false)?;
+    let search = Search { bins: FineBins::new(sums, rate_hz, excluded_bands_hz) };
+    let known = search.of(shape, false, f64::INFINITY)?;
     let (best, rivals) = search.best()?;
     let widen = Residual::widen(Residual::of(&known.likelihood, &known.model));
     let gain = (known.score() - best.score()) / (widen * widen);
@@ -210,30 +210,32 @@ impl Candidate {
     }
 }
 
-struct Search<'a> {
-    sums: &'a DstSums,
-    rate_hz: f64,
-    excluded_bands_hz: &'a [[f64; 2]],
+struct Search {
+    bins: FineBins,
 }
 
-impl Search<'_> {
+impl Search {
     /// The best N, B and K under a shape whose numbers are fitted.
     ///
     /// The slope of a low pass of first order is so gentle that flicker may take its place for good. So these are sought from the shape that
     /// white noise alone has as well.
-    fn of(&self, shape: &Shape, behind: bool) -> Option<Candidate> {
+    ///
+    /// `best`: the score of another shape. None where this one will not come near it.
+    fn of(&self, shape: &Shape, behind: bool, best: f64) -> Option<Candidate> {
         let gentle = matches!(shape, Shape::Butterworth { order: 1, .. } | Shape::Exponential { .. });
-        let from_white = gentle.then(|| self.from(shape, behind, 4)).flatten();
-        let all = self.from(shape, behind, 0).into_iter().chain(from_white);
+        let from_white = gentle.then(|| self.from(shape, behind, 4, best)).flatten();
+        let all = self.from(shape, behind, 0, best).into_iter().chain(from_white);
         all.min_by(|a, b| a.score().total_cmp(&b.score()))
     }
 
     /// The same from this shape on, with white noise alone in so many first rounds.
-    fn from(&self, shape: &Shape, behind: bool, white: usize) -> Option<Candidate> {
+    fn from(&self, shape: &Shape, behind: bool, white: usize, best: f64) -> Option<Candidate> {
+        /// What rounds still gain is less than this many times the last gain.
+        const STILL: f64 = 20.0;
         let mut shape = shape.clone();
         let mut last: Option<Model> = None;
         for round in 0..ROUNDS {
-            let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, behind);
+            let likelihood = Likelihood::filtered(&self.bins, &shape, behind);
             let terms = likelihood.least_terms();
             let terms = if round < white { terms } else { terms.with(Term::B).with(Term::K) };
             let start = last.map(|model| Model { tilt: [0.0; TILTS], ..model });
@@ -252,6 +254,10 @@ impl Search<'_> {
                 let price = price(&shape, behind);
                 return Some(Candidate { likelihood, model, price });
             }
+            let gained = last.filter(|_| round > white).map(|last| last.deviance - model.deviance);
+            if gained.is_some_and(|gained| gained >= 0.0 && model.deviance - STILL * gained > best + RIVALS) {
+                return None;
+            }
             shape = shape.moved(&model.tilt);
             last = Some(model);
         }
@@ -262,7 +268,7 @@ impl Search<'_> {
     fn best(&self) -> Option<(Candidate, Vec<Candidate>)> {
         // Each with white noise behind it, which holds the one without; the best few are looked at closely.
         let glance = |shape: Shape| {
-            let likelihood = Likelihood::filtered(self.sums, self.rate_hz, self.excluded_bands_hz, &shape, true);
+            let likelihood = Likelihood::filtered(&self.bins, &shape, true);
             let terms = likelihood.least_terms().with(Term::B).with(Term::K);
             let model = likelihood.maximise(terms, 1.0, Held::Nothing, None)?;
             Some((model.deviance, shape.moved(&model.tilt)))
@@ -276,8 +282,11 @@ impl Search<'_> {
             shapes.extend(ORDERS.map(|order| Shape::Butterworth { order, cutoff }));
             shapes.push(Shape::Exponential { cutoff });
         }
-        let both = shapes.iter().flat_map(|shape| [false, true].map(|behind| self.of(shape, behind)));
-        let mut all: Vec<Candidate> = both.flatten().collect();
+        let mut all: Vec<Candidate> = Vec::new();
+        for (shape, behind) in shapes.iter().flat_map(|shape| [(shape, false), (shape, true)]) {
+            let best = all.iter().map(Candidate::score).fold(f64::INFINITY, f64::min);
+            all.extend(self.of(shape, behind, best));
+        }
         all.sort_by(|a, b| a.score().total_cmp(&b.score()));
         let mut all = all.into_iter();
         let best = all.next()?;
@@ -305,7 +314,9 @@ impl Search<'_> {
                 });
                 let mut coefficients = start.to_vec();
                 coefficients.resize(degree, 0.0);
-                let Some(found) = self.of(&Shape::Smooth { coefficients, up_to }, false) else { continue };
+                let Some(found) = self.of(&Shape::Smooth { coefficients, up_to }, false, f64::INFINITY) else {
+                    continue;
+                };
                 if best.as_ref().is_none_or(|best| found.score() < best.score()) {
                     best = Some(found);
                 }
@@ -315,11 +326,11 @@ impl Search<'_> {
             let finer = match best.likelihood.shape() {
                 Shape::Smooth { coefficients, .. } if coefficients.len() < TILTS => {
                     let coefficients = coefficients.iter().copied().chain([0.0]).collect();
-                    self.of(&Shape::Smooth { coefficients, up_to }, false)
+                    self.of(&Shape::Smooth { coefficients, up_to }, false, f64::INFINITY)
                 }
                 _ => None,
             };
-            let open = self.of(&Shape::Smooth { coefficients: Vec::new(), up_to }, false);
+            let open = self.of(&Shape::Smooth { coefficients: Vec::new(), up_to }, false, f64::INFINITY);
             let is_plain = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
             if is_chance && !is_plain {
                 continue;

@@ -13,6 +13,7 @@ use super::ends::{Excess, Own};
 use super::shape::{Shape, TILTS};
 use super::sums::{Bin, DstSums};
 use crate::noise::fit::Term;
+use std::borrow::Cow;
 
 /// Coefficients whose squares the spectrum is linear in: N, B, K, Q of [`Term`], a Gauss–Markov process' σ, and the density of
 /// white noise behind the filter.
@@ -171,7 +172,8 @@ impl Row {
     }
 
     /// Puts a filter before the row: the mean of its gains over the bin's frequencies, with what a stretch's ends add to white noise.
-    fn filtered(mut self, [low, high]: [f64; 2], shape: &Shape, excess: Option<&Excess>, dt_s: f64) -> Self {
+    fn filtered(&self, [low, high]: [f64; 2], shape: &Shape, excess: Option<&Excess>, dt_s: f64) -> Self {
+        let mut row = *self;
         /// Gauss–Legendre of three points.
         const POINTS: [(f64, f64); 3] =
             [(-0.774_596_669_241_483, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774_596_669_241_483, 5.0 / 18.0)];
@@ -186,22 +188,22 @@ impl Row {
                 *sum += weight * gains.white * slope;
             }
         }
-        self.slopes = slopes.map(|slope| if white > 0.0 { slope / white } else { 0.0 });
+        row.slopes = slopes.map(|slope| if white > 0.0 { slope / white } else { 0.0 });
         let added = excess.map_or(0.0, |excess| excess.at(0.5 * (low + high)) * self.ends);
         // Of a stretch shorter than the filter the sum is none.
         let white = f64::max(white + added, 0.1 * white);
-        (self.white_gain, self.process_gain) = (white, walk);
-        self.basis[0] *= white;
-        self.basis[1] *= flicker;
-        self.basis[2] *= walk;
-        self.basis[3] *= white;
-        self.basis[BEHIND] = (1.0 - white).max(0.0) / dt_s;
-        self
+        (row.white_gain, row.process_gain) = (white, walk);
+        row.basis[0] *= white;
+        row.basis[1] *= flicker;
+        row.basis[2] *= walk;
+        row.basis[3] *= white;
+        row.basis[BEHIND] = (1.0 - white).max(0.0) / dt_s;
+        row
     }
 
     /// What each term is expected to give with the shape's numbers moved.
     fn basis_at(&self, tilt: &[f64; TILTS], dt_s: f64) -> [f64; SQUARES] {
-        if *tilt == [0.0; TILTS] {
+        if tilt.iter().all(|by| *by == 0.0) {
             return self.basis;
         }
         let factor = self.slopes.iter().zip(tilt).map(|(slope, by)| slope * by).sum::<f64>().exp();
@@ -216,6 +218,35 @@ impl Row {
 struct Point {
     squares: [f64; SQUARES],
     tilt: [f64; TILTS],
+}
+
+/// A record's bins, over which filters compete.
+#[derive(Debug)]
+pub(super) struct FineBins {
+    /// The range of u of each, and what it holds.
+    rows: Vec<([f64; 2], Row)>,
+    dt_s: f64,
+}
+
+impl FineBins {
+    /// Takes the bins that touch none of `excluded_bands_hz`, nor neighbour one that does.
+    ///
+    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends add there is more, and of few
+    /// independent numbers. The data alone decides which, so that all shapes are held against the same.
+    pub(super) fn new(sums: &DstSums, rate_hz: f64, excluded_bands_hz: &[[f64; 2]]) -> Self {
+        /// What ends add is at most this share of a power that takes part.
+        const ADDED_MOST: f64 = 0.1;
+        let dt_s = 1.0 / rate_hz;
+        let bins = sums.finely_filled().filter(|(range, _)| !excluded(*range, rate_hz, excluded_bands_hz));
+        let (ranges, mut rows): (Vec<_>, Vec<_>) = bins.map(|(range, bin)| (range, Row::of(bin, dt_s))).unzip();
+        level(&mut rows);
+        let own = Own::of(sums);
+        let takes_part = |([low, high], row): &([f64; 2], Row)| {
+            let added = own.excess(0.5 * (low + high)).abs() * row.ends;
+            added < ADDED_MOST * row.level * row.sine || row.sine < 1e-3
+        };
+        Self { rows: ranges.into_iter().zip(rows).filter(takes_part).collect(), dt_s }
+    }
 }
 
 /// The data, ready for models.
@@ -239,37 +270,12 @@ impl Likelihood {
     }
 
     /// The same with a filter behind the noise, over finer bins; `behind`: white noise may come in behind the filter.
-    ///
-    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends add there is more, and of few
-    /// independent numbers. The data alone decides which, so that all shapes are held against the same.
-    pub(super) fn filtered(
-        sums: &DstSums,
-        rate_hz: f64,
-        excluded_bands_hz: &[[f64; 2]],
-        shape: &Shape,
-        behind: bool,
-    ) -> Self {
-        /// What ends add is at most this share of a power that takes part.
-        const ADDED_MOST: f64 = 0.1;
-        let dt_s = 1.0 / rate_hz;
+    pub(super) fn filtered(bins: &FineBins, shape: &Shape, behind: bool) -> Self {
         let up_to = if let Shape::Smooth { up_to, .. } = shape { *up_to } else { 0.5 };
-        let bins = sums
-            .finely_filled()
-            .filter(|(range, _)| range[1] <= up_to * (1.0 + 1e-9) && !excluded(*range, rate_hz, excluded_bands_hz));
-        let (excess, own) = (Excess::of(shape), Own::of(sums));
-        let (middles, mut rows): (Vec<f64>, Vec<Row>) = bins
-            .map(|(range, bin)| {
-                let row = Row::of(bin, dt_s).filtered(range, shape, excess.as_ref(), dt_s);
-                (0.5 * (range[0] + range[1]), row)
-            })
-            .unzip();
-        level(&mut rows);
-        let mut middles = middles.into_iter();
-        rows.retain(|row| {
-            let added = middles.next().map_or(0.0, |u| own.excess(u).abs() * row.ends);
-            added < ADDED_MOST * row.level * row.sine || row.sine < 1e-3
-        });
-        Self { rows, dt_s, shape: shape.clone(), behind }
+        let excess = Excess::of(shape);
+        let taken = bins.rows.iter().filter(|(range, _)| range[1] <= up_to * (1.0 + 1e-9));
+        let rows = taken.map(|(range, row)| row.filtered(*range, shape, excess.as_ref(), bins.dt_s)).collect();
+        Self { rows, dt_s: bins.dt_s, shape: shape.clone(), behind }
     }
 
     /// The filter behind the noise.
@@ -327,9 +333,9 @@ impl Likelihood {
                 ramp = generalised_mean(&rows, &lambda).unwrap_or(ramp);
             }
             let tilts = if begun { self.shape.tilts() } else { 0 };
-            let proposed = scoring_step(&rows, &lambda, terms, held, ramp, &point, tilts, dt_s)?;
-            let (next, reached) = shorten(&rows, point, proposed, ramp, begun, dt_s);
             let before = if begun && terms.ramp { deviance_of(&rows, &point, ramp, dt_s) } else { deviance };
+            let proposed = scoring_step(&rows, &lambda, terms, held, ramp, &point, tilts, dt_s)?;
+            let (next, reached) = shorten(&rows, point, proposed, ramp, before, dt_s);
             if begun && reached >= before - SETTLED {
                 if reached < before {
                     (point, deviance) = (next, reached);
@@ -349,11 +355,11 @@ impl Likelihood {
         deviance.is_finite().then_some(model)
     }
 
-    fn with_gauss_markov(&self, terms: Terms, tc_s: f64) -> Vec<Row> {
-        let mut rows = self.rows.clone();
+    fn with_gauss_markov(&self, terms: Terms, tc_s: f64) -> Cow<'_, [Row]> {
+        let mut rows = Cow::Borrowed(&self.rows[..]);
         if terms.has_gauss_markov() {
             let decay = self.dt_s / tc_s;
-            for row in &mut rows {
+            for row in rows.to_mut() {
                 row.basis[SIGMA] = row.process_gain * gauss_markov(row.sine, row.ends, decay);
             }
         }
@@ -375,7 +381,7 @@ impl Likelihood {
         let rows = self.with_gauss_markov(model.terms, model.tc_s);
         let mut groups: Vec<(f64, f64)> = Vec::new();
         let (mut count, mut sum, mut first) = (0.0, 0.0, 0.0);
-        for row in &rows {
+        for row in rows.iter() {
             if count == 0.0 {
                 first = row.sine;
             }
@@ -483,7 +489,11 @@ fn scoring_step(
         Held::Square(at, value) => Some((at, value)),
         _ => None,
     };
-    let size = SQUARES + tilts;
+    let free: Vec<usize> =
+        (0..SQUARES).filter(|at| terms.squares[*at] && fixed.is_none_or(|(held, _)| held != *at)).collect();
+    let held_tilt = if let Held::Tilt(at, _) = held { Some(at) } else { None };
+    let signed: Vec<usize> = (0..tilts).filter(|at| held_tilt != Some(*at)).map(|at| SQUARES + at).collect();
+    let taken: Vec<usize> = free.iter().chain(&signed).copied().collect();
     let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];
     let mut right = [0.0; UNKNOWNS];
     let mut columns = [0.0; UNKNOWNS];
@@ -499,18 +509,14 @@ fn scoring_step(
                 *column = slope * moves;
             }
         }
-        for one in 0..size {
-            let weighted = weight * columns[one];
-            right[one] += weighted * target;
-            for (entry, other) in normal[one].iter_mut().zip(&columns).take(one + 1) {
-                *entry += weighted * other;
+        for (place, one) in taken.iter().enumerate() {
+            let weighted = weight * columns[*one];
+            right[*one] += weighted * target;
+            for other in &taken[..=place] {
+                normal[*one][*other] += weighted * columns[*other];
             }
         }
     }
-    let free: Vec<usize> =
-        (0..SQUARES).filter(|at| terms.squares[*at] && fixed.is_none_or(|(held, _)| held != *at)).collect();
-    let held_tilt = if let Held::Tilt(at, _) = held { Some(at) } else { None };
-    let signed: Vec<usize> = (0..tilts).filter(|at| held_tilt != Some(*at)).map(|at| SQUARES + at).collect();
     let found = non_negative(&normal, &right, &free, &signed)?;
     let mut next = Point { squares: std::array::from_fn(|at| found[at]), tilt: point.tilt };
     if let Some((at, value)) = fixed {
@@ -522,15 +528,10 @@ fn scoring_step(
     Some(next)
 }
 
-/// Goes towards what is proposed as far as the likelihood rises.
-fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, begun: bool, dt_s: f64) -> (Point, f64) {
+/// Goes towards what is proposed as far as the likelihood rises; `base`: the deviance at `from`, infinite if nothing has begun.
+fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, base: f64, dt_s: f64) -> (Point, f64) {
     const HALVINGS: i32 = 30;
-    let full = deviance_of(rows, &proposed, ramp, dt_s);
-    if !begun {
-        return (proposed, full);
-    }
-    let base = deviance_of(rows, &from, ramp, dt_s);
-    let (mut next, mut reached) = (proposed, full);
+    let (mut next, mut reached) = (proposed, deviance_of(rows, &proposed, ramp, dt_s));
     let between = |from: f64, to: f64, share: f64| from + share * (to - from);
     for halving in 1..=HALVINGS {
         if reached <= base {
