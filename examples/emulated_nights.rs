@@ -25,7 +25,9 @@ const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "emulated", "
   "sampling": {"internal_rate_hz": 800, "filter_window": 4}, "channels": {
   "gyro_x": {"N": 6e-5, "B": 2.6e-5, "K": 1.5e-6}, "gyro_y": {"N": 6e-5, "B": 2.5e-5}, "gyro_z": {"N": 5.5e-5, "K": 1.7e-6},
   "accel_x": {"N": 1.05e-3, "B": 1.1e-3}, "accel_y": {"N": 8.5e-4}, "accel_z": {"N": 1.4e-3, "K": 6e-4, "bias": -9.79}}}"#;
-const SPEED: f64 = 1000.0;
+/// Samples to a second of real time: what terminal, daemon and database take without falling behind.
+const PACE: f64 = 50_000.0;
+const BAUD: u32 = 921_600;
 const INTERNAL_RATE_HZ: f64 = 800.0;
 const WINDOW: f64 = 4.0;
 
@@ -49,19 +51,28 @@ struct Found {
 fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value, Failed> {
     let folder = std::env::temp_dir().join(format!("vn100d-night-{}-{rate_hz}-{seed}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
-    let clock = Arc::new(ScaledClock::new(SPEED));
+    let clock = Arc::new(ScaledClock::new(PACE / rate_hz));
     let mut terminal = Terminal::open(TerminalOptions::default())?;
     let mut config = Config::default();
     config.sensor.device = Device::Path(terminal.path().to_owned());
     config.sensor.rate_hz = rate_hz;
     // 800 Hz do not fit 115,200 baud.
-    config.sensor.baud = Baud::Fixed(921_600);
+    let mut sensor = VirtualSensor::new(&SensorOptions::default());
+    sensor.registers_mut().set_baud(BAUD);
+    config.sensor.baud = Baud::Fixed(BAUD);
     config.http.listen = "127.0.0.1:0".parse()?;
     let stop_emulator = Arc::new(AtomicBool::new(false));
     let source = Source::model(SensorModel::from_json(MODEL, "emulated")?, seed);
     let emulator = std::thread::spawn({
         let (clock, stop) = (Arc::clone(&clock), Arc::clone(&stop_emulator));
-        move || terminal.run(VirtualSensor::new(&SensorOptions::default()), source, &clock, &stop)
+        move || {
+            terminal.run(
+                sensor,
+                source,
+                &clock,
+                &stop,
+            )
+        }
     });
     let capture = CaptureRequest { duration: length, name: Some("night".to_owned()), start_at_utc_ns: None };
     let options = Options { database: folder.join("vn100d.db"), config, capture: Some(capture), clock };
