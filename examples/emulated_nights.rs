@@ -65,14 +65,7 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
     let source = Source::model(SensorModel::from_json(MODEL, "emulated")?, seed);
     let emulator = std::thread::spawn({
         let (clock, stop) = (Arc::clone(&clock), Arc::clone(&stop_emulator));
-        move || {
-            terminal.run(
-                sensor,
-                source,
-                &clock,
-                &stop,
-            )
-        }
+        move || terminal.run(sensor, source, &clock, &stop)
     });
     let capture = CaptureRequest { duration: length, name: Some("night".to_owned()), start_at_utc_ns: None };
     let options = Options { database: folder.join("vn100d.db"), config, capture: Some(capture), clock };

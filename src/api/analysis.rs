@@ -203,7 +203,7 @@ pub(super) async fn noise(
     Ok(answer_of_form(&headers, result.as_ref(), &form, axum::Json(document)))
 }
 
-/// Register 85 as the first of a result's captures that knows it tells.
+/// The filter windows of the first of a result's captures that knows them.
 fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Option<FilterWindows>, StoreError> {
     let with = match job {
         Some(id) => reader.job(id)?.params["with"].as_array().cloned().unwrap_or_default(),
@@ -212,7 +212,7 @@ fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Optio
     let others = with.iter().filter_map(Value::as_i64);
     for id in std::iter::once(reader.resolve(name)?).chain(others) {
         let row = reader.capture(id)?;
-        if let Ok(windows) = serde_json::from_value(row.configuration["filter_window"].clone()) {
+        if let Some(windows) = crate::jobs::filter_windows(&row.configuration) {
             return Ok(Some(windows));
         }
     }

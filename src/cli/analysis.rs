@@ -3,7 +3,9 @@
 use super::{CliError, Context, Failure};
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
-use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, Told, one_sensor};
+use crate::jobs::{
+    Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor, stated_windows,
+};
 use crate::recording::{Kind, LoadedRecording, Options, load_columns};
 use crate::sample::Channel;
 use crate::store::{Chunk, Missing, Reader, StoreError};
@@ -16,6 +18,8 @@ struct Material {
     name: String,
     /// Whether nothing told the rate.
     rate_assumed: bool,
+    /// That a given rate overrides that of the stamps.
+    overridden: Option<String>,
     /// Frames or lines were rejected on the way in.
     rejected: bool,
     /// Filter windows of register 85, where they are known.
@@ -41,16 +45,16 @@ impl Together {
         self.captures.iter().map(|of| of.name.as_str()).collect::<Vec<_>>().join(" + ")
     }
 
-    /// Filter windows of register 85, where one tells them.
+    /// Filter windows: of register 85 if a capture has it, else as stated.
     pub(super) fn windows(&self) -> Option<FilterWindows> {
-        self.captures.iter().find_map(|of| of.windows)
+        self.captures.iter().find_map(|of| of.windows).or_else(|| stated_windows(&self.plan.sampling))
     }
 
     /// Takes in what a person says of how the samples came about.
     ///
     /// # Errors
     /// If that contradicts the samples' rate or register 85.
-    pub(super) fn sampled(&mut self, told: Option<Told>) -> anyhow::Result<()> {
+    pub(super) fn sampled(&mut self, told: Option<StatedSampling>) -> anyhow::Result<()> {
         told.map_or(Ok(()), |told| self.plan.sampled(told)).map_err(contradicted)
     }
 
@@ -228,6 +232,9 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             let rate_hz = material.setting.rate_hz;
             eprintln!("note: {name} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
         }
+        if let Some(overridden) = &material.overridden {
+            eprintln!("note: {name}: {overridden}");
+        }
         captures.push(material);
         // Before their samples are put side by side.
         one_sensor(&captures.iter().map(|of| of.setting.clone()).collect::<Vec<_>>())?;
@@ -262,6 +269,7 @@ fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::R
         windows: None,
         setting: Setting { units: units.collect(), ..Setting::of_rate(named, info.rate_hz) },
         id: None,
+        overridden: info.overridden(),
         name: named.to_owned(),
         rate_assumed: info.rate_assumed,
         rejected: info.rejected.values().any(|count| *count > 0),
@@ -286,6 +294,7 @@ fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::
         windows: serde_json::from_value(row.configuration["filter_window"].clone()).ok(),
         setting: Setting::of(&row, plan.rate_hz),
         id: Some(row.id),
+        overridden: None,
         rejected: row.has_rejected(),
         name: row.name,
         rate_assumed: row.rate_assumed,

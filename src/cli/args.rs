@@ -2,7 +2,7 @@
 
 use crate::datasheet::{Datasheet, DatasheetError};
 use crate::export::Target;
-use crate::jobs::Told;
+use crate::jobs::StatedSampling;
 use crate::model_fit::effects_named;
 use crate::units::parse_duration;
 use clap::builder::PossibleValue;
@@ -350,8 +350,8 @@ pub struct SamplingArgs {
 impl SamplingArgs {
     /// What the options state, if they are given.
     #[must_use]
-    pub fn told(self) -> Option<Told> {
-        Some(Told { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
+    pub fn stated(self) -> Option<StatedSampling> {
+        Some(StatedSampling { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
     }
 }
 
@@ -423,6 +423,9 @@ pub struct DiagnoseArgs {
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// How the recording's samples came about
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
     /// Measure what chance finds in 300 simulated records like this one, instead of by the table; kept in
     /// $XDG_CACHE_HOME/vn100d
     #[arg(long)]

@@ -30,7 +30,8 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
     let html = args.html.as_ref().map(create).transpose()?;
     let reference = args.reference.as_deref().map(reference).transpose()?;
-    let together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
+    let mut together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
+    together.sampled(args.sampling.stated())?;
     let (sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let real_name = together.name();

@@ -163,7 +163,7 @@ fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
     })
 }
 
-/// How long the sensor was at rest and how long it moved, as a line; empty where nothing tells.
+/// How long the sensor was at rest and how long it moved, as a line; empty if motion is unknown.
 fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
     let told = at_rest_s.zip(moving_s);
     told.map_or_else(String::new, |(at_rest_s, moving_s)| {

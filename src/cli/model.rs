@@ -24,7 +24,7 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
             let out = out.as_deref().map(output).transpose()?;
             let wanted = effects.as_ref().map(|EffectNames(names)| names.clone()).unwrap_or_default();
             let mut together = analysis::open(context, captures, *rate)?;
-            together.sampled(sampling.told())?;
+            together.sampled(sampling.stated())?;
             let Fit { fitted: Fitted { mut model, refusal }, name, rejected } =
                 fitted(together, &wanted, name.clone())?;
             if let Some(why) = refusal {

@@ -16,12 +16,12 @@ use std::io::Write as _;
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
-    together.sampled(args.sampling.told())?;
+    together.sampled(args.sampling.stated())?;
     let (rejected, windows) = (together.rejected(), together.windows());
     let mut report = direct::noise(&together.source, together.plan)?;
     let comparison = sheet.map(|sheet| compare_report(&sheet, &report, windows)).transpose()?;
     report.datasheet = comparison.as_ref().map(serde_json::to_value).transpose()?;
-    let target = if let NoiseFormat::For(target) = args.format { Some(target) } else { None };
+    let target = if let NoiseFormat::For(target) = args.format { Some(target).filter(|_| !context.json) } else { None };
     let refusal = target.filter(|_| !args.force).and_then(|target| Some((target, target.refusal(&report)?)));
     if let Some((target, why)) = refusal {
         return Err(refused(&format!("{} is not written", target.name()), &why));
@@ -287,7 +287,7 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 mod tests {
     use super::super::analysis::Together;
     use super::*;
-    use crate::jobs::Told;
+    use crate::jobs::StatedSampling;
     use crate::noise::fit::{Flag, GaussMarkov};
     use crate::sample::Channel;
 
@@ -529,7 +529,7 @@ mod tests {
         let path = means_of_four(directory.path());
         let density = 1e-3 / 800f64.sqrt();
         let mut told = opened(path.clone());
-        told.sampled(Some(Told { filter_window: 4, internal_rate_hz: None })).unwrap();
+        told.sampled(Some(StatedSampling { filter_window: 4, internal_rate_hz: None })).unwrap();
         for (together, source, internal) in [(told, "option", true), (opened(path), "fitted", false)] {
             let report = report(together);
             let found = &report.channels[&Channel::GyroX];

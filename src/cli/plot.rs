@@ -44,7 +44,7 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
     let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
     let stop = Stop::listen()?;
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
-    let subject = Subject::open(context, &args.capture, args.rate, args.sampling.told(), &stop)?;
+    let subject = Subject::open(context, &args.capture, args.rate, args.sampling.stated(), &stop)?;
     let image = stop.unless(image(&subject, picture, window, form))?;
     let outcome = if subject.row.has_rejected() { Outcome::WithLoss } else { Outcome::Done };
     let Some(output) = output else {

@@ -6,7 +6,7 @@ use super::progress::bar;
 use super::{CliError, Context, Failure};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
-use crate::jobs::{JobError, JobKind, Plan, Told, direct};
+use crate::jobs::{JobError, JobKind, Plan, StatedSampling, direct};
 use crate::recording::{KeepOn, RecordingError, Stamps};
 use crate::sample::Channel;
 use crate::store::{CaptureRow, Reader, Store, StoreOptions};
@@ -60,7 +60,7 @@ pub(super) struct Subject {
     /// Whether it is a recording's file: then nobody else knows its id.
     pub of_file: bool,
     /// What the command states of how its samples came about.
-    told: Option<Told>,
+    told: Option<StatedSampling>,
     /// What a page has to say of it: sentences.
     pub remarks: Vec<String>,
     /// The recording's database, until nobody reads it any more.
@@ -76,7 +76,7 @@ impl Subject {
         context: &Context,
         named: &str,
         rate_hz: Option<f64>,
-        told: Option<Told>,
+        told: Option<StatedSampling>,
         stop: &Stop,
     ) -> anyhow::Result<Self> {
         let mut subject = if Path::new(named).is_file() {

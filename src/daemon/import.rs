@@ -2,7 +2,7 @@
 
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
-use crate::jobs::{Jobs, SamplingError, TOLD, Told};
+use crate::jobs::{Jobs, SAMPLING_KEY, SamplingError, StatedSampling};
 use crate::recording::{
     ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
     RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
@@ -121,7 +121,7 @@ pub struct Source<'a> {
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
     /// How its samples came about.
-    pub sampling: Option<Told>,
+    pub sampling: Option<StatedSampling>,
     /// What the columns of a foreign CSV are.
     pub columns: ColumnMap,
     /// Definitions of messages that a bag does not bring along.
@@ -158,7 +158,7 @@ pub fn import(
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
     let Source { file, called, rate_hz, sampling, columns, definitions, keep_on } = source;
-    let sampling = sampling.map(Told::kept);
+    let sampling = sampling.map(StatedSampling::kept);
     // What is refused for its name is refused before anything is read.
     if let Some(name) = &name {
         check_name(name)?;
@@ -275,7 +275,7 @@ impl Importer for DaemonImporter {
         let definitions = definitions.collect::<Result<_, _>>().and_then(MessageDefinition::list);
         let definitions = definitions.map_err(|error| refused(&error.into(), &request))?;
         let internal_rate_hz = request.internal_rate_hz;
-        let sampling = request.filter_window.map(|filter_window| Told { filter_window, internal_rate_hz });
+        let sampling = request.filter_window.map(|filter_window| StatedSampling { filter_window, internal_rate_hz });
         let rate_hz = request.rate_hz;
         let source = Source { file: &request.file, called, rate_hz, sampling, columns, definitions, keep_on };
         let mut room = |_, _| {
@@ -320,7 +320,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
 /// Names the recording's content and how it is read.
 fn fingerprint(
     file: &Path,
-    (rate_hz, sampling, columns, definitions): (Option<f64>, Option<Told>, &ColumnMap, &[MessageDefinition]),
+    (rate_hz, sampling, columns, definitions): (Option<f64>, Option<StatedSampling>, &ColumnMap, &[MessageDefinition]),
     keep_on: &KeepOn,
 ) -> Result<String, ImportError> {
     let mut hash = Sha256::new();
@@ -385,7 +385,7 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
 
 /// What the user states of a recording: how samples came about, pairs of columns, names of message types.
 struct Said {
-    sampling: Option<Told>,
+    sampling: Option<StatedSampling>,
     columns: Vec<String>,
     definitions: Vec<String>,
 }
@@ -395,7 +395,7 @@ fn description(info: &RecordingInfo, said: &Said) -> serde_json::Value {
     serde_json::json!({
         "file": info.file.display().to_string(),
         "kind": info.kind,
-        TOLD: said.sampling,
+        SAMPLING_KEY: said.sampling,
         "columns": said.columns,
         "message_definitions": said.definitions,
         "stamps": info.stamps,

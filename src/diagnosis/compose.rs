@@ -197,7 +197,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
             let mut found = (end(0.0), [end(-1.0), end(1.0)]);
             let own = own.get_or_insert_with(|| {
-                owned.get_or_insert_with(|| Owned::new(real, sim)).of(of.prepared.channel).unwrap_or_default()
+                owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
             match own[level] {
                 Some(Known { value: Some(value), ends }) if level == 0 => {

@@ -13,15 +13,12 @@ use crate::noise::allan::FixedPoint;
 use crate::noise::fit::Estimate;
 use crate::noise::robust::{All, Company, Levels, Part, Record, spectral_sums};
 use crate::noise::stillness::{Stillness, TELLING};
-use crate::noise::whittle::Sampling;
 use crate::sample::Channel;
-use crate::simulator::SensorModel;
 use std::ops::Range;
 
 /// A record, ready to be asked; channels are looked at when they are asked for.
 pub(super) struct Owned<'a> {
     real: &'a Recording,
-    sampling: Option<Sampling>,
     /// Places at which the sensor moved.
     moving: Vec<Range<u64>>,
 }
@@ -46,8 +43,8 @@ impl Known {
 }
 
 impl<'a> Owned<'a> {
-    /// Of a record that is compared with a model, which tells how its samples came about.
-    pub(super) fn new(real: &'a Recording, sim: &SensorModel) -> Self {
+    /// Finds where the sensor of a record moved.
+    pub(super) fn new(real: &'a Recording) -> Self {
         let there = |channel: Channel| -> Vec<f64> {
             let values = real.values(channel).unwrap_or_default().iter().enumerate();
             values.map(|(place, value)| if real.is_missing(place) { f64::NAN } else { *value }).collect()
@@ -56,12 +53,7 @@ impl<'a> Owned<'a> {
         let received = (0..real.len()).filter(|place| !real.is_missing(*place)).count();
         let mut stillness = Stillness::new(real.rate_hz, received as u64);
         stillness.push(0, columns.each_ref().map(Vec::as_slice));
-        let sampling = sim.sampling.map(|sampling| Sampling {
-            internal_rate_hz: sampling.internal_rate_hz,
-            window: u32::try_from(sampling.filter_window).unwrap_or(u32::MAX),
-            source: "model".to_owned(),
-        });
-        Self { real, sampling, moving: stillness.settle().unwrap_or_default() }
+        Self { real, moving: stillness.settle().unwrap_or_default() }
     }
 
     /// N (as sent), B and K of a channel; none where the noise room says that they are not to be used.
@@ -69,7 +61,8 @@ impl<'a> Owned<'a> {
         let rate_hz = self.real.rate_hz;
         let parts = self.parts(channel);
         let sums = spectral_sums(&parts, FixedPoint::for_channel(channel));
-        let all = All::of(channel, rate_hz, &sums, self.sampling.as_ref());
+        let sampling = channel.triad().and_then(|triad| self.real.sampling.get(&triad));
+        let all = All::of(channel, rate_hz, &sums, sampling);
         let samples = parts.iter().map(|part| part.values.len() as u64).sum();
         let record = Record::of(channel, rate_hz, parts, &Levels::new(rate_hz, samples), Company::Alone);
         let (NoiseParameters { usable, n, b, k, .. }, _) = record.alone(channel, rate_hz, &all);

@@ -1,6 +1,8 @@
 //! Recording: what is diagnosed, on a regular grid of instants.
 
-use crate::sample::Channel;
+use crate::noise::whittle::Sampling;
+use crate::sample::{Channel, Triad};
+use std::collections::BTreeMap;
 
 /// Samples of several channels at one rate. A sample that was lost has a place all the same, so that what comes after it
 /// stands where it was.
@@ -20,6 +22,8 @@ pub struct Recording {
     /// Where the channels' values are what remains beyond an answer to a motion: the values that the sensor sent. Steps of
     /// rounding and samples sent again are seen in these alone; limits are the answer's.
     pub sent: Vec<(Channel, Vec<f64>)>,
+    /// How the samples of a triad came about, where that is known.
+    pub sampling: BTreeMap<Triad, Sampling>,
 }
 
 impl Recording {
@@ -65,6 +69,7 @@ impl Recording {
             temperature_c: self.temperature_c.as_deref().map(cut),
             time_s: self.time_s.get(stamps).unwrap_or_default().to_vec(),
             sent: all(&self.sent),
+            sampling: self.sampling.clone(),
         }
     }
 

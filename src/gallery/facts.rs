@@ -2,6 +2,7 @@
 
 use super::{Documents, Picture, samples};
 use crate::datasheet::{Datasheet, compare_report};
+use crate::jobs::filter_windows;
 use crate::noise::NoiseReport;
 use crate::sample::Channel;
 use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
@@ -59,7 +60,7 @@ impl Facts {
         let (sheet, family) = DATASHEET;
         let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family));
         if let Some(sheet) = sheet {
-            let windows = serde_json::from_value(self.row.configuration["filter_window"].clone()).ok();
+            let windows = filter_windows(&self.row.configuration);
             let compared = compare_report(&sheet, &report, windows).ok();
             report.datasheet = compared.and_then(|compared| serde_json::to_value(compared).ok());
         }

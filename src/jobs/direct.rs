@@ -8,7 +8,7 @@ use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport, Told};
+use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatedSampling, StatisticsReport};
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanReport, Estimator};
 use crate::sample::Channel;
@@ -75,7 +75,12 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
 ///
 /// # Errors
 /// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual; what the database says.
-pub fn document(reader: &Reader, capture: &CaptureRow, kind: JobKind, told: Option<Told>) -> Result<String, JobError> {
+pub fn document(
+    reader: &Reader,
+    capture: &CaptureRow,
+    kind: JobKind,
+    told: Option<StatedSampling>,
+) -> Result<String, JobError> {
     let parameters = kind.parameters(&Value::Null)?;
     if !capture.state.is_open() && told.is_none() {
         let usual = serde_json::to_value(&parameters)?;

@@ -109,7 +109,8 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
     };
     let left_out = total - part.there;
     let from_s = part.first as f64 / plan.rate_hz;
-    Ok(Gridded { recording: part.recording(plan.rate_hz, &channels), from_s, left_out, full })
+    let recording = Recording { sampling: plan.sampling.clone(), ..part.recording(plan.rate_hz, &channels) };
+    Ok(Gridded { recording, from_s, left_out, full })
 }
 
 fn longer(one: Option<Part>, other: Option<Part>) -> Option<Part> {

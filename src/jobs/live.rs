@@ -9,6 +9,7 @@ use super::report::{self, Extent, StatisticsReport};
 use super::sampling::of_configuration;
 use crate::noise::NoiseReport;
 use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
+use crate::noise::stillness::{Stillness, TELLING};
 use crate::sample::Channel;
 use crate::store::Reader;
 use serde::Serialize;
@@ -37,6 +38,8 @@ impl Default for Live {
 #[derive(Debug)]
 struct Pyramids {
     capture_id: i64,
+    /// How long the capture is to be, s.
+    planned_s: f64,
     next_seq: u64,
     /// The segment met last and its rate.
     rate: Option<(u32, f64)>,
@@ -48,6 +51,7 @@ struct Pyramids {
 #[derive(Debug)]
 struct Pyramid {
     samples: u64,
+    stillness: Stillness,
     channels: BTreeMap<Channel, LiveAllan>,
 }
 
@@ -85,6 +89,8 @@ pub struct LivePoints {
     pub caught_up: bool,
     /// Octaves of each channel.
     pub channels: BTreeMap<Channel, Vec<AllanPoint>>,
+    /// How long the sensor moved, s; none if no channel says so. What moved is among the octaves.
+    pub moving_s: Option<f64>,
 }
 
 impl Live {
@@ -113,7 +119,10 @@ impl Live {
         let mut slot = self.lock();
         let pyramids = match &mut *slot {
             Some(pyramids) if pyramids.capture_id == capture_id => pyramids,
-            other => other.insert(Pyramids::new(capture_id)),
+            other => {
+                let planned_s = reader.capture(capture_id)?.planned_duration_s.unwrap_or_default();
+                other.insert(Pyramids::new(capture_id, planned_s))
+            }
         };
         let outcome = pyramids.catch_up(reader, self.catch_up);
         if outcome.is_err() {
@@ -147,6 +156,10 @@ impl Live {
                 .filter(|(_, live)| live.samples() > 0)
                 .map(|(channel, live)| (*channel, live.points()))
                 .collect(),
+            moving_s: pyramid.stillness.clone().settle().map(|places| {
+                let moving: u64 = places.iter().map(|places| places.end.min(pyramid.samples) - places.start).sum();
+                moving as f64 / rate_hz
+            }),
         })
     }
 
@@ -175,7 +188,7 @@ impl Live {
         let points = self.points(reader, capture_id)?;
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
-        let report = report::noise_of_points(&points.channels, points.rate_hz, points.other_rate, &sampling, extent);
+        let report = report::noise_of_points(&points, &sampling, extent);
         Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }
 
@@ -195,9 +208,10 @@ impl Live {
 }
 
 impl Pyramids {
-    fn new(capture_id: i64) -> Self {
+    fn new(capture_id: i64, planned_s: f64) -> Self {
         Self {
             capture_id,
+            planned_s,
             next_seq: 0,
             rate: None,
             segment: None,
@@ -247,7 +261,16 @@ impl Pyramids {
     fn take(&mut self, number: u32, rate_hz: f64, columns: &[&[f64]], rows: usize) {
         let continues = self.segment == Some(number);
         self.segment = Some(number);
-        let pyramid = self.by_rate.entry(rate_hz.to_bits()).or_insert_with(Pyramid::new);
+        let planned = (self.planned_s * rate_hz) as u64;
+        let pyramid = self.by_rate.entry(rate_hz.to_bits()).or_insert_with(|| Pyramid::new(rate_hz, planned));
+        // Gaps take no place: what moved before and after one is no less motion.
+        pyramid.stillness.push(
+            pyramid.samples,
+            TELLING.map(|channel| {
+                let at = Channel::ANALYSED.iter().position(|own| *own == channel);
+                at.and_then(|at| columns.get(at)).copied().unwrap_or_default()
+            }),
+        );
         pyramid.samples += rows as u64;
         for (live, column) in pyramid.channels.values_mut().zip(columns) {
             if !continues {
@@ -273,9 +296,9 @@ impl Pyramids {
 }
 
 impl Pyramid {
-    fn new() -> Self {
+    fn new(rate_hz: f64, planned: u64) -> Self {
         // In column order, as ANALYSED is: the columns of a chunk stand in the same order.
         let channels = Channel::ANALYSED.map(|channel| (channel, LiveAllan::new(FixedPoint::for_channel(channel))));
-        Self { samples: 0, channels: channels.into_iter().collect() }
+        Self { samples: 0, stillness: Stillness::new(rate_hz, planned), channels: channels.into_iter().collect() }
     }
 }

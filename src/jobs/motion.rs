@@ -20,9 +20,10 @@ pub(super) struct AtRest {
     pub(super) held: Option<Held>,
 }
 
-/// Finds out what moved and leaves it out of the plan, and which channel is beyond what it can measure. `hold`: whether the samples are wanted. `go_on`: asked after every chunk of a
-/// long capture; an error that it answers ends the work. A short one is done in one go, so that a job that is told to end again and
-/// again still comes to an end.
+/// Finds motion and leaves it out of the plan; finds channels beyond what they can measure.
+///
+/// `hold`: whether the samples are wanted. `go_on`: asked after every chunk of a long capture; an error that it returns ends the work. A
+/// short capture is read in one go, so that a job that is interrupted again and again still comes to an end.
 pub(super) fn at_rest(
     source: &dyn SampleSource,
     mut plan: Plan,

@@ -5,7 +5,7 @@
 //! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
 
 use super::raw_counts::RawCounts;
-use super::sampling::{SamplingError, Told, of_configuration};
+use super::sampling::{SamplingError, StatedSampling, of_configuration};
 use super::{JobError, SampleSource};
 use crate::noise::whittle::Sampling;
 use crate::sample::{Channel, Triad};
@@ -196,7 +196,7 @@ impl Plan {
     ///
     /// # Errors
     /// [`SamplingError`] if that cannot be.
-    pub fn sampled(&mut self, told: Told) -> Result<(), SamplingError> {
+    pub fn sampled(&mut self, told: StatedSampling) -> Result<(), SamplingError> {
         self.sampling = told.with(&self.sampling, self.rate_hz)?;
         Ok(())
     }
@@ -251,7 +251,7 @@ impl Plan {
         }
     }
 
-    /// Whether a sample is at rest, or nothing tells.
+    /// Returns whether a sample is at rest; true if motion is unknown.
     pub(super) fn has_rest(&self) -> bool {
         self.stretches_at_rest(&(0..self.end_seq)).next().is_some()
     }
@@ -299,7 +299,7 @@ impl Plan {
         self.taken_in(range).flat_map(|part| self.resting_in(&part))
     }
 
-    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none if nothing tells, as raw
+    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none if motion is unknown, as raw
     /// counts do not.
     #[must_use]
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {

@@ -4,10 +4,11 @@ use super::JobError;
 use super::SampleSource;
 use super::examine::examine;
 use super::held::Held;
+use super::live::LivePoints;
 use super::plan::{Plan, Shares};
 use super::raw_counts::RawCounts;
 use super::threads::side_by_side;
-use crate::noise::allan::{AllanCurve, AllanPoint, AllanReport, AllanSums, Estimator};
+use crate::noise::allan::{AllanCurve, AllanReport, AllanSums, Estimator};
 use crate::noise::fit::{Flag, fit_as_sampled};
 use crate::noise::robust::All;
 use crate::noise::statistics::Statistics;
@@ -233,20 +234,30 @@ pub(super) fn noise(
 
 /// Noise parameters of octaves of a capture that still runs.
 pub(super) fn noise_of_points(
-    points: &BTreeMap<Channel, Vec<AllanPoint>>,
-    rate_hz: f64,
-    other: u64,
+    points: &LivePoints,
     sampling: &BTreeMap<Triad, Sampling>,
     extent: Extent,
 ) -> NoiseReport {
-    let channels = points.iter().map(|(channel, octaves)| {
+    let LivePoints { rate_hz, other_rate, moving_s, .. } = *points;
+    // Octaves cannot be divided again: what moved is in them.
+    let moved = moving_s.filter(|moving_s| *moving_s > 0.0).map(|moving_s| {
+        format!(
+            "the sensor moved for {moving_s:.1} s, which is left out only when the capture has ended: ask again then, or make a noise job"
+        )
+    });
+    let channels = points.channels.iter().map(|(channel, octaves)| {
         let sampling = channel.triad().and_then(|triad| sampling.get(&triad));
         let mut parameters = fit_as_sampled(octaves, rate_hz, *channel, sampling);
         hold_against(&mut parameters, octaves, rate_hz, *channel, &[]);
-        parameters.flags.extend(Flag::other_rate(rate_hz, other));
+        if let Some(reason) = &moved {
+            parameters.refuse(reason.clone());
+        }
+        parameters.flags.extend(Flag::other_rate(rate_hz, other_rate));
         (*channel, parameters)
     });
-    noise_report(extent, rate_hz, channels.collect())
+    let channels = channels.collect();
+    let at_rest_s = moving_s.map(|moving_s| (points.samples as f64 / rate_hz - moving_s).max(0.0));
+    NoiseReport { at_rest_s, moving_s, ..noise_report(extent, rate_hz, channels) }
 }
 
 fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseParameters>) -> NoiseReport {

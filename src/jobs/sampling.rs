@@ -1,6 +1,7 @@
 //! Sampling: how the samples of gyroscope and accelerometer came about, as register 85 or a person says. Of the magnetometer no
 //! document says at which rate it samples.
 
+use crate::datasheet::FilterWindows;
 use crate::noise::whittle::Sampling;
 use crate::sample::Triad;
 use crate::units::IMU_RATE_HZ;
@@ -8,16 +9,16 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Key of a capture's configuration that has what a person stated.
-pub const TOLD: &str = "sampling";
+/// Names the key of a capture's configuration that holds a stated sampling.
+pub const SAMPLING_KEY: &str = "sampling";
 /// Rates that differ by less are one.
 const SAME: f64 = 1e-3;
 
-/// What a person says: the sensor sends means of its own samples.
+/// States that the sensor sends means of its own samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(clippy::exhaustive_structs, reason = "the two options")]
-pub struct Told {
+pub struct StatedSampling {
     /// Samples to a mean.
     pub filter_window: u32,
     /// Rate of these samples, Hz. Without it the one that is known, else a VN-100's.
@@ -25,7 +26,7 @@ pub struct Told {
     pub internal_rate_hz: Option<f64>,
 }
 
-/// What a person says cannot be.
+/// Reports why a stated sampling is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SamplingError {
@@ -70,7 +71,7 @@ pub enum SamplingError {
     },
 }
 
-impl Told {
+impl StatedSampling {
     /// What the samples at `rate_hz` are, with what is `known` of them. A capture's register 85 stays the source of what it says.
     ///
     /// # Errors
@@ -117,9 +118,24 @@ impl Told {
     }
 }
 
+/// The filter windows of a capture, for what a datasheet says: register 85, else what its import stated.
+#[must_use]
+pub fn filter_windows(configuration: &Value) -> Option<FilterWindows> {
+    let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
+    register_85.or_else(|| stated_windows(&of_configuration(configuration)))
+}
+
+/// The same of a sampling that is known. Nobody states one for the magnetometer.
+#[must_use]
+pub fn stated_windows(sampling: &BTreeMap<Triad, Sampling>) -> Option<FilterWindows> {
+    let window = |triad| Some(sampling.get(&triad)?.window);
+    Some(FilterWindows { mag: 0, accel: window(Triad::Accel)?, gyro: window(Triad::Gyro)? })
+}
+
 /// What a capture's configuration says: register 85, or what its import stated.
 pub(super) fn of_configuration(configuration: &Value) -> BTreeMap<Triad, Sampling> {
-    let told = serde_json::from_value::<Told>(configuration[TOLD].clone()).ok().map(Told::kept);
+    let told =
+        serde_json::from_value::<StatedSampling>(configuration[SAMPLING_KEY].clone()).ok().map(StatedSampling::kept);
     let sampling = |name: &str| {
         let register = configuration["filter_window"][name].as_u64().and_then(|window| u32::try_from(window).ok());
         let of =
@@ -141,8 +157,8 @@ mod tests {
     #[test]
     fn what_is_said_has_to_fit_the_samples_and_what_is_known_with_both_numbers() {
         let register = of_configuration(&json!({"filter_window": {"mag": 0, "accel": 4, "gyro": 4}}));
-        let told = |filter_window, internal_rate_hz| Told { filter_window, internal_rate_hz };
-        let refused = |told: Told, known: &BTreeMap<_, _>| told.with(known, 40.0).unwrap_err().to_string();
+        let told = |filter_window, internal_rate_hz| StatedSampling { filter_window, internal_rate_hz };
+        let refused = |told: StatedSampling, known: &BTreeMap<_, _>| told.with(known, 40.0).unwrap_err().to_string();
         for (message, parts) in [
             (refused(told(4, Some(1010.0)), &BTreeMap::new()), ["1010", "40.0000"]),
             (refused(told(8, None), &register), ["window is 8", "register 85 of the capture says 4"]),
@@ -157,11 +173,22 @@ mod tests {
 
     #[test]
     fn what_an_import_was_said_to_be_is_read_from_its_configuration() {
-        let kept = serde_json::to_value(Told { filter_window: 5, internal_rate_hz: None }.kept()).unwrap();
-        let found = of_configuration(&json!({ TOLD: kept }));
+        let kept = serde_json::to_value(StatedSampling { filter_window: 5, internal_rate_hz: None }.kept()).unwrap();
+        let found = of_configuration(&json!({ SAMPLING_KEY: kept }));
         assert_eq!((found.len(), found[&Triad::Accel].window, found[&Triad::Accel].internal_rate_hz), (2, 5, 800.0));
         // A later import is not held to what an earlier one's default was.
-        assert!(Told { filter_window: 5, internal_rate_hz: None }.with(&found, 40.0).is_ok());
-        assert!(of_configuration(&json!({ TOLD: null })).is_empty());
+        assert!(StatedSampling { filter_window: 5, internal_rate_hz: None }.with(&found, 40.0).is_ok());
+        assert!(of_configuration(&json!({ SAMPLING_KEY: null })).is_empty());
+    }
+
+    /// A datasheet was compared at the factory's windows, whatever had been stated.
+    #[test]
+    fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
+        let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });
+        let windows = |mag, window| Some(FilterWindows { mag, accel: window, gyro: window });
+        assert_eq!(filter_windows(&json!({ SAMPLING_KEY: stated })), windows(0, 8));
+        let register_85 = json!({ "mag": 3, "accel": 5, "gyro": 5 });
+        assert_eq!(filter_windows(&json!({ "filter_window": register_85, SAMPLING_KEY: stated })), windows(3, 5));
+        assert_eq!(filter_windows(&json!({})), None);
     }
 }

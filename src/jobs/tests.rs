@@ -566,6 +566,29 @@ fn while_a_capture_runs_its_curve_grows_with_it() {
     assert_eq!(statistics.channels[&Channel::GyroX].n, TOTAL + 900 - 10);
 }
 
+/// A capture that was carried about had noise parameters until it ended.
+#[test]
+fn while_a_capture_runs_a_sensor_that_moved_has_no_usable_parameters() {
+    let world = World::new();
+    let (live, reader) = (Live::new(), world.reader());
+    let still = live.noise(&reader, world.capture).unwrap();
+    assert_eq!((still.moving_s, still.channels[&Channel::GyroX].usable), (Some(0.0), true));
+    let turned = |seq| match sample(4, seq) {
+        Record::Sample { seq, segment, mut sample } => {
+            sample.set(Channel::GyroX, 0.5);
+            Record::Sample { seq, segment, sample }
+        }
+        other => other,
+    };
+    world.send((TOTAL..TOTAL + 900).map(turned).collect());
+    let moved = live.noise(&reader, world.capture).unwrap();
+    assert!(moved.moving_s.is_some_and(|moving_s| (20.0..30.0).contains(&moving_s)), "{:?}", moved.moving_s);
+    assert!(moved.at_rest_s.is_some_and(|at_rest_s| (110.0..125.0).contains(&at_rest_s)), "{:?}", moved.at_rest_s);
+    for parameters in moved.channels.values() {
+        assert!(!parameters.usable && parameters.reason.as_ref().unwrap().contains("moved"), "{:?}", parameters.reason);
+    }
+}
+
 #[test]
 fn noise_parameters_and_statistics_say_what_they_are_made_of() {
     let world = World::new();

@@ -43,8 +43,7 @@ impl Front {
             ("low_pass", cutoff_hz) if bandwidth.exponential => {
                 // y += a (x − y) passes what the bilinear low pass of first order passes with a part T² behind it: T is the
                 // tangent of its half angle, (1 − b)/(1 + b), b = 1 − a.
-                let c = 1.0 - (2.0 * PI * cutoff_hz / rate_hz).cos();
-                let back = 1.0 - ((c * c + 2.0 * c).sqrt() - c);
+                let back = 1.0 - whittle::exponential_weight(cutoff_hz / rate_hz);
                 let t = (1.0 - back) / (1.0 + back);
                 let white_behind = (t * front).hypot(behind);
                 let cutoff_hz = t.atan() / PI * rate_hz;

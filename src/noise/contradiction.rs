@@ -6,8 +6,8 @@
 //! # Validation
 //! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused, docs/validation.md has its table.
 
-use super::allan::{AllanCurve, AllanPoint, NoiseType, confidence_factors};
-use super::fit::{Estimate, FittedCurve, Minimum, NoiseParameters, Term, response};
+use super::allan::{AllanCurve, AllanPoint, NoiseType, confidence_factors, first_fall};
+use super::fit::{Bandwidth, Estimate, FittedCurve, Minimum, NoiseParameters, Term, response};
 use super::needed::{RecordNeeded, walk_shows_beyond_s};
 use crate::sample::Channel;
 
@@ -46,8 +46,10 @@ pub fn hold_against(
     excluded_bands_hz: &[[f64; 2]],
 ) {
     contradict(parameters, points, rate_hz, channel, excluded_bands_hz);
-    parameters.record_needed = RecordNeeded::of(parameters, rate_hz);
-    parameters.walk_shows_beyond_s = walk_shows_beyond_s(parameters);
+    let usable = parameters.usable;
+    let needed = || RecordNeeded::of(parameters, rate_hz);
+    parameters.record_needed = if usable { needed() } else { RecordNeeded::default() };
+    parameters.walk_shows_beyond_s = if usable { walk_shows_beyond_s(parameters) } else { None };
 }
 
 fn contradict(
@@ -57,8 +59,11 @@ fn contradict(
     channel: Channel,
     excluded_bands_hz: &[[f64; 2]],
 ) {
-    let measured = AllanCurve::from_points(points, rate_hz, channel.unit());
-    parameters.minimum = measured
+    // At short averaging times a filter takes of all terms: they hold no lowest point.
+    let settled_s = parameters.bandwidth.as_ref().map_or(0.0, |of| settled_s(of, rate_hz));
+    let settled: Vec<AllanPoint> =
+        points.iter().filter(|point| point.m as f64 / rate_hz >= settled_s).copied().collect();
+    parameters.minimum = AllanCurve::from_points(&settled, rate_hz, channel.unit())
         .minimum(5.0)
         .filter(|(_, deviation)| *deviation > 0.0)
         .map(|(tau_s, deviation)| Minimum { deviation, tau_s, over_0_664: deviation / 0.664 });
@@ -77,6 +82,17 @@ fn contradict(
          {high:.2e}] was measured: the model does not describe this record"
     ));
     withhold(parameters, &Supported::of(points, rate_hz), channel, &found);
+    // A filter that was fitted with them goes with them; one that is known stays.
+    parameters.bandwidth = parameters.bandwidth.take().filter(|of| of.internal_rate_hz.is_some());
+}
+
+/// The averaging time from which on a filter passes what the curve shows, s: a mean's length, half a period of a cutoff.
+fn settled_s(bandwidth: &Bandwidth, rate_hz: f64) -> f64 {
+    match (bandwidth.kind.as_str(), bandwidth.value) {
+        ("moving_average", Some(window)) => window / bandwidth.internal_rate_hz.unwrap_or(rate_hz),
+        (_, Some(cutoff_hz)) if cutoff_hz > 0.0 => 0.5 / cutoff_hz,
+        _ => 0.0,
+    }
 }
 
 /// The places where the prediction leaves the curve.
@@ -262,7 +278,9 @@ fn limit(measured: &Supported, square: impl Fn(f64) -> f64) -> Option<f64> {
     let octaves =
         measured.rows.first().zip(measured.rows.last()).map_or(0.0, |(first, last)| (last.0 / first.0).log2());
     let level = 0.05 / (octaves + 1.0);
-    let limits = measured.rows.iter().filter_map(|(tau_s, deviation, edf)| {
+    // In front of that a filter may have taken most of the term.
+    let from = first_fall(measured.rows.iter().map(|(_, deviation, edf)| (*deviation, *edf)));
+    let limits = measured.rows.iter().skip(from).filter_map(|(tau_s, deviation, edf)| {
         Some(deviation * confidence_factors(*edf, 1.0 - level)?.high / square(*tau_s).sqrt())
     });
     limits.filter(|limit| limit.is_finite() && *limit > 0.0).min_by(f64::total_cmp)
@@ -315,6 +333,65 @@ mod tests {
         assert!((lowest.over_0_664 * 0.664 / lowest.deviation - 1.0).abs() < 1e-12 && lowest.tau_s > 10.0);
     }
 
+    /// y += a (x − y) of white noise of that density, beside a walk.
+    fn smoothed(count: usize, a: f64, density: f64, walk: f64, seed: u64) -> Vec<f64> {
+        let (mut y, mut drift) = (0.0, 0.0);
+        let steps = white(count, walk / RATE_HZ, seed + 1);
+        let sum = |(x, step): (f64, f64)| {
+            y += a * (x - y);
+            drift += step;
+            y + drift
+        };
+        white(count, density, seed).into_iter().zip(steps).map(sum).collect()
+    }
+
+    /// What a filter takes at short averaging times was the lowest deviation, and B had to be below it.
+    #[test]
+    fn what_a_filter_takes_is_no_lowest_point() {
+        let (parameters, points) = fitted(smoothed(120_000, 0.05, 1e-3, 2e-4, 3));
+        assert_eq!(parameters.bandwidth.as_ref().map(|of| of.kind.as_str()), Some("low_pass"), "{parameters:?}");
+        let (lowest, shortest) = (parameters.minimum.unwrap(), points[0].variance.sqrt());
+        assert!(lowest.tau_s > 0.5 && lowest.deviation > 1.1 * shortest, "{lowest:?} {shortest}");
+        // A walk that hides the fall of the filtered noise leaves the same.
+        let (parameters, points) = fitted(smoothed(120_000, 0.05, 1e-3, 1e-3, 5));
+        let (lowest, shortest) = (parameters.minimum.unwrap(), points[0].variance.sqrt());
+        assert!(lowest.tau_s > 0.5 && lowest.deviation > 2.0 * shortest, "{lowest:?} {shortest}");
+        // Of white noise, and of a walk by itself, all counts.
+        assert!(fitted(white(4000, 1e-3, 4)).0.minimum.unwrap().tau_s > 1.0);
+        assert_eq!(first_fall([(1.0, 1000.0), (2.0, 500.0), (2.9, 20.0), (2.8, 5.0)].into_iter()), 0);
+    }
+
+    /// Only a record with a knock in it had its filters looked for if a process describes the record as well.
+    #[test]
+    fn a_process_in_place_of_white_noise_is_a_filter_in_a_clean_record_too() {
+        for seed in 0..4 {
+            let (parameters, _) = fitted(smoothed(120_000, 0.06, 1e-3, 0.0, 100 * seed));
+            assert!(parameters.bandwidth.is_some() && parameters.gauss_markov.is_none(), "{parameters:?}");
+            let [low, high] = parameters.n.ci95.unwrap();
+            assert!(low < 1e-3 && 1e-3 < high && high < 1.1e-3, "{:?}", parameters.n);
+        }
+    }
+
+    /// N lay between that without spikes and that with them, and its interval held neither.
+    #[test]
+    fn spikes_too_many_to_be_events_widen_the_interval_of_n() {
+        for (every, size) in [(700, 0.2), (500, 0.2), (200, 1.0)] {
+            let mut values = white(60_000, 1e-3, 7);
+            let mut state = 1u64;
+            for value in &mut values {
+                state = 48_271 * state % 2_147_483_647;
+                if state % every == 0 {
+                    *value += if state % (2 * every) == 0 { size } else { -size };
+                }
+            }
+            let (parameters, _) = fitted(values);
+            assert!(parameters.flags.iter().any(|flag| flag.kind == "heavy_tails"), "{:?}", parameters.flags);
+            let [low, high] = parameters.n.ci95.unwrap();
+            let with = (1e-6 + size * size / every as f64 / RATE_HZ).sqrt();
+            assert!(low < 1e-3 && 0.9 * with < high, "{every} {size}: {:?}", parameters.n);
+        }
+    }
+
     #[test]
     fn true_fits_are_refused_no_more_often_than_the_test_says() {
         // None of 600 is: the prediction follows the record that it is held against.
@@ -332,9 +409,18 @@ mod tests {
         parameters.fit.curve = Some(FittedCurve { tau_s, deviation: walk, parts });
         parameters.n = Estimate::unidentified(Channel::GyroX, Term::N, Some(1e-5));
         parameters.k = Estimate::identified(Channel::GyroX, Term::K, 0.05, [0.049, 0.051]);
+        (parameters.walk_shows_beyond_s, parameters.record_needed.b) = (Some(1.0), Some(1.0));
+        parameters.bandwidth = Some(
+            serde_json::from_value(serde_json::json!({"kind": "low_pass", "value": 9.0,
+            "unit": "Hz", "order": 1, "ci95": null, "white_behind": null, "source": "fitted"}))
+            .unwrap(),
+        );
         hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX, &[]);
         assert!(!parameters.usable, "{parameters:?}");
         assert!(parameters.reason.as_ref().unwrap().contains("was measured"), "{:?}", parameters.reason);
+        // Nothing that follows from the fit is left.
+        assert_eq!((parameters.bandwidth.as_ref(), parameters.walk_shows_beyond_s), (None, None));
+        assert_eq!(parameters.record_needed, RecordNeeded::default());
         let n = &parameters.n;
         assert_eq!(n.source.as_deref(), Some("allan deviation"));
         assert!(

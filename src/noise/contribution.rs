@@ -13,7 +13,7 @@ pub struct Contribution {
     pub capture: String,
     /// Sample time covered, s.
     pub duration_s: f64,
-    /// Of these at rest, s: what the document is made of. Absent where nothing tells, as while a capture runs.
+    /// Of these at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_rest_s: Option<f64>,
     /// In motion, s: left out.

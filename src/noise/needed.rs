@@ -7,6 +7,7 @@
 //! widened.
 
 use super::fit::{Estimate, NoiseParameters, Term};
+use super::whittle::MISFIT;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -16,8 +17,6 @@ const WANTED: f64 = 0.2 / 1.96;
 const LONGEST_S: f64 = 3.6e6;
 /// Samples below which nothing is fitted.
 const LEAST: f64 = 64.0;
-/// Below this p-value the law does not describe the record.
-const MISFIT: f64 = 1e-3;
 
 /// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not identify the
 /// parameter, so that nothing is known of its size, and beyond 1000 h.
@@ -56,7 +55,7 @@ pub fn walk_shows_beyond_s(parameters: &NoiseParameters) -> Option<f64> {
 struct Column<'a> {
     square: f64,
     spectrum: Box<dyn Fn(f64) -> f64 + 'a>,
-    /// Whether it only follows another's square, and adds nothing by itself.
+    /// The column is a derivative by another column's number and adds no power.
     is_slope: bool,
 }
 

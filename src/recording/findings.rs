@@ -151,6 +151,19 @@ impl RecordingInfo {
         remarks
     }
 
+    /// Reports that a given rate overrides that of the stamps, with both.
+    #[must_use]
+    pub fn overridden(&self) -> Option<String> {
+        let (given_hz, hz) = (self.rate_hz, rate(self.overridden_rate_hz?));
+        Some(match self.stamp_grid {
+            Some(_) => format!("--rate {given_hz} overrides the {hz} Hz of the stamps; gaps are still theirs"),
+            None => format!(
+                "--rate {given_hz} overrides the stamps, which lie on a grid of {hz} Hz: they do not count, and no sample \
+                 is known to be missing"
+            ),
+        })
+    }
+
     fn pairs(&self) -> Option<String> {
         let Pairs { short_s, long_s } = self.findings.pairs?;
         Some(format!(
@@ -201,16 +214,7 @@ impl RecordingInfo {
             let but = if differs { format!(", which lie on a grid of {hz} Hz") } else { String::new() };
             remarks.push(format!("the rate of {told_hz} Hz of a comment is not used: the recording has stamps{but}"));
         }
-        if let Some(stamps_hz) = self.overridden_rate_hz {
-            let (told_hz, hz) = (self.rate_hz, rate(stamps_hz));
-            remarks.push(match self.stamp_grid {
-                Some(_) => format!("--rate {told_hz} overrides the {hz} Hz of the stamps; gaps are still theirs"),
-                None => format!(
-                    "--rate {told_hz} overrides the stamps, which lie on a grid of {hz} Hz: they do not count, and no sample \
-                     is known to be missing"
-                ),
-            });
-        }
+        remarks.extend(self.overridden());
     }
 
     fn remark_steps(&self, remarks: &mut Vec<String>) {

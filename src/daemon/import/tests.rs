@@ -241,7 +241,7 @@ fn how_samples_came_about_is_kept_and_has_to_fit() {
     let rows: String = (0..400).map(|row| format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7)).collect();
     std::fs::write(&file, format!("time_s,gyro_x_rad_s\n{rows}")).unwrap();
     let told = |filter_window, internal_rate_hz| {
-        let source = Source { sampling: Some(Told { filter_window, internal_rate_hz }), ..Source::of(&file) };
+        let source = Source { sampling: Some(StatedSampling { filter_window, internal_rate_hz }), ..Source::of(&file) };
         import(&store, &SystemClock, source, None, &mut |_, _| Ok(())).map(|imported| imported.end)
     };
     let refused = told(4, Some(1010.0)).unwrap_err().to_string();

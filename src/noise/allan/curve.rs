@@ -105,16 +105,34 @@ impl AllanCurve {
     }
 
     /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
+    ///
+    /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one: what it lets
+    /// through at short averaging times is no lowest point, and the search begins where the curve begins to fall.
     #[must_use]
     pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
-        self.tau_s
-            .iter()
-            .zip(&self.deviation)
-            .zip(&self.edf)
-            .filter(|(_, edf)| **edf >= least_edf)
-            .map(|((tau_s, deviation), _)| (*tau_s, *deviation))
-            .min_by(|a, b| a.1.total_cmp(&b.1))
+        let rows = self.tau_s.iter().zip(&self.deviation).zip(&self.edf);
+        let rows = rows.map(|((tau_s, deviation), edf)| (*tau_s, *deviation, *edf));
+        let rows: Vec<(f64, f64, f64)> = rows.filter(|row| row.2 >= least_edf).collect();
+        let from = first_fall(rows.iter().map(|row| (row.1, row.2)));
+        rows.iter().skip(from).map(|row| (row.0, row.1)).min_by(|a, b| a.1.total_cmp(&b.1))
     }
+}
+
+/// Place of the deviation from which on the curve first falls, beyond chance; 0 if it never does. `rows`: deviations with their degrees of
+/// freedom.
+pub(in crate::noise) fn first_fall(rows: impl Iterator<Item = (f64, f64)>) -> usize {
+    /// Standard errors of a logarithm: 1/√(2 edf) each.
+    const BEYOND: f64 = 3.0;
+    let mut top: Option<(usize, f64, f64)> = None;
+    for (place, (deviation, edf)) in rows.enumerate() {
+        match top {
+            Some((_, most, _)) if deviation >= most => top = Some((place, deviation, edf)),
+            None => top = Some((place, deviation, edf)),
+            Some((at, most, own)) if (most / deviation).ln() > BEYOND * (0.5 / edf + 0.5 / own).sqrt() => return at,
+            Some(_) => {}
+        }
+    }
+    0
 }
 
 /// By a segment's phases: the terms that one gives, and how many there are.
@@ -161,7 +179,7 @@ pub struct AllanReport {
     /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<u64>,
-    /// Samples at rest, s: what the document is made of. Absent where nothing tells, as while a capture runs.
+    /// Samples at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_rest_s: Option<f64>,
     /// In motion, s: left out.

@@ -24,6 +24,7 @@ mod point;
 mod strided;
 mod sums;
 
+pub(in crate::noise) use curve::first_fall;
 pub use curve::{AllanCurve, AllanReport};
 pub use deviation::{Estimator, Phases, SquareSum};
 

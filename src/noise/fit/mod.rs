@@ -30,9 +30,9 @@ pub(in crate::noise) use term::response;
 
 use crate::noise::RecordNeeded;
 use crate::noise::allan::AllanPoint;
-use crate::noise::whittle::{Filter, Sampling};
+use crate::noise::whittle::{Filter, MISFIT, Sampling};
 use crate::sample::Channel;
-use variance_fit::{Choice, MISFIT, VarianceFit};
+use variance_fit::{Choice, VarianceFit};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "wls-avar";

@@ -1,6 +1,7 @@
 //! Noise parameters of one channel as the contract writes them: with units, intervals, and what the data does not support.
 
 use super::term::Term;
+use crate::noise::RecordNeeded;
 use crate::sample::{Channel, Triad};
 use crate::units::{
     MICROTESLA_PER_GAUSS as UT, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR,
@@ -305,9 +306,10 @@ pub struct Minimum {
 }
 
 impl NoiseParameters {
-    /// Says that the parameters may not be used, and why.
+    /// Says that the parameters may not be used, and why. What would follow from them goes with them.
     pub fn refuse(&mut self, reason: String) {
         (self.usable, self.reason) = (false, Some(reason));
+        (self.record_needed, self.walk_shows_beyond_s) = (RecordNeeded::default(), None);
     }
 
     /// The estimate of a term.
@@ -337,7 +339,7 @@ pub struct NoiseReport {
     pub rate_hz: f64,
     /// Sample time covered, s.
     pub duration_s: f64,
-    /// Of these at rest, s: what the document is made of. Absent where nothing tells, as while a capture runs.
+    /// Of these at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_rest_s: Option<f64>,
     /// In motion, s: left out.

@@ -15,7 +15,7 @@ use super::least_squares::{non_negative, normal_inverse, unconstrained};
 use super::selection::{interval, upper_limit};
 use super::term::Term;
 use crate::noise::allan::AllanPoint;
-use crate::noise::whittle::Filter;
+use crate::noise::whittle::{Filter, MISFIT};
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -25,8 +25,6 @@ pub(super) const SIGNIFICANT: f64 = 5.41;
 const WORTH_ADDING_RAMP: f64 = 3.84;
 /// Quantization noise, which few sensors show, has to be plain (0.1 %): named by chance it would take its variance from N.
 const WORTH_ADDING_QUANTIZATION: f64 = 9.55;
-/// Below this p-value of the residuals the model does not describe the data, and intervals are widened to the scatter.
-pub(super) const MISFIT: f64 = 1e-3;
 /// A term found by so many deviations would be named in any record: nothing was selected.
 const BEYOND_DOUBT: f64 = 6.0;
 /// Two-sided 95 % of the normal distribution, in standard deviations.

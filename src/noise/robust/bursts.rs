@@ -28,8 +28,18 @@ const HEAVY_TAILS: f64 = 1e-3;
 #[derive(Debug, Default)]
 pub(super) struct Bursts {
     pub(super) events: Vec<Event>,
-    /// Share of wild samples, where they are too many to be events.
-    pub(super) heavy_tails: Option<f64>,
+    /// Wild samples, if they are too many to be events.
+    pub(super) heavy_tails: Option<HeavyTails>,
+}
+
+/// Samples too far out for normal noise, and too many to be events.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct HeavyTails {
+    /// Their share of all samples.
+    pub share: f64,
+    /// Standard deviation of the others over that of all.
+    pub core: f64,
 }
 
 /// Sample i less the mean of its neighbours; 0 at the ends.
@@ -54,12 +64,14 @@ pub(super) fn find(parts: &[Part], rate_hz: f64) -> Bursts {
     let mut residuals: Vec<Vec<f64>> = parts.iter().map(|part| residuals(&part.values)).collect();
     let count: usize = residuals.iter().map(Vec::len).sum();
     let Some(sigma) = deviation(&residuals, count).filter(|sigma| *sigma > 0.0) else { return Bursts::default() };
+    let of_all = (residuals.iter().flatten().map(|value| value * value).sum::<f64>() / count as f64).sqrt();
     let tail = BY_CHANCE / (2.0 * count.max(1) as f64);
     // Down to the smallest tail that the quantile can be computed for.
     let limit = -Normal::standard().inverse_cdf(tail.max(1e-15)) * sigma;
     let spikes = spikes(parts, &mut residuals, rate_hz, limit, sigma);
     let alone: usize = spikes.iter().map(|spike| spike.wild).sum();
-    let heavy_tails = Some(alone as f64 / count as f64).filter(|share| *share > HEAVY_TAILS);
+    let share = alone as f64 / count as f64;
+    let heavy_tails = (share > HEAVY_TAILS).then_some(HeavyTails { share, core: (sigma / of_all).min(1.0) });
     let mut shaking = Vec::new();
     for window_s in WINDOWS_S {
         let window = ((window_s * rate_hz).round() as usize).max(LEAST);
@@ -244,7 +256,11 @@ mod tests {
             })
             .collect();
         let found = of(values);
-        assert!(found.heavy_tails.is_some_and(|share| share < 0.02), "{:?}", found.heavy_tails);
+        assert!(
+            found.heavy_tails.is_some_and(|tails| tails.share < 0.02 && tails.core < 1.0),
+            "{:?}",
+            found.heavy_tails
+        );
         assert!(found.events.iter().all(|event| event.kind != Kind::Spike), "{:?}", found.events.len());
     }
 

@@ -31,6 +31,7 @@ mod survey;
 mod synthetic;
 mod temperature;
 
+pub use bursts::HeavyTails;
 pub use drift::Drift;
 pub use dynamic::{DynamicAllan, DynamicBlock};
 pub use event::{Event, Kind};
@@ -65,8 +66,8 @@ pub struct Examination {
     pub lines: Vec<Line>,
     /// Warm-up or creep.
     pub drift: Option<Drift>,
-    /// Share of samples far outside the noise, where they are too many to be events.
-    pub heavy_tails: Option<f64>,
+    /// Samples far outside the noise, if they are too many to be events.
+    pub heavy_tails: Option<HeavyTails>,
     /// Times to be left out, s since the start of the capture, sorted and disjoint.
     pub excluded_intervals: Vec<(f64, f64)>,
     /// Frequencies to be left out of a fit to the spectrum, Hz, sorted and disjoint.
@@ -122,8 +123,12 @@ impl Examination {
                 ),
             });
         }
-        if let Some(share) = self.heavy_tails {
-            let note = format!("{:.2} % of the samples are too far out for normal noise", 100.0 * share);
+        if let Some(HeavyTails { share, .. }) = self.heavy_tails {
+            let note = format!(
+                "{:.2} % of the samples are too far out for normal noise: the interval of N reaches from noise without them to noise \
+                 with them",
+                100.0 * share
+            );
             flags.push(Flag::whole("heavy_tails", note));
         }
         flags

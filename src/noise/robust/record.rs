@@ -213,10 +213,10 @@ pub fn parameters_together(
         fit(&sums, rate_hz, channel, &bands, all.sampling)
     };
     let is_misfit = |flag: &&Flag| flag.kind == "misfit";
+    let may_be_filtered =
+        all.parameters.gauss_markov.is_some() || all.parameters.flags.iter().any(|flag| is_misfit(&flag));
     let mut main = match is_clean {
-        true if all.parameters.flags.iter().any(|flag| is_misfit(&flag)) => {
-            fit(all.sums, rate_hz, channel, &[], all.sampling)
-        }
+        true if may_be_filtered => fit(all.sums, rate_hz, channel, &[], all.sampling),
         true => all.parameters.clone(),
         false => sum(|record| record.noise.as_ref()),
     };
@@ -233,6 +233,12 @@ pub fn parameters_together(
         if let (Some(ends), Some([least, most])) = (&mut main.n.ci95, low.n.ci95) {
             *ends = [ends[0].min(least), ends[1].max(most)];
         }
+    }
+    // Nobody knows whether samples far out are noise or no measurements. What else was left out may have taken some of them.
+    let tails = records.iter().filter_map(|record| record.found.heavy_tails).map(|tails| tails.core).reduce(f64::min);
+    if let (Some(core), Some(ends)) = (tails, &mut main.n.ci95) {
+        let of_all = all.parameters.n.ci95.map_or(ends[1], |ends| ends[1]);
+        *ends = [core * ends[0], ends[1].max(of_all)];
     }
     let points = pooled(records);
     hold_against(&mut main, &points, rate_hz, channel, &bands);

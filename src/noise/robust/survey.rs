@@ -5,7 +5,7 @@
 
 use super::event::merged;
 use super::spectrum::Spectrum;
-use super::{Examination, Kind, Levels, Line, Portion, bridged};
+use super::{Examination, HeavyTails, Kind, Levels, Line, Portion, bridged};
 use super::{bursts, drift, excise, lines, steps};
 
 /// A channel's examination in the making.
@@ -41,7 +41,8 @@ impl Survey {
         let quiet = gains.as_ref().map(|gains| excise::apply(parts.to_vec(), gains, excise::Short::LeftOut));
         found.gains.push(gains);
         let bursts = bursts::find(quiet.as_deref().unwrap_or(parts), rate_hz);
-        found.heavy_tails = found.heavy_tails.into_iter().chain(bursts.heavy_tails).reduce(f64::max);
+        let heavier = |one: HeavyTails, other: HeavyTails| if one.core < other.core { one } else { other };
+        found.heavy_tails = found.heavy_tails.into_iter().chain(bursts.heavy_tails).reduce(heavier);
         let shaken = merged(bursts.events.iter().map(|event| (event.from_s, event.to_s)).collect());
         found.events.extend(bursts.events);
         match quiet {

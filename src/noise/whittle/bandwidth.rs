@@ -10,7 +10,7 @@
 use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
 use super::likelihood::{BEHIND, FineBins, Held, Likelihood, Model, SIGMA};
 use super::residual::{MISFIT, Residual};
-use super::shape::{Gains, Shape, TILTS};
+use super::shape::{Gains, Shape, TILTS, boxcar};
 use super::sums::DstSums;
 use crate::noise::fit::{Bandwidth, Term};
 
@@ -28,7 +28,7 @@ const LOWEST: f64 = 0.004;
 const PLAINLY: f64 = 10.0;
 /// A shape whose score is worse by less is a rival: white noise behind a filter that was not worth its price moves N all the same.
 const RIVALS: f64 = 9.0;
-/// Times that slopes are taken anew at the numbers that were found.
+/// Slopes are computed again at most this often.
 const ROUNDS: usize = 24;
 
 /// How the samples came about, where that is known: the sensor takes the mean of `window` samples at its internal rate.
@@ -71,9 +71,9 @@ impl Sampling {
         }
     }
 
-    /// What it makes of the noise's terms, where it shapes white noise.
+    /// Returns the filter if it colours white noise.
     pub(in crate::noise) fn filter(&self, rate_hz: f64) -> Option<Filter> {
-        self.shape(rate_hz).filter(shapes).map(|shape| Filter { shape })
+        self.shape(rate_hz).filter(colours_white).map(|shape| Filter { shape })
     }
 
     /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the
@@ -88,16 +88,11 @@ impl Sampling {
 /// √Σ|H|² over the images that fold onto zero. For windows no longer than `every` that is √(every / window).
 #[must_use]
 pub fn density_factor(window: u32, every: u32) -> f64 {
-    let window = f64::from(window.max(1));
-    let response = |image: u32| {
-        let x = std::f64::consts::PI * f64::from(image) / f64::from(every);
-        if image == 0 { 1.0 } else { (window * x).sin() / (window * x.sin()) }
-    };
-    (0..every).map(|image| response(image).powi(2)).sum::<f64>().sqrt()
+    (0..every).map(|image| boxcar(window, f64::from(image) / f64::from(every))).sum::<f64>().sqrt()
 }
 
-/// Whether white noise is not white behind a shape.
-fn shapes(shape: &Shape) -> bool {
+/// Returns whether white noise behind the shape is no longer white.
+fn colours_white(shape: &Shape) -> bool {
     (1..=64).any(|at| (shape.gains(f64::from(at) / 128.0).white - 1.0).abs() > 1e-6)
 }
 
@@ -139,7 +134,7 @@ pub(super) fn basic(
     excluded_bands_hz: &[[f64; 2]],
     sampling: Option<&Sampling>,
 ) -> Likelihood {
-    match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(shapes) {
+    match sampling.and_then(|sampling| sampling.shape(rate_hz)).filter(colours_white) {
         Some(shape) => Likelihood::filtered(&FineBins::new(sums, rate_hz, excluded_bands_hz), &shape, false),
         None => Likelihood::new(sums, rate_hz, excluded_bands_hz),
     }
@@ -158,12 +153,18 @@ pub(super) fn compete(
     if !misfits && !is_filter(basic, rate_hz) {
         return None;
     }
-    let search = Search { bins: FineBins::new(sums, rate_hz, excluded_bands_hz) };
+    // The first-order filter that has the spectrum of the process: far from it a search may end elsewhere.
+    let process =
+        basic.model.terms.has_gauss_markov().then(|| 1.0 / (std::f64::consts::TAU * rate_hz * basic.model.tc_s));
+    let search = Search { bins: FineBins::new(sums, rate_hz, excluded_bands_hz), process };
     let known = search.of(shape, false, f64::INFINITY)?;
     let (best, rivals) = search.best()?;
     let widen = Residual::widen(Residual::of(&known.likelihood, &known.model));
     let gain = (known.score() - best.score()) / (widen * widen);
-    let chosen = |candidate: Candidate| Some((choose(&candidate.likelihood)?, candidate.likelihood));
+    let chosen = |candidate: Candidate| {
+        let choice = choose(&candidate.likelihood).filter(|choice| is_behind(&choice.model))?;
+        Some((choice, candidate.likelihood))
+    };
     let described = |choice: &Choice| choice.residual.is_some_and(|residual| residual.p_value >= MISFIT);
     match (gain > PLAINLY).then(|| chosen(best)).flatten() {
         Some((choice, likelihood)) if described(&choice) => {
@@ -186,7 +187,14 @@ pub(super) struct Law {
     pub(super) rivals: Vec<(Likelihood, Choice)>,
 }
 
-/// Whether a law has a Gauss–Markov process in place of white noise: so does a low pass of first order look. No sensor is without white noise.
+/// White noise behind the filter is a part of the plateau. Where it is more than half of it, that is no filter: the skirt of a vibration
+/// looks so.
+fn is_behind(model: &Model) -> bool {
+    2.0 * model.squares[BEHIND] <= model.squares[0]
+}
+
+/// Whether a law has a Gauss–Markov process that may be white noise behind a low pass of first order, which has the same spectrum: there is
+/// hardly any white noise beside it; or it is as short as a filter's, and most of the plateau.
 fn is_filter(choice: &Choice, rate_hz: f64) -> bool {
     /// White noise is at most this share of the process at half the rate.
     const SHARE: f64 = 0.1;
@@ -194,7 +202,11 @@ fn is_filter(choice: &Choice, rate_hz: f64) -> bool {
     let decay = 1.0 / (rate_hz * tc_s);
     // At half the rate over dt: σ² (1 − φ)/(1 + φ).
     let process = squares[SIGMA] * (0.5 * decay).tanh();
-    terms.has_gauss_markov() && squares[0] * rate_hz < SHARE * process
+    let is_all = squares[0] * rate_hz < SHARE * process;
+    // At low frequencies: σ² · 2 Tc.
+    let is_short = std::f64::consts::TAU * LOWEST * rate_hz * tc_s < 1.0;
+    let is_most = is_short && squares[0] < 2.0 * squares[SIGMA] * tc_s;
+    terms.has_gauss_markov() && (is_all || is_most)
 }
 
 /// A shape with its best model.
@@ -212,6 +224,8 @@ impl Candidate {
 
 struct Search {
     bins: FineBins,
+    /// Cutoff of a first-order filter that is to be tried, cycles a sample.
+    process: Option<f64>,
 }
 
 impl Search {
@@ -242,9 +256,7 @@ impl Search {
             let model = likelihood.maximise(terms, 1.0, Held::Nothing, start.as_ref())?;
             let moved = model.tilt.iter().fold(0.0f64, |most, by| most.max(by.abs()));
             if (moved < 1e-3 && round >= white) || round + 1 == ROUNDS {
-                // White noise behind the filter is a part of the plateau. Where it is more than half of it, that is no filter: the
-                // skirt of a vibration looks so.
-                if 2.0 * model.squares[BEHIND] > model.squares[0] {
+                if !is_behind(&model) {
                     return None;
                 }
                 // Nor is what falls off where no sensor's output does: a slow motion looks so.
@@ -266,6 +278,20 @@ impl Search {
 
     /// The best of the named shapes, and its rivals.
     fn best(&self) -> Option<(Candidate, Vec<Candidate>)> {
+        let mut all: Vec<Candidate> = Vec::new();
+        for (shape, behind) in self.shapes().iter().flat_map(|shape| [(shape, false), (shape, true)]) {
+            let best = all.iter().map(Candidate::score).fold(f64::INFINITY, f64::min);
+            all.extend(self.of(shape, behind, best));
+        }
+        all.sort_by(|a, b| a.score().total_cmp(&b.score()));
+        let mut all = all.into_iter();
+        let best = all.next()?;
+        let most = best.score() + RIVALS;
+        Some((best, all.take_while(|other| other.score() < most).collect()))
+    }
+
+    /// The named shapes that deserve a closer look.
+    fn shapes(&self) -> Vec<Shape> {
         // Each with white noise behind it, which holds the one without; the best few are looked at closely.
         let glance = |shape: Shape| {
             let likelihood = Likelihood::filtered(&self.bins, &shape, true);
@@ -282,16 +308,9 @@ impl Search {
             shapes.extend(ORDERS.map(|order| Shape::Butterworth { order, cutoff }));
             shapes.push(Shape::Exponential { cutoff });
         }
-        let mut all: Vec<Candidate> = Vec::new();
-        for (shape, behind) in shapes.iter().flat_map(|shape| [(shape, false), (shape, true)]) {
-            let best = all.iter().map(Candidate::score).fold(f64::INFINITY, f64::min);
-            all.extend(self.of(shape, behind, best));
-        }
-        all.sort_by(|a, b| a.score().total_cmp(&b.score()));
-        let mut all = all.into_iter();
-        let best = all.next()?;
-        let most = best.score() + RIVALS;
-        Some((best, all.take_while(|other| other.score() < most).collect()))
+        let first_order = |cutoff: f64| [Shape::Exponential { cutoff }, Shape::Butterworth { order: 1, cutoff }];
+        shapes.extend(self.process.into_iter().flat_map(first_order));
+        shapes
     }
 
     /// A smooth shape over as much of the band as it describes; `plain`: how the law without one does.
@@ -331,8 +350,8 @@ impl Search {
                 _ => None,
             };
             let open = self.of(&Shape::Smooth { coefficients: Vec::new(), up_to }, false, f64::INFINITY);
-            let is_plain = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
-            if is_chance && !is_plain {
+            let is_by_chance_only = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
+            if is_chance && !is_by_chance_only {
                 continue;
             }
             let best = finer.unwrap_or(best);
@@ -469,4 +488,44 @@ pub(super) fn variance_ratios(
         .iter()
         .map(|m| if *m <= EXACT { exact(*m) } else { 1.0 + (last - 1.0) * EXACT as f64 / *m as f64 })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DstEstimator, Transform};
+    use super::*;
+    use crate::noise::allan::FixedPoint;
+    use rand::SeedableRng as _;
+    use rand_distr::{Distribution as _, StandardNormal};
+
+    /// Shapes that are given up would have come nowhere near the best one.
+    #[test]
+    fn what_is_given_up_is_no_rival() {
+        let fir = [1.0, 3.0, 6.0, 3.0, 1.0].map(|tap| tap / 14.0);
+        for (seed, (taps, a)) in (0..).zip([(&[0.25; 4][..], 1.0), (&[1.0], 0.4), (&fir, 1.0), (&[0.5; 2], 0.1)]) {
+            let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+            let white: Vec<f64> = (0..60_000).map(|_| StandardNormal.sample(&mut rng)).collect();
+            let mut y = 0.0;
+            let smooth = |of: &[f64]| {
+                y += a * (of.iter().zip(taps).map(|(x, tap)| x * tap).sum::<f64>() - y);
+                y
+            };
+            let samples: Vec<f64> = white.windows(taps.len()).map(smooth).collect();
+            let (mut estimator, mut transform) =
+                (DstEstimator::new(FixedPoint::for_range(1, 6).unwrap()), Transform::new());
+            estimator.push(&mut transform, &samples);
+            estimator.break_segment(&mut transform);
+            let search =
+                Search { bins: FineBins::new(&estimator.into_sums(&mut transform), 100.0, &[]), process: None };
+            let shapes = search.shapes();
+            let all =
+                shapes.iter().flat_map(|shape| [false, true].map(|behind| search.of(shape, behind, f64::INFINITY)));
+            let mut scores: Vec<f64> = all.flatten().map(|candidate| candidate.score()).collect();
+            scores.sort_by(f64::total_cmp);
+            let near = scores.iter().filter(|score| **score < scores[0] + RIVALS).count();
+            let (best, rivals) = search.best().unwrap();
+            assert_eq!((best.score(), rivals.len() + 1), (scores[0], near), "{taps:?} {a}");
+            assert!(scores.len() > near, "{scores:?}");
+        }
+    }
 }

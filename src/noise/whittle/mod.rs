@@ -26,6 +26,7 @@ pub use bandwidth::{Sampling, density_factor};
 pub use dst::Transform;
 pub use estimator::DstEstimator;
 pub(in crate::noise) use shape::boxcar;
+pub use shape::exponential_weight;
 pub use sums::DstSums;
 
 use super::fit::{
@@ -35,7 +36,8 @@ use crate::noise::RecordNeeded;
 use crate::sample::Channel;
 use choice::Choice;
 use likelihood::{Likelihood, SIGMA, place};
-use residual::{MISFIT, Residual};
+pub(in crate::noise) use residual::MISFIT;
+use residual::Residual;
 use shape::Shape;
 use statement::{Profile, Statement};
 
@@ -110,9 +112,17 @@ fn of_law(
         better.map_or((likelihood, choice, Vec::new()), |law| (law.likelihood, law.choice, law.rivals));
     let mut parameters = of_choice(&likelihood, &choice, channel);
     for (likelihood, choice) in &rivals {
-        let rival = Profile::new(likelihood, choice).statement(Term::N);
-        if let (Some([low, high]), Statement::Named(_, ends)) = (&mut parameters.n.ci95, rival) {
-            (*low, *high) = (low.min(ends[0]), high.max(ends[1]));
+        let rival = Profile::new(likelihood, choice);
+        for (term, own) in [(Term::N, &mut parameters.n), (Term::B, &mut parameters.b), (Term::K, &mut parameters.k)] {
+            let high = match rival.statement(term) {
+                Statement::Named(_, [low, high]) => {
+                    own.ci95.iter_mut().for_each(|ends| ends[0] = ends[0].min(low));
+                    Some(high)
+                }
+                Statement::Limited(limit) => limit,
+            };
+            let ends = own.ci95.iter_mut().map(|ends| &mut ends[1]).chain(&mut own.upper_limit95);
+            ends.for_each(|end| *end = end.max(high.unwrap_or(*end)));
         }
     }
     parameters.bandwidth = bandwidth::statement(&likelihood, &choice, rate_hz, sampling);

@@ -4,7 +4,7 @@ use super::likelihood::{Likelihood, Model};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Below this p-value the model does not describe the data, and intervals are widened to the scatter.
-pub(super) const MISFIT: f64 = 1e-3;
+pub(in crate::noise) const MISFIT: f64 = 1e-3;
 /// Squares to a group, and how far apart in frequency squared its ends are: sixteen groups to the decade.
 const LEAST: f64 = 10.0;
 const RATIO: f64 = 1.333_521;

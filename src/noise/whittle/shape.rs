@@ -3,6 +3,7 @@
 //! A shape is a power gain over u = f·dt that is 1 at low frequencies, so that N stays the plateau of the spectrum as
 //! sampled. Its numbers (a cutoff, coefficients) are fitted by their slopes d ln(gain)/dp.
 
+use crate::effects::moving_average::boxcar_gain;
 use std::f64::consts::PI;
 
 /// Numbers of a shape at most.
@@ -63,9 +64,7 @@ impl Shape {
                 alike(1.0 / (1.0 + ratio.powi(2 * *order as i32)))
             }
             Self::Exponential { cutoff } => {
-                // |H|² = a²/(1 − 2(1−a)cos + (1−a)²); half at the cutoff where c = 1 − cos.
-                let c = 1.0 - (2.0 * PI * cutoff).cos();
-                let a = (c * c + 2.0 * c).sqrt() - c;
+                let a = exponential_weight(*cutoff);
                 let back = 1.0 - a;
                 alike(a * a / (a * a + 2.0 * back * (1.0 - (2.0 * PI * u).cos())))
             }
@@ -128,11 +127,18 @@ impl Shape {
     }
 }
 
-/// |H|² of the mean of `window` samples.
+/// Returns a of y += a (x − y), which passes half the power at `cutoff` cycles a sample.
+///
+/// |H|² is a²/(a² + 2(1 − a)c) with c = 1 − cos(2π·cutoff).
+#[must_use]
+pub fn exponential_weight(cutoff: f64) -> f64 {
+    let c = 1.0 - (2.0 * PI * cutoff).cos();
+    (c * c + 2.0 * c).sqrt() - c
+}
+
+/// |H|² of the mean of `window` samples; 0 is no mean.
 pub(in crate::noise) fn boxcar(window: u32, u: f64) -> f64 {
-    let sine = (PI * u).sin();
-    let window = f64::from(window.max(1));
-    if sine.abs() < 1e-12 { 1.0 } else { ((PI * u * window).sin() / (window * sine)).powi(2) }
+    boxcar_gain(u64::from(window.max(1)), u)
 }
 
 /// Gains of a boxcar and decimation: the images k of the output rate add.

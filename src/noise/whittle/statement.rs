@@ -1,4 +1,4 @@
-//! What is said of each parameter: profile likelihoods as intervals and limits.
+//! Statement: computes the interval or limit of each parameter from its profile likelihood.
 
 use super::choice::{Choice, correlation_time, price};
 use super::likelihood::{Held, Likelihood, Model, SIGMA, Terms, place};

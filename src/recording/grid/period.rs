@@ -7,7 +7,7 @@
 
 use super::StampGrid;
 use super::deliveries::{Deliveries, TOGETHER};
-use super::track::Tracker;
+use super::track::{self, HOLE, HOLE_LEAST_NS, Tracker};
 
 /// Stamps that are looked at.
 pub(in crate::recording) const LOOK_AT: usize = 8192;
@@ -35,10 +35,6 @@ const EXACT: f64 = 1e-4;
 const RECEIVED_LEAST: f64 = 0.45;
 /// Deliveries are late often where so large a share of the stamps is.
 const LATE_OFTEN: f64 = 0.05;
-/// A step of so many median steps is a hole, beyond which the phase is not known.
-const HOLE: f64 = 64.0;
-/// Shorter ones may be deliveries that were held up.
-const HOLE_LEAST_NS: f64 = 2e9;
 /// The median step is this share of the mean one at least: of bursts most steps are short.
 const MEDIAN_LEAST: f64 = 0.25;
 /// So many samples of one stamp are not counted, their mean is taken.
@@ -47,7 +43,15 @@ const CELL_MOST: f64 = 16.0;
 /// about four losses.
 const GUESS: f64 = 4.0;
 /// Gain with which a period is tried: so low that it does not follow losses.
-const GAIN: f64 = 1.0 / 2048.0;
+const SLOW_GAIN: f64 = 1.0 / 2048.0;
+/// What is tried of the clock behind the stamps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Clock {
+    Steady,
+    Wandering,
+    Loop,
+}
+
 /// Points and stamps last equally long, to this share of it and so many periods.
 const BEYOND: f64 = 0.02;
 const BEYOND_PERIODS: f64 = 32.0;
@@ -116,8 +120,8 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
             tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
         }
     }
-    let with = |period_ns: f64, jitter: f64, gain: f64| {
-        tried_with(stamps, &at_ns, &deliveries, rounding_ns, period_ns, jitter, gain)
+    let with = |period_ns: f64, jitter: f64, clock: Clock| {
+        tried_with(stamps, &at_ns, &deliveries, rounding_ns, period_ns, jitter, clock)
     };
     let likelier = |best: Option<(f64, StampGrid)>, other: Option<(f64, StampGrid)>| match (best, other) {
         (Some(best), Some(other)) => Some(if other.0 < best.0 { other } else { best }),
@@ -126,10 +130,13 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     let is_new = |place: &usize| tried[..*place].iter().all(|before| (tried[*place] / before - 1.0).abs() >= 1e-6);
     let periods = (0..tried.len()).filter(is_new).map(|place| tried[place]);
     let mut best =
-        periods.flat_map(|period_ns| JITTERS.map(|jitter| with(period_ns, jitter, GAIN))).fold(None, likelier);
+        periods.flat_map(|period_ns| JITTERS.map(|jitter| with(period_ns, jitter, Clock::Steady))).fold(None, likelier);
     // A clock that wanders is followed as it will be: its errors are no jitter then.
     if let Some(period_ns) = best.as_ref().map(|(_, grid)| grid.period_ns) {
-        best = JITTERS.map(|jitter| with(period_ns, jitter, super::track::GAIN)).into_iter().fold(best, likelier);
+        // Rounding as coarse as that hides which steps are short.
+        let is_fine = (rounding_ns as f64) < 0.25 * period_ns;
+        let clocks = [Clock::Wandering, Clock::Loop].into_iter().take(1 + usize::from(is_fine));
+        best = clocks.flat_map(|clock| JITTERS.map(|jitter| with(period_ns, jitter, clock))).fold(best, likelier);
     }
     let resolved = best.map(|(_, grid)| grid).filter(|grid| grid.jitter_ns < UNRESOLVED * grid.period_ns);
     resolved.or_else(|| unresolved(&at_ns, rounding_ns))
@@ -155,7 +162,16 @@ fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
         })
         .collect();
     let jitter_ns = 1.4826 * median(&mut spreads)?;
-    Some(StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late: 0, late_often: false, resolved: false })
+    Some(StampGrid {
+        period_ns,
+        rounding_ns,
+        jitter_ns,
+        start_ns,
+        first_late: 0,
+        is_loop: false,
+        late_often: false,
+        resolved: false,
+    })
 }
 
 /// The slope of the line of stamps over their number.
@@ -175,7 +191,7 @@ fn tried_with(
     rounding_ns: u64,
     period_ns: f64,
     jitter: f64,
-    gain: f64,
+    clock: Clock,
 ) -> Option<(f64, StampGrid)> {
     let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
     let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
@@ -185,9 +201,19 @@ fn tried_with(
     let half_ns = 0.5 * rounding_ns as f64;
     let (start_ns, first_late) = start(at_ns, period_ns, half_ns)?;
     let jitter_ns = jitter * period_ns;
-    let mut grid =
-        StampGrid { period_ns, rounding_ns, jitter_ns, start_ns, first_late, late_often: false, resolved: true };
+    let is_loop = clock == Clock::Loop;
+    let mut grid = StampGrid {
+        period_ns,
+        rounding_ns,
+        jitter_ns,
+        start_ns,
+        first_late,
+        is_loop,
+        late_often: false,
+        resolved: true,
+    };
     let mut nats = None;
+    let gain = if clock == Clock::Steady { SLOW_GAIN } else { track::GAIN };
     for _ in 0..2 {
         let mut tracker = Tracker::with_gain(&grid, gain);
         stamps.iter().for_each(|stamp_ns| tracker.push(*stamp_ns));

@@ -132,6 +132,34 @@ fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
     assert!(identity(&stamps, found, found_hz).abs() < 0.6 + 2.0 * ends || kind == Kind::Late, "{case}");
 }
 
+/// A loop that sleeps, reads and stamps: the errors of its periods add up, and hundreds of samples were missing that nobody had lost.
+#[test]
+fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
+    for (seed, sigma) in (0..).zip([0.02, 0.05, 0.1].repeat(3)) {
+        for loss in [0.0, 0.01, 0.05] {
+            let mut random = ChaCha8Rng::seed_from_u64(1000 + seed);
+            let (mut at_ns, mut stamps, mut places) = (0.0, Vec::new(), Vec::new());
+            for place in 0..20_000_u64 {
+                let normal: f64 = StandardNormal.sample(&mut random);
+                at_ns += 1e7 * (1.0 + sigma * normal);
+                if !random.random_bool(loss) {
+                    stamps.push(at_ns as i64);
+                    places.push(place);
+                }
+            }
+            let missing = places[places.len() - 1] - places[0] + 1 - places.len() as u64;
+            let (grid, found, found_hz) = told(&stamps);
+            let span_s = (stamps[stamps.len() - 1] - stamps[0]) as f64 / 1e9;
+            let rate_hz = (stamps.len() as u64 + missing - 1) as f64 / span_s;
+            let case =
+                format!("{sigma} {loss} seed {seed}: {found_hz} of {rate_hz} Hz, {found} of {missing}, {grid:?}");
+            // Of errors of a tenth of a period five standard deviations are half a period.
+            assert!(found.abs_diff(missing) <= 3 * u64::from(sigma > 0.05 && loss > 0.0), "{case}");
+            assert!((found_hz / rate_hz - 1.0).abs() < 2e-4, "{case}");
+        }
+    }
+}
+
 #[test]
 fn exact_rounded_late_and_paired_stamps_tell_rate_duration_and_losses() {
     for rate_hz in RATES_HZ {

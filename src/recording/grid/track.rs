@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 /// What a late stamp costs at most, nats.
 const LATE_MOST: f64 = 8.0;
 /// The same where deliveries are late often: less than a loss.
-const LATE_OFTEN: f64 = 3.0;
+const LATE_CHEAP: f64 = 3.0;
 /// What a stamp before its time costs at most, nats.
 const EARLY_MOST: f64 = 60.0;
 /// What a loss costs, nats.
@@ -38,8 +38,8 @@ pub(super) const GAIN: f64 = 1.0 / 256.0;
 const BEGUN: u32 = 32;
 /// A rise by so many periods, and by so long, makes the phase uncertain: it is found again. Shorter ones may be deliveries
 /// that were held up.
-const HOLE: f64 = 64.0;
-const HOLE_LEAST_NS: f64 = 2e9;
+pub(super) const HOLE: f64 = 64.0;
+pub(super) const HOLE_LEAST_NS: f64 = 2e9;
 /// Samples in a row that are beside the grid alike, after which the phase is found again.
 const BESIDE: u32 = 32;
 /// Errors that differ by less are alike, periods.
@@ -139,13 +139,18 @@ impl Tracker {
             level: 0,
             begun: false,
             line: Line {
-                end: if grid.resolved { END } else { END_UNRESOLVED },
+                end: match grid.resolved {
+                    // The first stamp and the last one tell all.
+                    true if grid.is_loop => 1,
+                    true => END,
+                    false => END_UNRESOLVED,
+                },
                 coarse: grid.rounding_ns as f64 > 2.0 * grid.period_ns,
                 ..Line::default()
             },
             slips: 0,
             gain,
-            late_most: if grid.late_often { LATE_OFTEN } else { LATE_MOST },
+            late_most: if grid.late_often { LATE_CHEAP } else { LATE_MOST },
             rise_least: if grid.resolved {
                 1
             } else {
@@ -163,6 +168,12 @@ impl Tracker {
         let at_ns = stamp_ns.saturating_sub(self.origin_ns) as f64;
         let index = self.read;
         self.read += 1;
+        if self.grid.is_loop {
+            // No stamp is late: a step of two periods is a loss.
+            let level = self.level + self.error(index, self.level, at_ns).clamp(0.0, LEVEL_MOST).round() as i64;
+            self.place(index, level, at_ns);
+            return;
+        }
         if let ([only], true) = (self.paths.as_slice(), self.waiting.is_empty()) {
             let error = self.error(index, only.level, at_ns);
             if error.abs() < self.near() {
@@ -205,6 +216,10 @@ impl Tracker {
 
     /// Begins with the grid point that the stamps behind the first one show: it may be late itself.
     fn begin(&mut self) {
+        if self.grid.is_loop {
+            self.base = (0, 0, 0.0);
+            return;
+        }
         self.base = (0, 0, self.grid.start_ns);
         let lowest = self.grid.first_late;
         let levels = lowest.max(-(PATHS_MAX as i64) / 2)..=0;
@@ -334,7 +349,7 @@ impl Tracker {
         self.level = level;
         let error = self.error(index, level, at_ns);
         self.follow(index, level, error, rise);
-        if error.abs() <= self.gate(index) || !self.grid.resolved {
+        if error.abs() <= self.gate(index) || !self.grid.resolved || self.grid.is_loop {
             self.line.add((index as i64 + level) as f64, at_ns);
         }
         self.placed.push_back(Placed { missing: rise.max(0) as u64, error });
@@ -351,6 +366,12 @@ impl Tracker {
 
     /// Period and phase follow.
     fn follow(&mut self, index: u64, level: i64, error: f64, rise: i64) {
+        if self.grid.is_loop {
+            let (base_index, base_level, base_ns) = self.base;
+            let points = index.wrapping_sub(base_index) as i64 + level - base_level;
+            self.base = (index, level, base_ns + (points as f64 + error) * self.period_ns);
+            return;
+        }
         let gate = self.gate(index);
         if rise as f64 >= self.hole() {
             self.settled = 0;
