@@ -380,8 +380,8 @@ mod tests {
             let mut state = 1u64;
             for value in &mut values {
                 state = 48_271 * state % 2_147_483_647;
-                if state % every == 0 {
-                    *value += if state % (2 * every) == 0 { size } else { -size };
+                if state.is_multiple_of(every) {
+                    *value += if state.is_multiple_of(2 * every) { size } else { -size };
                 }
             }
             let (parameters, _) = fitted(values);
