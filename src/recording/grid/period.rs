@@ -44,6 +44,9 @@ const CELL_MOST: f64 = 16.0;
 const GUESS: f64 = 4.0;
 /// Gain with which a period is tried: so low that it does not follow losses.
 const SLOW_GAIN: f64 = 1.0 / 2048.0;
+/// Of a loop's steps so few are neither one period nor a whole number of them.
+const LOOP_BESIDE: f64 = 2e-3;
+
 /// What is tried of the clock behind the stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Clock {
@@ -134,7 +137,7 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     // A clock that wanders is followed as it will be: its errors are no jitter then.
     if let Some(period_ns) = best.as_ref().map(|(_, grid)| grid.period_ns) {
         // Rounding as coarse as that hides which steps are short.
-        let is_fine = (rounding_ns as f64) < 0.25 * period_ns;
+        let is_fine = (rounding_ns as f64) < 0.12 * period_ns;
         let clocks = [Clock::Wandering, Clock::Loop].into_iter().take(1 + usize::from(is_fine));
         best = clocks.flat_map(|clock| JITTERS.map(|jitter| with(period_ns, jitter, clock))).fold(best, likelier);
     }
@@ -224,6 +227,11 @@ fn tried_with(
             missing += placed.missing;
         }
         let count = errors.len() as f64;
+        // Steps of one and a half periods are no loop's: deliveries make them.
+        let beside = errors.iter().filter(|error| error.abs() > 0.35 * grid.period_ns).count();
+        if is_loop && beside as f64 > LOOP_BESIDE * count {
+            return None;
+        }
         let center = center(&mut errors.clone(), half_ns, grid.period_ns)?;
         let beyond = |error: &f64| ((error - center).abs() - half_ns).max(0.0);
         // Delays only make stamps late, so the early ones show the jitter.

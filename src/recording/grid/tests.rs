@@ -132,6 +132,21 @@ fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
     assert!(identity(&stamps, found, found_hz).abs() < 0.6 + 2.0 * ends || kind == Kind::Late, "{case}");
 }
 
+/// A recording of a hand-held sensor has such stamps: on a grid of half a delivery's period, at 100 Hz on average.
+#[test]
+fn half_steps_are_no_loops() {
+    let mut at_ns = 0.0;
+    let stamps: Vec<i64> = (0..11_000)
+        .map(|place| {
+            at_ns += 10.24e6 * if place % 21 == 0 { 0.5 } else { 1.0 };
+            at_ns as i64
+        })
+        .collect();
+    let (grid, missing, rate_hz) = told(&stamps);
+    let mean_hz = (stamps.len() - 1) as f64 / (1e-9 * (stamps[stamps.len() - 1] - stamps[0]) as f64);
+    assert!(!grid.is_loop && missing == 0 && (rate_hz / mean_hz - 1.0).abs() < 1e-4, "{grid:?} {missing} {rate_hz}");
+}
+
 /// A loop that sleeps, reads and stamps: the errors of its periods add up, and hundreds of samples were missing that nobody had lost.
 #[test]
 fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
