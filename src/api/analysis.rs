@@ -212,7 +212,7 @@ fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Optio
     let others = with.iter().filter_map(Value::as_i64);
     for id in std::iter::once(reader.resolve(name)?).chain(others) {
         let row = reader.capture(id)?;
-        if let Some(windows) = crate::jobs::filter_windows(&row.configuration) {
+        if let Some(windows) = FilterWindows::of_configuration(&row.configuration) {
             return Ok(Some(windows));
         }
     }

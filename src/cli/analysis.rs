@@ -3,11 +3,9 @@
 use super::{CliError, Context, Failure};
 use crate::clock::{Clock as _, SystemClock};
 use crate::datasheet::FilterWindows;
-use crate::jobs::{
-    Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor, stated_windows,
-};
+use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor};
 use crate::recording::{Kind, LoadedRecording, Options, load_columns};
-use crate::sample::Channel;
+use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, Missing, Reader, StoreError};
 use crate::units::NANOS_PER_SECOND;
 use std::ops::Range;
@@ -47,7 +45,10 @@ impl Together {
 
     /// Filter windows: of register 85 if a capture has it, else as stated.
     pub(super) fn windows(&self) -> Option<FilterWindows> {
-        self.captures.iter().find_map(|of| of.windows).or_else(|| stated_windows(&self.plan.sampling))
+        self.captures
+            .iter()
+            .find_map(|of| of.windows)
+            .or_else(|| Some(FilterWindows::stated(self.plan.sampling.get(&Triad::Gyro)?.window)))
     }
 
     /// Takes in what a person says of how the samples came about.
@@ -291,7 +292,7 @@ fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::
     // As the background jobs do: the rate that most samples have; nothing mixes two.
     let plan = Plan::read(reader, row.id, row.samples, &Channel::ANALYSED)?;
     let material = Material {
-        windows: serde_json::from_value(row.configuration["filter_window"].clone()).ok(),
+        windows: FilterWindows::of_configuration(&row.configuration),
         setting: Setting::of(&row, plan.rate_hz),
         id: Some(row.id),
         overridden: None,

@@ -33,6 +33,20 @@ impl FilterWindows {
     /// The factory's setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of a
     /// unit's 800 Hz output).
     pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
+
+    /// The windows of a capture, by its configuration: those of register 85, else as its import stated.
+    #[must_use]
+    pub fn of_configuration(configuration: &serde_json::Value) -> Option<Self> {
+        let stated = || u32::try_from(configuration["sampling"]["filter_window"].as_u64()?).ok();
+        let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
+        register_85.or_else(|| stated().map(Self::stated))
+    }
+
+    /// The windows as a person states them. Nobody states one for the magnetometer.
+    #[must_use]
+    pub fn stated(window: u32) -> Self {
+        Self { mag: 0, accel: window, gyro: window }
+    }
 }
 
 /// How a capture's samples came about.
@@ -84,6 +98,19 @@ impl Sampling {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
+
+    /// A datasheet was compared at the factory's windows, whatever had been stated.
+    #[test]
+    fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
+        let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });
+        let windows = |mag, window| Some(FilterWindows { mag, accel: window, gyro: window });
+        assert_eq!(FilterWindows::of_configuration(&json!({ "sampling": stated })), windows(0, 8));
+        let register_85 = json!({ "mag": 3, "accel": 5, "gyro": 5 });
+        let both = json!({ "filter_window": register_85, "sampling": stated });
+        assert_eq!(FilterWindows::of_configuration(&both), windows(3, 5));
+        assert_eq!(FilterWindows::of_configuration(&json!({})), None);
+    }
 
     fn factor(rate_hz: f64, window: u32) -> f64 {
         let windows = FilterWindows { mag: 0, accel: window, gyro: window };

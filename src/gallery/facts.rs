@@ -1,8 +1,7 @@
 //! Facts: what a capture's page says beside its pictures, from the database, as the interfaces' documents.
 
 use super::{Documents, Picture, samples};
-use crate::datasheet::{Datasheet, compare_report};
-use crate::jobs::filter_windows;
+use crate::datasheet::{Datasheet, FilterWindows, compare_report};
 use crate::noise::NoiseReport;
 use crate::sample::Channel;
 use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
@@ -60,7 +59,7 @@ impl Facts {
         let (sheet, family) = DATASHEET;
         let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family));
         if let Some(sheet) = sheet {
-            let windows = filter_windows(&self.row.configuration);
+            let windows = FilterWindows::of_configuration(&self.row.configuration);
             let compared = compare_report(&sheet, &report, windows).ok();
             report.datasheet = compared.and_then(|compared| serde_json::to_value(compared).ok());
         }

@@ -48,7 +48,7 @@ pub use model::{Fitted, fitted};
 pub use plan::{Plan, Slice};
 pub use report::{Extent, StatisticsReport};
 pub use runner::CHUNK;
-pub use sampling::{SAMPLING_KEY, SamplingError, StatedSampling, filter_windows, stated_windows};
+pub use sampling::{SAMPLING_KEY, SamplingError, StatedSampling};
 pub use source::SampleSource;
 pub use sums::MEMORY;
 pub use threads::TwoThreads;

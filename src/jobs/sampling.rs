@@ -1,7 +1,6 @@
 //! Sampling: how the samples of gyroscope and accelerometer came about, as register 85 or a person says. Of the magnetometer no
 //! document says at which rate it samples.
 
-use crate::datasheet::FilterWindows;
 use crate::noise::whittle::Sampling;
 use crate::sample::Triad;
 use crate::units::IMU_RATE_HZ;
@@ -118,20 +117,6 @@ impl StatedSampling {
     }
 }
 
-/// The filter windows of a capture, for what a datasheet says: register 85, else what its import stated.
-#[must_use]
-pub fn filter_windows(configuration: &Value) -> Option<FilterWindows> {
-    let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
-    register_85.or_else(|| stated_windows(&of_configuration(configuration)))
-}
-
-/// The same of a sampling that is known. Nobody states one for the magnetometer.
-#[must_use]
-pub fn stated_windows(sampling: &BTreeMap<Triad, Sampling>) -> Option<FilterWindows> {
-    let window = |triad| Some(sampling.get(&triad)?.window);
-    Some(FilterWindows { mag: 0, accel: window(Triad::Accel)?, gyro: window(Triad::Gyro)? })
-}
-
 /// What a capture's configuration says: register 85, or what its import stated.
 pub(super) fn of_configuration(configuration: &Value) -> BTreeMap<Triad, Sampling> {
     let told =
@@ -179,16 +164,5 @@ mod tests {
         // A later import is not held to what an earlier one's default was.
         assert!(StatedSampling { filter_window: 5, internal_rate_hz: None }.with(&found, 40.0).is_ok());
         assert!(of_configuration(&json!({ SAMPLING_KEY: null })).is_empty());
-    }
-
-    /// A datasheet was compared at the factory's windows, whatever had been stated.
-    #[test]
-    fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
-        let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });
-        let windows = |mag, window| Some(FilterWindows { mag, accel: window, gyro: window });
-        assert_eq!(filter_windows(&json!({ SAMPLING_KEY: stated })), windows(0, 8));
-        let register_85 = json!({ "mag": 3, "accel": 5, "gyro": 5 });
-        assert_eq!(filter_windows(&json!({ "filter_window": register_85, SAMPLING_KEY: stated })), windows(3, 5));
-        assert_eq!(filter_windows(&json!({})), None);
     }
 }

@@ -3,7 +3,6 @@
 //! A shape is a power gain over u = f·dt that is 1 at low frequencies, so that N stays the plateau of the spectrum as
 //! sampled. Its numbers (a cutoff, coefficients) are fitted by their slopes d ln(gain)/dp.
 
-use crate::effects::moving_average::boxcar_gain;
 use std::f64::consts::PI;
 
 /// Numbers of a shape at most.
@@ -138,7 +137,9 @@ pub fn exponential_weight(cutoff: f64) -> f64 {
 
 /// |H|² of the mean of `window` samples; 0 is no mean.
 pub(in crate::noise) fn boxcar(window: u32, u: f64) -> f64 {
-    boxcar_gain(u64::from(window.max(1)), u)
+    let sine = (PI * u).sin();
+    let window = f64::from(window.max(1));
+    if sine.abs() < 1e-12 { 1.0 } else { ((PI * u * window).sin() / (window * sine)).powi(2) }
 }
 
 /// Gains of a boxcar and decimation: the images k of the output rate add.

@@ -24,7 +24,6 @@ mod write;
 pub use check::Fault;
 
 use crate::effects::{Effect, TriadEffect};
-use crate::noise::whittle::density_factor;
 use crate::sample::{Channel, Triad};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -110,12 +109,15 @@ pub struct Sampling {
 }
 
 impl Sampling {
-    /// Factor from the sensor's own white density to the one that is seen at `rate_hz`, at low frequencies
-    /// ([`density_factor`]). 1 if the rates do not divide one another.
+    /// Factor from the sensor's own white density to the one that is seen at `rate_hz`, at low frequencies: √Σ |H(kR)|² over the
+    /// images k of the output's rate R, H the boxcar's response. 1 if the rates do not divide one another.
     #[must_use]
     pub fn density_factor(self, rate_hz: f64) -> f64 {
         let images = self.decimation(rate_hz).unwrap_or(1);
-        density_factor(u32::try_from(self.filter_window).unwrap_or(u32::MAX), u32::try_from(images).unwrap_or(1))
+        let gain = |image: usize| {
+            crate::effects::moving_average::boxcar_gain(self.filter_window, image as f64 / images as f64)
+        };
+        (0..images).map(gain).sum::<f64>().sqrt()
     }
 }
 
