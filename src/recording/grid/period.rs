@@ -123,6 +123,8 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
             tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
         }
     }
+    // Where most samples share their stamp the most frequent length is none.
+    tried.retain(|period_ns| period_ns.is_finite() && *period_ns > 0.0);
     let with = |period_ns: f64, jitter: f64, clock: Clock| {
         tried_with(stamps, &at_ns, &deliveries, rounding_ns, period_ns, jitter, clock)
     };

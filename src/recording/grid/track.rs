@@ -170,7 +170,8 @@ impl Tracker {
         self.read += 1;
         if self.grid.is_loop {
             // No stamp is late: a step of two periods is a loss.
-            let level = self.level + self.error(index, self.level, at_ns).clamp(0.0, LEVEL_MOST).round() as i64;
+            let rise = self.error(index, self.level, at_ns).clamp(0.0, LEVEL_MOST).round() as i64;
+            let level = self.level.saturating_add(rise).min(i64::MAX / 4);
             self.place(index, level, at_ns);
             return;
         }
@@ -263,7 +264,9 @@ impl Tracker {
         if told - highest as f64 >= self.hole() {
             self.loose_until = index + u64::from(BEGUN);
         }
-        let near = if half > 1.0 { (told - half).ceil() } else { told.round() } as i64;
+        let near = if half > 1.0 { (told - half).ceil() } else { told.round() };
+        // Periods of no length make any level of it.
+        let near = near.clamp(-LEVEL_MOST, LEVEL_MOST) as i64;
         let mut levels: Vec<i64> = self.paths.iter().map(|path| path.level).collect();
         levels.extend((near - 1..=near + 1).filter(|level| *level >= lowest + self.rise_least));
         levels.sort_unstable();
