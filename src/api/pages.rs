@@ -155,7 +155,7 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
 
 fn linked(id: &str, picture: Picture) -> Figure {
     let address = format!("/v1/captures/{id}/plots/{}.svg", picture.name());
-    Figure::Linked { told: picture.stated(), address, height: picture.height() }
+    Figure::Linked { told: picture.told(), address, height: picture.height() }
 }
 
 /// How far a job is.

@@ -40,7 +40,7 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         .map_err(|error| CliError { failure: Failure::Usage, message: format!("--{error}") })?;
     let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
     let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
-    let told = StatedSampling { columns, definitions };
+    let told = Given { columns, definitions };
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
@@ -67,7 +67,7 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
 }
 
 /// What the user says of the recordings.
-struct StatedSampling {
+struct Given {
     columns: ColumnMap,
     definitions: Vec<MessageDefinition>,
 }
@@ -136,11 +136,11 @@ fn is_somebody_elses(error: &StoreError) -> bool {
     }
 }
 
-fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &StatedSampling) -> anyhow::Result<ImportReport> {
+fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples", 0);
     // Another instance's daemon may capture beside it.
     crate::jobs::step_back();
-    let StatedSampling { columns, definitions } = told;
+    let Given { columns, definitions } = told;
     let (columns, definitions) = (columns.clone(), definitions.clone());
     let (rate_hz, sampling) = (args.rate, args.sampling.stated());
     let source = Source { rate_hz, sampling, columns, definitions, ..Source::of(file) };
@@ -157,12 +157,7 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &StatedSampl
 }
 
 /// Sends the recording's bytes to the daemon (its address and token), which may not be able to read the user's files.
-fn send(
-    (base_url, token): (&str, &str),
-    file: &Path,
-    args: &ImportArgs,
-    told: &StatedSampling,
-) -> anyhow::Result<ImportReport> {
+fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
     // What is no recording is not sent.
     detect(&Input::file(file).with_columns(told.columns.clone()))?;

@@ -123,7 +123,7 @@ impl Picture {
 
     /// What a person who does not see it is told.
     #[must_use]
-    pub fn stated(self) -> String {
+    pub fn told(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("{} over time", channel.name()),
             Self::Histogram(channel) => format!("Histogram of {}", channel.name()),

@@ -34,6 +34,9 @@ impl Default for Live {
     }
 }
 
+/// A capture without a planned end is taken to last as long, so that what is kept of its motion is bounded: a month.
+const LONG_S: f64 = 30.0 * 86_400.0;
+
 /// The octaves of one capture, by rate: nothing mixes two.
 #[derive(Debug)]
 struct Pyramids {
@@ -89,8 +92,6 @@ pub struct LivePoints {
     pub caught_up: bool,
     /// Octaves of each channel.
     pub channels: BTreeMap<Channel, Vec<AllanPoint>>,
-    /// How long the sensor moved, s; none if no channel says so. What moved is among the octaves.
-    pub moving_s: Option<f64>,
 }
 
 impl Live {
@@ -120,7 +121,7 @@ impl Live {
         let pyramids = match &mut *slot {
             Some(pyramids) if pyramids.capture_id == capture_id => pyramids,
             other => {
-                let planned_s = reader.capture(capture_id)?.planned_duration_s.unwrap_or_default();
+                let planned_s = reader.capture(capture_id)?.planned_duration_s.unwrap_or(LONG_S);
                 other.insert(Pyramids::new(capture_id, planned_s))
             }
         };
@@ -156,10 +157,6 @@ impl Live {
                 .filter(|(_, live)| live.samples() > 0)
                 .map(|(channel, live)| (*channel, live.points()))
                 .collect(),
-            moving_s: pyramid.stillness.clone().settle().map(|places| {
-                let moving: u64 = places.iter().map(|places| places.end.min(pyramid.samples) - places.start).sum();
-                moving as f64 / rate_hz
-            }),
         })
     }
 
@@ -188,8 +185,22 @@ impl Live {
         let points = self.points(reader, capture_id)?;
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
-        let report = report::noise_of_points(&points, &sampling, extent);
+        let report = report::noise_of_points(&points, self.moving_s(capture_id), &sampling, extent);
         Ok(SoFar { report, caught_up: Some(points.caught_up) })
+    }
+
+    /// How long the sensor moved, s, of what the octaves are made of; none if motion is unknown.
+    fn moving_s(&self, capture_id: i64) -> Option<f64> {
+        // Divided outside the lock.
+        let (rate_hz, samples, stillness) = {
+            let slot = self.lock();
+            let pyramids = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id)?;
+            let (rate_hz, pyramid) = pyramids.largest()?;
+            (rate_hz, pyramid.samples, pyramid.stillness.clone())
+        };
+        let moving = stillness.settle()?;
+        let places: u64 = moving.iter().map(|places| places.end.min(samples).saturating_sub(places.start)).sum();
+        Some(places as f64 / rate_hz)
     }
 
     /// Statistics of what there is so far (`complete: false`).

@@ -235,14 +235,16 @@ pub(super) fn noise(
 /// Noise parameters of octaves of a capture that still runs.
 pub(super) fn noise_of_points(
     points: &LivePoints,
+    moving_s: Option<f64>,
     sampling: &BTreeMap<Triad, Sampling>,
     extent: Extent,
 ) -> NoiseReport {
-    let LivePoints { rate_hz, other_rate, moving_s, .. } = *points;
+    let LivePoints { rate_hz, other_rate, .. } = *points;
     // Octaves cannot be divided again: what moved is in them.
     let moved = moving_s.filter(|moving_s| *moving_s > 0.0).map(|moving_s| {
         format!(
-            "the sensor moved for {moving_s:.1} s, which is left out only when the capture has ended: ask again then, or make a noise job"
+            "the sensor moved for {moving_s:.1} s, which is left out only once the capture has ended: ask again then, or submit a \
+             noise job"
         )
     });
     let channels = points.channels.iter().map(|(channel, octaves)| {

@@ -79,7 +79,9 @@ impl World {
     fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
         let store = Store::open(&directory.path().join("vn100d.db"), StoreOptions::default()).unwrap();
-        let named = NewCapture { name: Some("desk".to_owned()), ..NewCapture::new("test", CaptureState::Complete) };
+        let planned = Some(std::time::Duration::from_secs(3600));
+        let named =
+            NewCapture { name: Some("desk".to_owned()), planned, ..NewCapture::new("test", CaptureState::Complete) };
         let capture = store.create_capture(named).unwrap();
         let world = Self { directory, store, capture };
         world.send(records());

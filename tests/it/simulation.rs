@@ -482,4 +482,8 @@ fn raw_counts_are_no_noise_of_a_sensor() {
     assert_eq!(noise["at_rest_s"], serde_json::Value::Null);
     let (code, said) = refused(&["noise", path, "--format", "kalibr"]);
     assert!(code == Some(1) && said.contains("raw counts? give the scale") && !said.contains("at rest"), "{said}");
+    // JSON has the reason in it, whatever format stands beside.
+    assert_eq!(json_of(&["--json", "noise", path, "--format", "kalibr"])["channels"]["accel_z"]["usable"], false);
+    let said = String::from_utf8(vn100d(&["noise", path, "--format", "kalibr", "--rate", "400"]).stderr).unwrap();
+    assert!(said.contains("--rate 400 overrides the stamps, which lie on a grid of 100.0 Hz"), "{said}");
 }

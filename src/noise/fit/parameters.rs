@@ -306,7 +306,7 @@ pub struct Minimum {
 }
 
 impl NoiseParameters {
-    /// Says that the parameters may not be used, and why. What would follow from them goes with them.
+    /// Withholds the parameters for a reason, and clears what would follow from them.
     pub fn refuse(&mut self, reason: String) {
         (self.usable, self.reason) = (false, Some(reason));
         (self.record_needed, self.walk_shows_beyond_s) = (RecordNeeded::default(), None);

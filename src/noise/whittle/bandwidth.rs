@@ -353,8 +353,8 @@ impl Search {
                 _ => None,
             };
             let open = self.of(&Shape::Smooth { coefficients: Vec::new(), up_to }, false, f64::INFINITY);
-            let is_by_chance_only = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
-            if is_chance && !is_by_chance_only {
+            let is_significant = open.is_none_or(|open| open.score() - best.score() > PLAINLY);
+            if is_chance && !is_significant {
                 continue;
             }
             let best = finer.unwrap_or(best);

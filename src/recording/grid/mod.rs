@@ -31,7 +31,7 @@ pub struct StampGrid {
     /// How late the first stamp may be, periods: 0 or negative.
     pub(super) first_late: i64,
     /// Whether the errors of periods add up, as in a loop that sleeps, reads and stamps: a stamp's only reference is the one before.
-    pub is_loop: bool,
+    pub(super) is_loop: bool,
     /// Whether more than a twentieth of the stamps is late by most of a period.
     pub late_often: bool,
     /// Whether single losses can be told from jitter. Otherwise the period is the mean step, and only holes are gaps.

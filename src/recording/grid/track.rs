@@ -169,10 +169,7 @@ impl Tracker {
         let index = self.read;
         self.read += 1;
         if self.grid.is_loop {
-            // No stamp is late: a step of two periods is a loss.
-            let rise = self.error(index, self.level, at_ns).clamp(0.0, LEVEL_MOST).round() as i64;
-            let level = self.level.saturating_add(rise).min(i64::MAX / 4);
-            self.place(index, level, at_ns);
+            self.step(index, at_ns);
             return;
         }
         if let ([only], true) = (self.paths.as_slice(), self.waiting.is_empty()) {
@@ -217,10 +214,6 @@ impl Tracker {
 
     /// Begins with the grid point that the stamps behind the first one show: it may be late itself.
     fn begin(&mut self) {
-        if self.grid.is_loop {
-            self.base = (0, 0, 0.0);
-            return;
-        }
         self.base = (0, 0, self.grid.start_ns);
         let lowest = self.grid.first_late;
         let levels = lowest.max(-(PATHS_MAX as i64) / 2)..=0;
@@ -343,6 +336,17 @@ impl Tracker {
         }
     }
 
+    /// Places a loop's stamp by the one before: none is late, and a step of two periods is a loss.
+    fn step(&mut self, index: u64, at_ns: f64) {
+        let (_, _, before_ns) = self.base;
+        let beyond = if index == 0 { 0.0 } else { (at_ns - before_ns) / self.period_ns - 1.0 };
+        let rise = beyond.clamp(0.0, LEVEL_MOST).round();
+        self.level = self.level.saturating_add(rise as i64).min(i64::MAX / 4);
+        self.base = (index, self.level, at_ns);
+        self.line.add((index as i64 + self.level) as f64, at_ns);
+        self.placed.push_back(Placed { missing: rise as u64, error: beyond - rise });
+    }
+
     fn place(&mut self, index: u64, level: i64, at_ns: f64) {
         if !self.begun {
             self.begun = true;
@@ -352,7 +356,7 @@ impl Tracker {
         self.level = level;
         let error = self.error(index, level, at_ns);
         self.follow(index, level, error, rise);
-        if error.abs() <= self.gate(index) || !self.grid.resolved || self.grid.is_loop {
+        if error.abs() <= self.gate(index) || !self.grid.resolved {
             self.line.add((index as i64 + level) as f64, at_ns);
         }
         self.placed.push_back(Placed { missing: rise.max(0) as u64, error });
@@ -369,12 +373,6 @@ impl Tracker {
 
     /// Period and phase follow.
     fn follow(&mut self, index: u64, level: i64, error: f64, rise: i64) {
-        if self.grid.is_loop {
-            let (base_index, base_level, base_ns) = self.base;
-            let points = index.wrapping_sub(base_index) as i64 + level - base_level;
-            self.base = (index, level, base_ns + (points as f64 + error) * self.period_ns);
-            return;
-        }
         let gate = self.gate(index);
         if rise as f64 >= self.hole() {
             self.settled = 0;
