@@ -183,9 +183,6 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
         let mut own = None;
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
-            if of.held[level] <= 0.5 * OFF * OFF {
-                continue;
-            }
             let fitted = &of.fitted;
             let of_law = |law: &Law| match level {
                 0 => plateau_of(law, of, sim),
@@ -193,20 +190,26 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             };
             let samples = of.prepared.samples.len() as u64;
             let told = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { told };
-            let Some(spread) = fitted.spread(of_law).filter(|spread| *spread < 1.0) else { continue };
-            let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
-            let mut found = (end(0.0), [end(-1.0), end(1.0)]);
+            let by_law = fitted.spread(of_law).filter(|spread| *spread < 1.0).map(|spread| {
+                let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
+                (end(0.0), [end(-1.0), end(1.0)])
+            });
+            // If the law cannot tell N from all else that it has, what `noise` has counts alone.
+            let told_apart = by_law.is_some();
+            if (told_apart && of.held[level] <= 0.5 * OFF * OFF) || (!told_apart && level > 0) {
+                continue;
+            }
             let own = own.get_or_insert_with(|| {
                 owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
-            match own[level] {
-                Some(Known { value: Some(value), ends }) if level == 0 => {
-                    found = (value / folded, ends.map(|end| end / folded));
+            let found = match (own[level], by_law) {
+                (Some(Known { value: Some(value), ends }), _) if level == 0 => {
+                    Some((value / folded, ends.map(|end| end / folded)))
                 }
-                Some(known) if level > 0 && !is_slow(of) && !known.meets(found.1) => continue,
-                _ => {}
-            }
-            let (capture, [low, high]) = found;
+                (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,
+                _ => by_law,
+            };
+            let Some((capture, [low, high])) = found else { continue };
             let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
             let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
             // Told with an interval or a limit that reaches the capture's, it is not off.

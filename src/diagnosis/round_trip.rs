@@ -242,3 +242,21 @@ fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
         assert!((n / 2e-3 - 1.0).abs() < 0.03, "{count} of {far}: N {n}");
     }
 }
+
+/// Behind a steep filter without noise behind it the law cannot always tell N from what else it has; `noise` can.
+#[test]
+fn an_n_that_is_off_is_reported_behind_a_steep_filter() {
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 3.855, "order": 3});
+    let mut told = model(None);
+    told.channels.values_mut().for_each(|of| of.n *= 1.2);
+    for seed in 21..25 {
+        let real = recording(&model(Some(&filter)), seed, 16_384);
+        let outcome = diagnose(&real, &told, &Options::default()).unwrap();
+        let off = |channel: &&str| {
+            let of = &outcome.diagnosis.parameters;
+            of.iter().any(|of| of.channel == **channel && of.parameter == "N" && (of.capture / 2e-3 - 1.0).abs() < 0.06)
+        };
+        let missing: Vec<&str> = CHANNELS.map(Channel::name).into_iter().filter(|channel| !off(channel)).collect();
+        assert!(missing.is_empty(), "seed {seed}, {missing:?}: {:#?}", outcome.diagnosis.parameters);
+    }
+}
