@@ -210,7 +210,8 @@ fn samples_that_are_there_already_stay_wherever_in_a_statement_they_come() {
         let world = World::new();
         let id = world.capturing();
         let mut connection = rusqlite::Connection::open(world.store.path()).unwrap();
-        let transaction = connection.transaction().unwrap();
+        // The writer has a transaction of its own now and then: one that begins with a read would not wait for it.
+        let transaction = connection.transaction_with_behavior(rusqlite::TransactionBehavior::Immediate).unwrap();
         let of = |from: u64, to: u64| (from..to).map(|seq| (id, sample(1, seq))).collect::<Vec<_>>();
         super::insert::insert(&transaction, &[(id, segment(1, 0))], 0, 0).unwrap();
         let mut first = of(from, to);
