@@ -207,7 +207,8 @@ impl Tracker {
     /// The period that the stamps placed so far have on average, ns.
     pub(in crate::recording) fn mean_period_ns(&self) -> Option<f64> {
         // Of stamps that are late by as much, as many in batches are, none is near its point.
-        let slope = self.line.slope().unwrap_or(self.period_ns);
+        // A line of stamps that jump back and forth may fall, which is no period.
+        let slope = self.line.slope().filter(|slope| slope.is_finite() && *slope > 0.0).unwrap_or(self.period_ns);
         // Stamps are whole ns, and so are most periods.
         Some(if (slope - slope.round()).abs() < WHOLE_NS { slope.round() } else { slope })
     }
