@@ -183,6 +183,11 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
         let mut own = None;
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
+            // The model's own value does as well.
+            let does_as_well = of.held[level] <= 0.5 * OFF * OFF;
+            if does_as_well && level > 0 {
+                continue;
+            }
             let fitted = &of.fitted;
             let of_law = |law: &Law| match level {
                 0 => plateau_of(law, of, sim),
@@ -195,8 +200,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
                 (end(0.0), [end(-1.0), end(1.0)])
             });
             // If the law cannot tell N from all else that it has, what `noise` has counts alone.
-            let told_apart = by_law.is_some();
-            if (told_apart && of.held[level] <= 0.5 * OFF * OFF) || (!told_apart && level > 0) {
+            if does_as_well && by_law.is_some() {
                 continue;
             }
             let own = own.get_or_insert_with(|| {
