@@ -4,14 +4,14 @@ use super::error::DiagnosisError;
 use super::evidence::Kind;
 use super::explanation::Explanation;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
-use super::law::{Beliefs, Fitted};
+use super::law::Fitted;
 use super::motion::Residuals;
 use super::omnibus::{self, Statistic};
 use super::prepare::{self, Prepared, Ready};
 use super::prices::{Prices, Tails};
 use super::recording::Recording;
 use super::report::Diagnosis;
-use super::search::{self, Step};
+use super::search::{self, FREE, Step};
 use super::series::Series;
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
@@ -191,7 +191,6 @@ fn explain(
     halves: &Halves,
     believed: bool,
 ) -> (Findings, Whitened) {
-    const FREE: Beliefs = [None, None, None];
     let mut prepared = ready.channels[index].clone();
     if !believed {
         prepared.beliefs = FREE;
@@ -246,7 +245,7 @@ fn explain(
         samples: &prepared.samples,
         halves,
         base: &base,
-        beliefs: prepared.beliefs,
+        beliefs: series.beliefs,
         rate_hz: ready.rate_hz,
         reach: prepared.reach,
         owner: prepared.channel as u32,

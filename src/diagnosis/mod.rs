@@ -11,6 +11,8 @@
 mod augmented;
 pub mod calibration;
 mod censored;
+#[cfg(test)]
+mod cliffs;
 mod compose;
 pub mod course;
 pub mod diagnose;

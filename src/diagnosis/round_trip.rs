@@ -6,8 +6,8 @@ use crate::simulator::{SensorModel, Simulator};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-const RATE_HZ: f64 = 40.0;
-const CHANNELS: [Channel; 3] = [Channel::AccelX, Channel::AccelY, Channel::AccelZ];
+pub(super) const RATE_HZ: f64 = 40.0;
+pub(super) const CHANNELS: [Channel; 3] = [Channel::AccelX, Channel::AccelY, Channel::AccelZ];
 
 /// A temperature that rises, falls and rises: no drift.
 fn temperature_c(time_s: f64, length_s: f64) -> f64 {
@@ -16,7 +16,7 @@ fn temperature_c(time_s: f64, length_s: f64) -> f64 {
 }
 
 /// A model of three accelerometer axes, of which the first and the last have the effect (all, where it belongs to the triad).
-fn model(effect: Option<&Value>) -> SensorModel {
+pub(super) fn model(effect: Option<&Value>) -> SensorModel {
     let own = |index: usize| match effect {
         Some(effect) if index != 1 || of_triad(effect) => vec![effect.clone()],
         _ => Vec::new(),
@@ -35,7 +35,7 @@ fn of_triad(effect: &Value) -> bool {
     matches!(effect["effect"].as_str(), Some("held_samples" | "common_mode" | "timing"))
 }
 
-fn recording(model: &SensorModel, seed: u64, samples: usize) -> Recording {
+pub(super) fn recording(model: &SensorModel, seed: u64, samples: usize) -> Recording {
     let length_s = samples as f64 / RATE_HZ;
     let mut simulator = Simulator::new(model, seed, RATE_HZ, length_s)
         .unwrap()

@@ -2,7 +2,7 @@
 
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
-use super::law::Shape;
+use super::law::{Beliefs, Data, Shape};
 use super::prices::Prices;
 use super::series::Series;
 
@@ -41,6 +41,11 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::TemperatureCurve, Kind::GaussMarkov, 3.0),
 ];
 
+/// Nothing is known of a level.
+pub(super) const FREE: Beliefs = [None, None, None];
+/// Nats that B and K of any size have to give: what the model says of them is wrong by far more rarely than not.
+const ANY_LEVELS: f64 = 12.0;
+
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
@@ -48,6 +53,9 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
         let Some((step, chosen)) = best_of(evidence::all(series), prices, &steps) else { break };
+        if levels_do(series, &step) {
+            continue;
+        }
         series.explanation = chosen.explanation;
         series.rebuild(false);
         let kind = step.kind;
@@ -62,7 +70,41 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     one_slope(series, prices, &mut steps);
     take_back(series, prices, &mut steps);
     samples_again(series, prices, &mut steps, &start);
+    believe_again(series);
     steps
+}
+
+/// Whether B and K that are far off do as well as an effect: then nothing is believed of them any more.
+fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
+    /// Nats that slow noise of another form has to be better by.
+    const CLEARLY: f64 = 3.0;
+    if series.beliefs == FREE {
+        return false;
+    }
+    let free = series.explanation.law.fit_from_several(Data { beliefs: &FREE, ..series.data() });
+    let gain = free.log_likelihood - series.fitted.log_posterior;
+    let do_as_well = match step.kind {
+        Kind::GaussMarkov => gain > step.gain - CLEARLY,
+        _ => gain - ANY_LEVELS > step.gain - step.price,
+    };
+    if do_as_well {
+        series.beliefs = FREE;
+        series.rebuild(true);
+    }
+    do_as_well
+}
+
+/// Once effects are known beside them B and K may be about what the model says after all.
+fn believe_again(series: &mut Series<'_>) {
+    if series.beliefs == series.setting().beliefs {
+        return;
+    }
+    let mut believed = series.clone();
+    believed.beliefs = series.setting().beliefs;
+    believed.rebuild(true);
+    if series.fitted.log_posterior - believed.fitted.log_posterior < ANY_LEVELS {
+        *series = believed;
+    }
 }
 
 /// What a step does until it is over is no other effect.

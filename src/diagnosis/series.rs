@@ -17,7 +17,7 @@ pub struct Setting<'a> {
     pub courses: &'a Courses,
     /// Spectra of N, B, K and the model's own effects, at any frequencies.
     pub base: &'a (dyn Fn(&Grid) -> Base + Sync),
-    /// Beliefs about the levels.
+    /// Beliefs about the levels, with which a search begins.
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
@@ -44,6 +44,8 @@ pub struct Series<'a> {
     /// Bins.
     pub grid: Grid,
     base: Base,
+    /// Beliefs about the levels: the setting's, unless the record speaks against them.
+    pub(super) beliefs: Beliefs,
     /// The samples without what is explained.
     pub rest: Vec<f64>,
     /// Those of them that stand at a limit.
@@ -92,6 +94,7 @@ impl<'a> Series<'a> {
             explanation: start,
             grid,
             base,
+            beliefs: setting.beliefs,
             rest: samples.clone(),
             censored: Vec::new(),
             samples,
@@ -139,7 +142,7 @@ impl<'a> Series<'a> {
     /// The same with another power in the bins.
     #[must_use]
     pub fn data_of<'b>(&'b self, power: &'b [f64]) -> Data<'b> {
-        Data { grid: &self.grid, power, base: &self.base, beliefs: &self.setting.beliefs }
+        Data { grid: &self.grid, power, base: &self.base, beliefs: &self.beliefs }
     }
 
     /// Standard deviation of the white part, per sample.

@@ -131,7 +131,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let grid = Grid::new(n, rate_hz, &lines);
     let power = grid.power(&series.coefficients);
     let base = (series.setting().base)(&grid);
-    let data = Data { grid: &grid, power: &power, base: &base, beliefs: &series.setting().beliefs };
+    let data = Data { grid: &grid, power: &power, base: &base, beliefs: &series.beliefs };
     let without = series.explanation.law.fit(data);
     let level = {
         let k = ((cycles * 2.0 * n as f64) as usize).clamp(1, n - 1);
