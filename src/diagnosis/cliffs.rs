@@ -1,9 +1,14 @@
 //! Cliffs: what lies just beyond the sizes that models and records usually have is named as well, and nothing in its place.
 
-use super::round_trip::{model, recording};
+use super::report::Cause;
+use super::round_trip::{RATE_HZ, model, recording};
 use super::{Options, Outcome, Recording, Verdict, diagnose};
+use crate::effects::{Stream, StreamId};
 use crate::simulator::SensorModel;
-use serde_json::json;
+use serde_json::{Value, json};
+
+/// Standard deviation of the white noise of the tests' model, per sample.
+const WHITE: f64 = 0.012_649;
 
 fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
     diagnose(real, sim, &Options::default()).unwrap()
@@ -11,6 +16,12 @@ fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
 
 fn names(outcome: &Outcome) -> Vec<&'static str> {
     outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
+}
+
+/// What a cause has on a channel, one after the other.
+fn list(cause: &Cause, channel: &str) -> Vec<Value> {
+    let of = cause.parameters.get(channel);
+    of.map_or(Vec::new(), |of| of.as_array().cloned().unwrap_or_else(|| vec![of.clone()]))
 }
 
 /// Collects what goes wrong in several cases, so that a failure shows all of it.
@@ -62,6 +73,52 @@ fn a_gauss_markov_process_beside_the_right_levels_is_still_named() {
                 format!("{sigma} {tc_s} s, seed {seed}: {:?}", names(&found))
             });
         }
+    }
+    wrong.none();
+}
+
+/// A stream of steps of about two standard deviations of the white noise, at least ten seconds apart.
+fn with_steps(real: &mut Recording, count: usize, seed: u64) {
+    let mut stream = Stream::new(seed, StreamId { owner: 90, effect: 0, instance: 0 });
+    let values = &mut real.channels[0].1;
+    let part = values.len() / (count + 1);
+    for step in 0..count {
+        let at = (step + 1) * part + (0.5 * (stream.uniform() - 0.5) * part as f64) as usize;
+        let size = WHITE * (1.5 + stream.uniform()) * if stream.uniform() < 0.5 { -1.0 } else { 1.0 };
+        values[at..].iter_mut().for_each(|value| *value += size);
+    }
+}
+
+#[test]
+fn many_steps_are_steps() {
+    let mut wrong = Wrong::default();
+    for (count, seed) in [(7, 51), (9, 52), (15, 53), (15, 54), (9, 55), (7, 56)] {
+        let mut real = recording(&model(None), seed, 65_536);
+        with_steps(&mut real, count, seed);
+        let found = diagnosed(&real, &model(None));
+        let steps = found.diagnosis.causes.first().map_or(0, |cause| list(cause, "accel_x").len());
+        let right =
+            names(&found) == ["bias_step"] && found.diagnosis.verdict == Verdict::Effects && steps.abs_diff(count) <= 1;
+        wrong
+            .expect(right, || format!("{count}, seed {seed}: {steps} {:?} {:?}", names(&found), found.diagnosis.notes));
+    }
+    wrong.none();
+}
+
+#[test]
+fn what_goes_to_and_fro_between_two_levels_is_no_chain_of_steps() {
+    let mut wrong = Wrong::default();
+    for (mean_s, seed) in [(150.0, 61), (60.0, 62), (20.0, 63), (5.0, 64)] {
+        let mut real = recording(&model(None), seed, 65_536);
+        let mut stream = Stream::new(seed, StreamId { owner: 91, effect: 0, instance: 0 });
+        let mut up = false;
+        for value in &mut real.channels[0].1 {
+            up ^= stream.uniform() < 1.0 / (mean_s * RATE_HZ);
+            *value += if up { 2.0 * WHITE } else { 0.0 };
+        }
+        let found = diagnosed(&real, &model(None));
+        let right = names(&found).first() != Some(&"bias_step") && found.diagnosis.verdict == Verdict::UnknownEffect;
+        wrong.expect(right, || format!("{mean_s} s: {:?} {:?}", names(&found), found.diagnosis.verdict));
     }
     wrong.none();
 }

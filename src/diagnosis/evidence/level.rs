@@ -97,44 +97,105 @@ pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::WarmUp, &[Course::WarmUp(best.0)], best.1))
 }
 
-/// Steps: where a matched filter of the whitened series says, one after the other.
+/// Nats that a further step has to give, and its price.
+const FURTHER: f64 = 14.0;
+const PRICE: f64 = 12.0;
+
+/// Steps: where a matched filter of the whitened series says, one after the other, then each once more beside all others.
+///
+/// What goes to and fro between a few levels is a process and no chain of steps.
 #[must_use]
 pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
-    /// Nats that a further step has to give, and its price.
-    const FURTHER: f64 = 14.0;
-    const PRICE: f64 = 12.0;
-    const MOST: usize = 6;
-    let mut found: Vec<Course> = Vec::new();
+    /// No sensor's level jumps more often: it is something else.
+    const MOST: usize = 32;
+    const SWEEPS: usize = 2;
+    let mut found: Vec<usize> = Vec::new();
     let mut best: Option<Drift> = None;
-    let mut spectrum = series.spectrum.clone();
-    let mut rest = series.coefficients.clone();
-    while found.len() < MOST {
-        let at = place(series, &spectrum, &rest);
-        found.push(Course::Step(at));
-        let mut drift = series.with_courses(&found);
-        if let Some(last) = &best
-            && drift.gain - last.gain < FURTHER
-        {
-            found.pop();
-            break;
-        }
-        if best.is_none() && drift.gain < 8.0 {
-            best = Some(drift);
-            break;
-        }
-        let mut mean = vec![0.0; rest.len()];
-        for (course, factor) in found.iter().zip(&drift.factors) {
-            let column = series.setting().courses.coefficients(*course);
-            mean.iter_mut().zip(&column).for_each(|(all, one)| *all += factor * one);
-        }
-        rest = series.coefficients.iter().zip(&mean).map(|(c, m)| c - m).collect();
-        spectrum = series.grid.fill(&drift.law.logarithms(series.data()));
+    while found.len() <= MOST {
+        let at = further(series, &found, best.as_ref(), None);
+        let with: Vec<usize> = found.iter().copied().chain([at]).collect();
+        let mut drift = with_steps(series, &with);
         drift.gain = drift.gain.max(0.0);
-        best = Some(drift);
+        let last = best.as_ref().map_or(0.0, |best| best.gain + FURTHER);
+        // A single one that is nothing is said as it is.
+        if best.is_some() && drift.gain < last {
+            break;
+        }
+        (found, best) = (with, Some(drift));
+        if best.as_ref().is_some_and(|best| found.len() == 1 && best.gain < 8.0) {
+            break;
+        }
     }
-    let mut drift = best?;
-    drift.gain -= PRICE * (found.len().max(1) - 1) as f64;
-    Some(candidate(series, Kind::BiasStep, &found, drift))
+    let mut drift = best.filter(|_| found.len() <= MOST)?;
+    for _ in 0..if found.len() > 1 { SWEEPS } else { 0 } {
+        let moved: Vec<usize> = (0..found.len()).map(|own| further(series, &found, Some(&drift), Some(own))).collect();
+        let again = with_steps(series, &moved);
+        if again.gain <= drift.gain {
+            break;
+        }
+        (found, drift) = (moved, again);
+    }
+    while found.len() > 1 {
+        // What each gives beside the others, at the present law.
+        let worth = |own: usize| 0.5 * drift.factors[own].powi(2) / drift.covariance[(own, own)];
+        let weakest = (0..found.len()).min_by(|a, b| worth(*a).total_cmp(&worth(*b)));
+        let Some(weakest) = weakest.filter(|own| worth(*own) < FURTHER) else { break };
+        found.remove(weakest);
+        drift = with_steps(series, &found);
+    }
+    if to_and_fro(&found, &drift) {
+        return None;
+    }
+    drift.gain -= PRICE * (found.len() - 1) as f64;
+    let courses: Vec<Course> = found.into_iter().map(Course::Step).collect();
+    Some(candidate(series, Kind::BiasStep, &courses, drift))
+}
+
+fn with_steps(series: &Series<'_>, places: &[usize]) -> Drift {
+    let courses: Vec<Course> = places.iter().copied().map(Course::Step).collect();
+    series.with_courses(&courses)
+}
+
+/// Where one more step fits best beside those that are known, or the one of them that is `moved`.
+fn further(series: &mut Series<'_>, found: &[usize], drift: Option<&Drift>, moved: Option<usize>) -> usize {
+    let mut rest = series.coefficients.clone();
+    let Some(drift) = drift else {
+        let spectrum = series.spectrum.clone();
+        return place(series, &spectrum, &rest);
+    };
+    for (_, (at, factor)) in found.iter().zip(&drift.factors).enumerate().filter(|(own, _)| Some(*own) != moved) {
+        let column = series.setting().courses.coefficients(Course::Step(*at));
+        rest.iter_mut().zip(&column).for_each(|(all, one)| *all -= factor * one);
+    }
+    let spectrum = series.grid.fill(&drift.law.logarithms(series.data()));
+    place(series, &spectrum, &rest)
+}
+
+/// Whether many steps lead to few levels again and again.
+fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
+    /// Steps and levels.
+    const FEW: [(usize, usize); 2] = [(7, 2), (10, 3)];
+    /// Levels that differ by less than so many standard errors are one.
+    const ERRORS: f64 = 4.0;
+    if places.len() < FEW[0].0 {
+        return false;
+    }
+    let mut order: Vec<usize> = (0..places.len()).collect();
+    order.sort_unstable_by_key(|own| places[*own]);
+    let mut levels = vec![(0.0, 0)];
+    levels.extend(order.iter().enumerate().scan(0.0, |level, (at, own)| {
+        *level += drift.factors[*own];
+        Some((*level, at + 1))
+    }));
+    levels.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let error = |from: usize, to: usize| {
+        let between = &order[from.min(to)..from.max(to)];
+        let of = |i: &usize| between.iter().map(|j| drift.covariance[(*i, *j)]).sum::<f64>();
+        between.iter().map(of).sum::<f64>().max(0.0).sqrt()
+    };
+    let apart = levels.windows(2).filter(|pair| pair[1].0 - pair[0].0 > ERRORS * error(pair[0].1, pair[1].1));
+    let levels = 1 + apart.count();
+    FEW.iter().any(|(steps, most)| places.len() >= *steps && levels <= *most)
 }
 
 /// Samples about the steps that are not on either level: a real step takes some samples, as it likes.
