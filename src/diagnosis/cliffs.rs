@@ -122,3 +122,37 @@ fn what_goes_to_and_fro_between_two_levels_is_no_chain_of_steps() {
     }
     wrong.none();
 }
+
+/// What is slow and large would hide in B and K of the half that is learned from.
+#[test]
+fn what_a_slow_effect_closes_is_a_number() {
+    let mut wrong = Wrong::default();
+    for effect in [
+        json!({"effect": "gauss_markov", "sigma": 20.0 * WHITE, "tc_s": 10.0}),
+        json!({"effect": "gauss_markov", "sigma": 5.0 * WHITE, "tc_s": 30.0}),
+        json!({"effect": "rate_ramp", "R": 6e-5}),
+        json!({"effect": "warm_up", "amplitude": 0.05, "tau_s": 200.0}),
+    ] {
+        for seed in 81..83 {
+            let real = recording(&model(Some(&effect)), seed, 65_536);
+            let found = diagnosed(&real, &model(None));
+            let closed = found.diagnosis.discrepancy.closed;
+            // Nothing is left of a warm-up in the second half.
+            let gone = effect["effect"] == "warm_up" && closed.is_none();
+            let right = gone || closed.is_some_and(|closed| (0.9..1.1).contains(&closed));
+            wrong.expect(right, || format!("{effect}, seed {seed}: {closed:?} {:?}", names(&found)));
+        }
+    }
+    // Parameters alone close nothing: there is nothing to close.
+    for seed in 85..88 {
+        let mut sim = model(None);
+        sim.channels.values_mut().for_each(|of| (of.n, of.b) = (0.8 * of.n, 1.3 * of.b));
+        let found = diagnosed(&recording(&model(None), seed, 65_536), &sim).diagnosis;
+        let right = found.verdict == Verdict::Parameters
+            && found.discrepancy.closed.is_none()
+            && found.discrepancy.before > 20.0 * found.discrepancy.floor
+            && found.discrepancy.after_parameters < 3.0 * found.discrepancy.floor;
+        wrong.expect(right, || format!("seed {seed}: {:?} {:?}", found.verdict, found.discrepancy));
+    }
+    wrong.none();
+}

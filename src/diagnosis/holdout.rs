@@ -18,7 +18,7 @@ const PHASE: f64 = 4.0;
 pub struct Scores {
     /// Under the declared model.
     pub declared: Vec<f64>,
-    /// With the levels of the first half.
+    /// With the levels that the first half has beside the effects, and without these.
     pub parameters: Vec<f64>,
     /// With everything found, its numbers from the first half.
     pub effects: Vec<f64>,
@@ -170,12 +170,6 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         series.density(BLOCKS).into_iter().map(|sum| sum + more).collect::<Vec<f64>>()
     };
     let declared = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), known(1)), &known(1));
-    // The levels and numbers of the first half.
-    let plain = Series::new(&first, transforms[0].clone(), samples(0), known(0));
-    let mut levels: Law = plain.explanation.law.clone();
-    levels.levels[0] -= plain.average_variance().ln();
-    let with_levels = Explanation { law: levels, ..known(1) };
-    let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
     let best = Series::new(&second, transforms[1].clone(), samples(1), found(1));
     let numbers = 3
         + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
@@ -183,12 +177,17 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         + 3 * best.explanation.sines.len();
     let ceiling = scored(&best, &known(1));
     let samples_scored = total - middle;
-    if whole.found.adds_nothing_to(whole.known) {
-        return Scores { declared, effects: parameters.clone(), parameters, ceiling, numbers, samples: samples_scored };
-    }
     let full = Series::new(&first, transforms[0].clone(), samples(0), known_effects(0));
     let quiet = full.average_variance().ln();
     let full = full.explanation;
+    // The levels of the first half, fitted beside the effects: without them they would take an effect's part.
+    let mut levels = Law { levels: full.law.levels, ..known(1).law };
+    levels.levels[0] -= quiet;
+    let with_levels = Explanation { law: levels, ..known(1) };
+    let parameters = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), with_levels), &known(1));
+    if whole.found.adds_nothing_to(whole.known) {
+        return Scores { declared, effects: parameters.clone(), parameters, ceiling, numbers, samples: samples_scored };
+    }
     let mut carried_over = known_effects(1);
     carried_over.law = full.law.clone();
     for (course, factor) in &mut carried_over.courses {
