@@ -1,9 +1,10 @@
 //! Augmented: the model with its parameters corrected and what was found.
 
+use super::course::Course;
 use super::diagnose::{Findings, Found};
 use super::named::Named;
 use super::shared::Shared;
-use crate::effects::CommonMode;
+use crate::effects::{CommonMode, Stage};
 use crate::simulator::SensorModel;
 use std::sync::Arc;
 
@@ -56,6 +57,19 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 }
             }
         }
+        // Limits and the values that are sent lie where they do, and what shifts the level shifts it from somewhere.
+        let stages = || channel.effects.iter().map(|effect| effect.stage());
+        let limited = stages().any(|stage| stage == Stage::Saturation);
+        let shifted = stages().any(|stage| matches!(stage, Stage::Bias | Stage::Resolution));
+        if limited || (shifted && channel.bias.is_none()) {
+            channel.bias = Some(of.level - before_ramp(of));
+        }
     }
     model
+}
+
+/// What a ramp adds on average beside the course that stands for it, U: the one begins at 0, the other's mean is 0.
+fn before_ramp(of: &Findings) -> f64 {
+    let ramps = of.explanation.courses.iter().filter(|(course, _)| *course == Course::Ramp);
+    0.5 * of.prepared.scale * ramps.map(|(_, factor)| factor).sum::<f64>()
 }

@@ -4,6 +4,7 @@ use super::report::Cause;
 use super::round_trip::{RATE_HZ, model, recording};
 use super::{Options, Outcome, Recording, Verdict, diagnose};
 use crate::effects::{Stream, StreamId};
+use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use serde_json::{Value, json};
 
@@ -153,6 +154,41 @@ fn what_a_slow_effect_closes_is_a_number() {
             && found.discrepancy.before > 20.0 * found.discrepancy.floor
             && found.discrepancy.after_parameters < 3.0 * found.discrepancy.floor;
         wrong.expect(right, || format!("seed {seed}: {:?} {:?}", found.verdict, found.discrepancy));
+    }
+    wrong.none();
+}
+
+/// A model without `bias` is compared with a record that has gravity in it.
+#[test]
+fn a_corrected_model_of_limits_and_steps_stands_at_the_records_level() {
+    let mut wrong = Wrong::default();
+    let mut sim = model(None);
+    sim.channels.values_mut().for_each(|of| of.bias = None);
+    for effect in [
+        json!({"effect": "saturation", "low": -9.8 - 1.2 * WHITE, "high": 0.3 + WHITE}),
+        json!({"effect": "resolution", "step": 0.01}),
+        json!({"effect": "bias_step", "at_s": 231.7, "size": 6.0 * WHITE}),
+        json!({"effect": "warm_up", "amplitude": -0.3, "tau_s": 60.0}),
+        json!({"effect": "rate_ramp", "R": 2e-4}),
+        json!({"effect": "temperature_bias", "per_c": 0.02, "reference_c": 20.0}),
+    ] {
+        let real = recording(&model(Some(&effect)), 91, 20_000);
+        let found = diagnosed(&real, &sim);
+        let again = recording(&found.augmented, 92, 20_000);
+        for channel in [Channel::AccelX, Channel::AccelZ] {
+            let mean = |of: &Recording| of.values(channel).unwrap().iter().sum::<f64>() / 20_000.0;
+            let share = |of: &Recording| {
+                let at =
+                    |value: &&f64| [-9.8 - 1.2 * WHITE, 0.3 + WHITE].iter().any(|limit| (*value - limit).abs() < 1e-9);
+                of.values(channel).unwrap().iter().filter(at).count() as f64 / 20_000.0
+            };
+            // Slow noise of its own moves each by about a tenth.
+            let right = (mean(&real) - mean(&again)).abs() < 0.3 * WHITE && (share(&real) - share(&again)).abs() < 0.05;
+            wrong.expect(right, || {
+                let [from, to] = [mean(&real), mean(&again)];
+                format!("{effect} {channel}: {from} {to}, {} {} {:?}", share(&real), share(&again), names(&found))
+            });
+        }
     }
     wrong.none();
 }

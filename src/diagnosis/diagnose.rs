@@ -121,6 +121,8 @@ pub(super) struct Findings {
     pub(super) scores: Scores,
     /// Standard deviation of the white part, U per sample.
     pub(super) white: f64,
+    /// The record's mean without what is explained of it, U.
+    pub(super) level: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub(super) average_variance: f64,
     /// Standard errors of the explanation.
@@ -257,6 +259,7 @@ fn explain(
     let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
+    let level = prepared.level + series.mean * prepared.scale;
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (
@@ -273,6 +276,7 @@ fn explain(
             statistics,
             scores,
             white,
+            level,
         },
         whitened,
     )

@@ -48,6 +48,8 @@ pub struct Series<'a> {
     pub(super) beliefs: Beliefs,
     /// The samples without what is explained.
     pub rest: Vec<f64>,
+    /// The mean that was taken off them.
+    pub(super) mean: f64,
     /// Those of them that stand at a limit.
     pub(super) censored: Vec<Censored>,
     /// Its transform.
@@ -96,6 +98,7 @@ impl<'a> Series<'a> {
             base,
             beliefs: setting.beliefs,
             rest: samples.clone(),
+            mean: 0.0,
             censored: Vec::new(),
             samples,
             coefficients: Vec::new(),
@@ -177,10 +180,10 @@ impl<'a> Series<'a> {
         }
         let mut there = self.rest.clone();
         let outliers = self.explanation.outliers.clone();
-        let kept = (self.rest.clone(), self.censored.clone());
+        let kept = (self.rest.clone(), self.censored.clone(), self.mean);
         self.fit_means_but(false);
         let own = std::mem::replace(&mut self.rest, kept.0);
-        self.censored = kept.1;
+        (self.censored, self.mean) = (kept.1, kept.2);
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
             for t in self.spoilt(loud) {
                 if outliers.binary_search(&t).is_err() {
@@ -340,7 +343,7 @@ impl<'a> Series<'a> {
             let inside: Vec<usize> = self.spoilt(loud).collect();
             fill_in(&mut rest, &inside, white, self.setting.owner);
         }
-        self.rest = rest;
+        (self.rest, self.mean) = (rest, 0.0);
         self.guess_censored(white);
         self.centre();
     }
@@ -348,6 +351,7 @@ impl<'a> Series<'a> {
     /// Takes the mean off the rest, and off the limits in it.
     pub(super) fn centre(&mut self) {
         let mean = self.rest.iter().sum::<f64>() / self.len().max(1) as f64;
+        self.mean += mean;
         self.rest.iter_mut().for_each(|value| *value -= mean);
         self.censored.iter_mut().for_each(|of| of.bound -= mean);
     }
