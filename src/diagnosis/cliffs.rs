@@ -192,3 +192,49 @@ fn a_corrected_model_of_limits_and_steps_stands_at_the_records_level() {
     }
     wrong.none();
 }
+/// The amplitude of a sine in a channel's values.
+fn amplitude_of(real: &Recording, channel: Channel, frequency_hz: f64) -> f64 {
+    let values = real.values(channel).unwrap();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let (mut cosine, mut sine) = (0.0, 0.0);
+    for (t, value) in values.iter().enumerate() {
+        let (s, c) = (std::f64::consts::TAU * frequency_hz * t as f64 / RATE_HZ).sin_cos();
+        (cosine, sine) = (cosine + c * (value - mean), sine + s * (value - mean));
+    }
+    2.0 * f64::hypot(cosine, sine) / values.len() as f64
+}
+
+/// The model has a tone in front of the filters, the record behind them: whichever of the two states the filter.
+#[test]
+fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
+    let mut wrong = Wrong::default();
+    for (filter, frequency_hz, amplitude) in [
+        (json!({"effect": "low_pass", "cutoff_hz": 3.0, "order": 1}), 6.03, 0.0146),
+        (json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 2}), 9.37, 0.02),
+        (json!({"effect": "moving_average", "window": 5}), 5.43, 0.02),
+    ] {
+        for (known, seed) in [(false, 71), (true, 72), (false, 73)] {
+            let sim = if known { model(Some(&filter)) } else { model(None) };
+            let mut truth = model(Some(&filter));
+            let of = truth.channels.get_mut(&Channel::AccelX).unwrap();
+            of.effects.push(std::sync::Arc::new(crate::effects::Tone { frequency_hz, amplitude }));
+            let real = recording(&truth, seed, 65_536);
+            let found = diagnosed(&real, &sim);
+            let tone = found.diagnosis.causes.iter().find(|cause| cause.effect == "tone");
+            let own = tone.filter(|tone| list(tone, "accel_x").len() == 1);
+            let ends = own.map(|tone| tone.uncertainty["accel_x"][0]["amplitude"].clone());
+            let [low, high] = [0, 1].map(|end| ends.as_ref().and_then(|ends| ends[end].as_f64()).unwrap_or(f64::NAN));
+            // Three standard errors, of several cases.
+            let holds = (0.5 * (low + high) - amplitude).abs() < 0.77 * (high - low);
+            let again = recording(&found.augmented, seed + 100, 65_536);
+            let [seen, shown] = [&real, &again].map(|of| amplitude_of(of, Channel::AccelX, frequency_hz));
+            let same = (shown / seen - 1.0).abs() < 0.05;
+            wrong.expect(holds && same, || {
+                let names = names(&found);
+                let own = tone.map(|tone| list(tone, "accel_x"));
+                format!("{filter} {known}: {amplitude} in {low:.5}–{high:.5}, {seen:.5} {shown:.5} {names:?} {own:?}")
+            });
+        }
+    }
+    wrong.none();
+}

@@ -31,7 +31,7 @@ pub(super) struct Named {
 pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
     let mut named: Vec<Named> = Vec::new();
     for of in &found.channels {
-        named.extend(of_channel(of, found, sim.rate_hz));
+        named.extend(of_channel(of, found, sim));
         named.extend(of_facts(of));
     }
     named.extend(of_repeats(found, sim));
@@ -45,13 +45,14 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 }
 
 /// What the search found on a channel.
-fn of_channel(of: &Findings, found: &Found, rate_hz: f64) -> Vec<Named> {
+fn of_channel(of: &Findings, found: &Found, sim: &SensorModel) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
-        rate_hz,
+        rate_hz: sim.rate_hz,
         samples: found.samples,
         temperature_c: found.temperature_c,
         average_variance: of.average_variance,
+        sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);
     let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);

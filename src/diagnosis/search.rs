@@ -61,7 +61,10 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         let kind = step.kind;
         steps.push(step);
         match kind {
-            Kind::Tone => more_tones(series, prices, &mut steps),
+            Kind::Tone => {
+                other_filter(series, prices, &mut steps);
+                more_tones(series, prices, &mut steps);
+            }
             Kind::BiasStep => leave_rises_out(series),
             _ => {}
         }
@@ -69,6 +72,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     other_filter(series, prices, &mut steps);
     one_slope(series, prices, &mut steps);
     take_back(series, prices, &mut steps);
+    weak_tones(series, prices, &mut steps, start.sines.len());
     samples_again(series, prices, &mut steps, &start);
     believe_again(series);
     steps
@@ -178,6 +182,25 @@ fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     }
 }
 
+/// Takes back tones that were chance's under a law that did not know a filter yet; `known`: the model's own.
+fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, known: usize) {
+    let worth = |series: &Series<'_>, at: usize| {
+        let sine = &series.explanation.sines[at];
+        let place = ((2.0 * series.len() as f64 * sine.cycles) as usize).clamp(1, series.len() - 1);
+        0.25 * series.len() as f64 * sine.amplitude().powi(2) / series.spectrum[place]
+    };
+    loop {
+        let own = known..series.explanation.sines.len();
+        let weakest = own.map(|at| (worth(series, at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, at)) = weakest.filter(|(worth, _)| *worth < prices.of(Kind::Tone)) else { return };
+        series.explanation.sines.remove(at);
+        let tones = steps.iter().enumerate().filter(|(_, step)| step.kind == Kind::Tone);
+        let step = tones.min_by(|a, b| a.1.gain.total_cmp(&b.1.gain)).map(|(step, _)| step);
+        step.into_iter().for_each(|step| drop(steps.remove(step)));
+        series.rebuild(false);
+    }
+}
+
 fn kind_of(shape: Shape) -> Kind {
     match shape {
         Shape::QuantizationNoise => Kind::QuantizationNoise,
@@ -189,7 +212,7 @@ fn kind_of(shape: Shape) -> Kind {
     }
 }
 
-/// Chosen before all else was known, a filter may be of the other kind: what is in front of it shapes the spectrum too.
+/// Chosen before all else was known, a filter may be of the other kind or order: what is in front of it shapes the spectrum too.
 fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
@@ -207,13 +230,17 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     series.rebuild(false);
     let both = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
     let candidates: Vec<Candidate> = both.into_iter().flatten().collect();
-    *series = kept;
-    let Some(step) = choose(&candidates, prices).filter(|step| step.kind != steps[at].kind) else { return };
-    if let Some(best) = candidates.into_iter().find(|candidate| candidate.kind == step.kind) {
+    let step = choose(&candidates, prices);
+    let best = step.as_ref().and_then(|step| candidates.into_iter().find(|candidate| candidate.kind == step.kind));
+    if let Some((step, best)) = step.zip(best) {
         series.explanation = best.explanation;
         series.rebuild(false);
-        steps[at] = step;
+        if step.kind != steps[at].kind || series.fitted.log_posterior > kept.fitted.log_posterior {
+            steps[at] = step;
+            return;
+        }
     }
+    *series = kept;
 }
 
 /// Several processes and filters that were named one after the other may be one density that is none of the library's: where

@@ -8,8 +8,10 @@ use super::prepare::Prepared;
 use super::spread::Spread;
 use crate::effects::{
     BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, QuantizationNoise, RateRamp,
-    Resonance, Spikes, TemperatureBias, Tone, VarianceChange, WarmUp,
+    Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
 };
+use crate::simulator::{ChannelModel, SensorModel, Spectrum};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// What is needed besides the explanation.
@@ -25,6 +27,25 @@ pub struct Units<'a> {
     pub temperature_c: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub average_variance: f64,
+    /// The model.
+    pub sim: &'a SensorModel,
+}
+
+impl Units<'_> {
+    /// What is left of a line's amplitude behind all filters, the model's own and `further` ones, as the simulator has them.
+    fn passed(&self, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
+        /// Of a line of which less is left its amplitude in front of the filters is anyone's guess.
+        const LEAST: f64 = 1e-4;
+        let channel = self.prepared.channel;
+        let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+        let filters = own.iter().chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
+        let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
+        let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
+        let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..self.sim.clone() };
+        let record = Record { rate_hz: self.rate_hz, samples: self.samples as u64 };
+        let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
+        (2.0 * power).sqrt().max(LEAST)
+    }
 }
 
 /// An effect in the channel's unit.
@@ -56,7 +77,7 @@ fn times(value: f64, error: f64) -> [f64; 2] {
 /// The effects of an explanation; those that the model has already are left out.
 #[must_use]
 pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, rate_hz, samples, temperature_c, average_variance } = units;
+    let Units { prepared, rate_hz, samples, temperature_c, average_variance, .. } = units;
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
     let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
@@ -93,16 +114,33 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
             }
         }
     }
+    let white = (0.5 * explanation.law.levels[0]).exp() * scale;
+    let terms = explanation.law.terms.iter().zip(&spread.terms);
+    let spectral: Vec<Spectral> = terms.filter_map(|(term, errors)| spectral(term, errors, scale, white)).collect();
+    let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
+    // The same a standard error off.
+    let off = |(term, errors): (&Term, &Vec<f64>)| {
+        let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
+        self::spectral(&Term { shape: term.shape, numbers }, errors, scale, white).map(|(_, effect, _)| effect)
+    };
+    let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
     let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
     let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
     let lines: Vec<LineFound> = own
         .iter()
         .zip(errors)
-        .map(|(sine, (frequency, amplitude))| LineFound {
-            frequency_hz: sine.cycles * rate_hz,
-            amplitude: scale * sine.amplitude(),
-            frequency_error_hz: frequency * rate_hz,
-            amplitude_error: amplitude * scale,
+        .map(|(sine, (frequency, amplitude))| {
+            // The record has it behind the filters, the model in front of them.
+            let frequency_hz = sine.cycles * rate_hz;
+            let gain = units.passed(&filters, frequency_hz);
+            let gain_error = (units.passed(&filters_off, frequency_hz) / gain).ln();
+            let (scale, seen) = (scale / gain, sine.amplitude());
+            LineFound {
+                frequency_hz,
+                amplitude: scale * seen,
+                frequency_error_hz: frequency * rate_hz,
+                amplitude_error: scale * amplitude.hypot(seen * gain_error),
+            }
         })
         .collect();
     let (combs, tones) = combs(&lines, rate_hz / samples as f64);
@@ -118,11 +156,8 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         ];
         add(Kind::Tone, Arc::new(effect), ci95);
     }
-    for (term, errors) in explanation.law.terms.iter().zip(&spread.terms) {
-        let white = (0.5 * explanation.law.levels[0]).exp() * scale;
-        if let Some((kind, effect, ci95)) = spectral(term, errors, scale, white) {
-            add(kind, effect, ci95);
-        }
+    for (kind, effect, ci95) in spectral {
+        add(kind, effect, ci95);
     }
     if let Some(degrees) = explanation.tails
         && !prepared.has.contains(&"heavy_tails")
