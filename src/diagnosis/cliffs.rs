@@ -238,3 +238,48 @@ fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
     }
     wrong.none();
 }
+
+/// An air conditioner's cycle has a few periods in a record of half an hour.
+#[test]
+fn a_tone_of_a_few_periods_is_a_tone() {
+    let mut wrong = Wrong::default();
+    for (periods, amplitude) in [(3.4, 0.003), (5.3, 0.003), (10.3, 0.0025), (5.3, 0.03)] {
+        for seed in 101..103 {
+            let length_s = 65_536.0 / RATE_HZ;
+            let frequency_hz = periods / length_s;
+            let tone = json!({"effect": "tone", "frequency_hz": frequency_hz, "amplitude": amplitude});
+            let found = diagnosed(&recording(&model(Some(&tone)), seed, 65_536), &model(None));
+            let cause = found.diagnosis.causes.first().filter(|cause| cause.effect == "tone");
+            let near = |channel: &str| {
+                let of = cause.map_or(Vec::new(), |cause| list(cause, channel));
+                let number = |name: &str| of.first().and_then(|of| of[name].as_f64()).unwrap_or(f64::NAN);
+                of.len() == 1
+                    && (number("frequency_hz") * length_s - periods).abs() < 0.3
+                    && (number("amplitude") / amplitude - 1.0).abs() < 0.4
+            };
+            let right = names(&found) == ["tone"] && ["accel_x", "accel_z"].into_iter().all(near);
+            wrong.expect(right, || {
+                let of = cause.map(|cause| cause.parameters.clone());
+                format!("{periods} of {amplitude}, seed {seed}: {:?} {of:?}", names(&found))
+            });
+        }
+    }
+    wrong.none();
+}
+
+/// Slow noise has no periods, whatever the model says of it.
+#[test]
+fn slow_noise_alone_is_no_slow_tone() {
+    let mut wrong = Wrong::default();
+    for (b, k, off) in [(4e-4, 1e-3, 1.0), (2e-3, 1e-4, 1.0), (1e-3, 1e-3, 0.1), (4e-4, 1e-3, 0.6)] {
+        let mut truth = model(None);
+        truth.channels.values_mut().for_each(|of| (of.b, of.k) = (b, k));
+        let mut sim = truth.clone();
+        sim.channels.values_mut().for_each(|of| (of.b, of.k) = (off * b, off * k));
+        for seed in 111..117 {
+            let found = diagnosed(&recording(&truth, seed, 32_768), &sim);
+            wrong.expect(names(&found).is_empty(), || format!("{b} {k} {off}, seed {seed}: {:?}", names(&found)));
+        }
+    }
+    wrong.none();
+}

@@ -163,6 +163,28 @@ impl Courses {
         found
     }
 
+    /// The first coefficients of a cosine and a sine of so many cycles per sample (not a whole multiple of half a cycle).
+    #[must_use]
+    pub fn turning(&self, cycles: f64) -> [Vec<f64>; 2] {
+        let n = self.samples as f64;
+        let turn = std::f64::consts::TAU * cycles;
+        // Σ cos and Σ sin of a·t + b over the record.
+        let sums = |a: f64, b: f64| {
+            let half = 0.5 * a;
+            let ratio = if half.sin().abs() < 1e-12 { n } else { (n * half).sin() / half.sin() };
+            let (sine, cosine) = ((n - 1.0) * half + b).sin_cos();
+            [ratio * cosine, ratio * sine]
+        };
+        let of = |k: usize| {
+            let step = PI * k as f64 / n;
+            let [above, below] = [sums(turn + step, 0.5 * step), sums(turn - step, -0.5 * step)];
+            let scale = if k == 0 { 0.0 } else { (2.0 / n).sqrt() };
+            [0, 1].map(|part| 0.5 * scale * (above[part] + below[part]))
+        };
+        let both: Vec<[f64; 2]> = (0..self.kept).map(of).collect();
+        [0, 1].map(|part| both.iter().map(|of| of[part]).collect())
+    }
+
     /// Adds `factor` times a course to values.
     pub fn add(&self, course: Course, factor: f64, values: &mut [f64]) {
         match course {
@@ -192,6 +214,7 @@ fn ramp(t: usize, samples: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::explanation::turning;
     use super::*;
 
     #[test]
@@ -214,6 +237,16 @@ mod tests {
                 transform.forward(&mut values);
                 for (k, (found, expected)) in courses.coefficients(course).iter().zip(&values).enumerate().skip(1) {
                     assert!((2.0 * found - expected).abs() < 1e-9, "{course:?} n {n} k {k}: {found} {expected}");
+                }
+            }
+            for cycles in [0.3 / n as f64, 3.37 / n as f64, 0.21] {
+                let mut values = [vec![0.0; n], vec![0.0; n]];
+                turning(cycles, n, |t, cosine, sine| (values[0][t], values[1][t]) = (cosine, sine));
+                for (expected, found) in values.iter_mut().zip(courses.turning(cycles)) {
+                    transform.forward(expected);
+                    for (k, (found, expected)) in found.iter().zip(&*expected).enumerate().skip(1) {
+                        assert!((found - expected).abs() < 1e-9, "{cycles} n {n} k {k}: {found} {expected}");
+                    }
                 }
             }
         }

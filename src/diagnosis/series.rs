@@ -266,10 +266,39 @@ impl<'a> Series<'a> {
         (0..blocks).map(of).collect()
     }
 
+    /// Whether a sine has so few periods in the record that it is none behind the whitening: its ends count.
+    pub(super) fn is_slow(&self, cycles: f64) -> bool {
+        const PERIODS: f64 = 64.0;
+        cycles * (self.len() as f64) < PERIODS
+    }
+
+    /// Twice the gain in nats of a slow sine at the present law, and the factors of its cosine and sine.
+    pub(super) fn turn(&self, cycles: f64) -> (f64, [f64; 2]) {
+        let columns = self.setting.courses.turning(cycles);
+        let product = |a: &[f64], b: &[f64]| -> f64 {
+            a.iter().zip(b).zip(&self.spectrum).skip(1).map(|((a, b), s)| a * b / s).sum()
+        };
+        let [cosine, sine] = &columns;
+        let (aa, ab, bb) = (product(cosine, cosine), product(cosine, sine), product(sine, sine));
+        let (a, b) = (product(cosine, &self.coefficients), product(sine, &self.coefficients));
+        let determinant = aa * bb - ab * ab;
+        if determinant.is_nan() || determinant <= 1e-9 * aa * bb {
+            return (0.0, [0.0; 2]);
+        }
+        let factors = [(bb * a - ab * b) / determinant, (aa * b - ab * a) / determinant];
+        (a * factors[0] + b * factors[1], factors)
+    }
+
     fn refine_sines(&mut self) {
         let n = self.len();
         for index in 0..self.explanation.sines.len() {
             let cycles = self.explanation.sines[index].cycles;
+            if self.is_slow(cycles) {
+                let (_, [cosine, sine]) = self.turn(cycles);
+                let own = &mut self.explanation.sines[index].quadratures;
+                (own[0], own[1]) = (own[0] + cosine, own[1] + sine);
+                continue;
+            }
             let mut sums = [0.0; 2];
             turning(cycles, n, |t, cosine, sine| {
                 sums[0] += self.residual[t] * cosine;
@@ -479,8 +508,14 @@ impl<'a> Series<'a> {
     /// The gain in nats, the factors, their covariance and the law where courses are added to the level.
     #[must_use]
     pub fn with_courses(&self, courses: &[Course]) -> Drift {
-        const ROUNDS: usize = 4;
         let columns: Vec<Vec<f64>> = courses.iter().map(|course| self.setting.courses.coefficients(*course)).collect();
+        self.with_columns(&columns)
+    }
+
+    /// The same of courses of which the first coefficients are given.
+    #[must_use]
+    pub fn with_columns(&self, columns: &[Vec<f64>]) -> Drift {
+        const ROUNDS: usize = 4;
         let kept = columns.first().map_or(0, Vec::len).min(self.len());
         let count = columns.len();
         let mut spectrum: Vec<f64> = self.spectrum[..kept].to_vec();

@@ -7,8 +7,8 @@ use crate::diagnosis::law::{Data, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
 
-/// Sines are looked for from this many periods in the record up.
-const LEAST_PERIODS: f64 = 12.0;
+/// Sines are looked for from this many periods in the record up: of fewer no one can tell that they come again.
+const LEAST_PERIODS: f64 = 3.0;
 
 /// The strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in cycles per sample.
 fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
@@ -33,11 +33,10 @@ fn products(values: &[f64], cycles: f64) -> [f64; 2] {
     sums
 }
 
-/// The frequency near `cycles` with the greatest power.
-fn peak(values: &[f64], cycles: f64) -> f64 {
-    let power = |cycles: f64| products(values, cycles).iter().map(|sum| sum * sum).sum::<f64>();
+/// The frequency near `cycles` with the greatest power, in a record of so many samples.
+fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
     let mut best = (power(cycles), cycles);
-    let mut width = 0.15 / values.len() as f64;
+    let mut width = 0.15 / samples as f64;
     for _ in 0..6 {
         let (left, right) = (power(best.1 - width), power(best.1 + width));
         let curvature = left - 2.0 * best.0 + right;
@@ -64,7 +63,14 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     if power < (n as f64).ln() + 1.0 {
         return Some(Candidate { kind: Kind::Tone, gain: power, explanation });
     }
-    let cycles = peak(&series.residual, cycles);
+    if series.is_slow(cycles) {
+        let cycles = peak(n, cycles, |cycles| series.turn(cycles).0);
+        let drift = series.with_columns(&series.setting().courses.turning(cycles));
+        explanation.sines.push(Sine { cycles, quadratures: [drift.factors[0], drift.factors[1]] });
+        explanation.law = drift.law;
+        return Some(Candidate { kind: Kind::Tone, gain: drift.gain, explanation });
+    }
+    let cycles = peak(n, cycles, |cycles| products(&series.residual, cycles).iter().map(|sum| sum * sum).sum());
     let spectrum = {
         let k = 2.0 * n as f64 * cycles;
         let below = (k as usize).clamp(1, n - 1);
