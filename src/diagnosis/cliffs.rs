@@ -267,6 +267,20 @@ fn a_tone_of_a_few_periods_is_a_tone() {
     wrong.none();
 }
 
+/// What goes up and down with each sample is the fastest tone there is.
+#[test]
+fn a_pattern_of_odd_and_even_samples_is_a_tone() {
+    for seed in 105..107 {
+        let mut real = recording(&model(None), seed, 40_000);
+        let up_and_down = real.channels[0].1.iter_mut().enumerate();
+        up_and_down.for_each(|(t, value)| *value += if t % 2 == 0 { 0.004 } else { -0.004 });
+        let found = diagnosed(&real, &model(None));
+        assert_eq!((names(&found), found.diagnosis.verdict), (vec!["tone"], Verdict::Effects));
+        let of = &found.diagnosis.causes[0].parameters["accel_x"];
+        assert!((of["amplitude"].as_f64().unwrap() / 0.004 - 1.0).abs() < 0.08, "{of}");
+    }
+}
+
 /// Slow noise has no periods, whatever the model says of it.
 #[test]
 fn slow_noise_alone_is_no_slow_tone() {

@@ -26,6 +26,17 @@ impl Sine {
     }
 }
 
+/// Whether a sine goes up and down from sample to sample as far as a record can tell: it has no phase then.
+pub(super) fn alternates(cycles: f64, samples: usize) -> bool {
+    const NEAR: f64 = 0.25;
+    (0.5 - cycles) * (samples as f64) < NEAR
+}
+
+/// What a sum of products with a cosine or a sine is to be multiplied by for their factor.
+pub(super) fn per_product(cycles: f64, samples: usize) -> f64 {
+    if alternates(cycles, samples) { 1.0 / samples as f64 } else { 2.0 / samples as f64 }
+}
+
 /// Calls with cosine and sine of 2π·cycles·t for each t; a rotation that is set anew often enough to be exact.
 pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f64, f64)) {
     const RUN: usize = 256;

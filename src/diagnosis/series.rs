@@ -2,7 +2,7 @@
 
 use super::censored::{self, Censored};
 use super::course::{Course, Courses};
-use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, profile, turning};
+use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, per_product, profile, turning};
 use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Beliefs, Data, Fitted, Law, Shape, Term};
@@ -305,7 +305,7 @@ impl<'a> Series<'a> {
                 sums[1] += self.residual[t] * sine;
             });
             let at = ((2.0 * n as f64 * cycles) as usize).clamp(1, n - 1);
-            let scale = 2.0 / n as f64 * self.spectrum[at].sqrt();
+            let scale = per_product(cycles, n) * self.spectrum[at].sqrt();
             let own = &mut self.explanation.sines[index].quadratures;
             own[0] += scale * sums[0];
             own[1] += scale * sums[1];

@@ -74,6 +74,9 @@ fn times(value: f64, error: f64) -> [f64; 2] {
     [value / factor, value * factor]
 }
 
+/// A model's tone is below half the rate, in parts of which it is told; so near to it no record tells the difference.
+const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
+
 /// The effects of an explanation; those that the model has already are left out.
 #[must_use]
 pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
@@ -131,7 +134,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         .zip(errors)
         .map(|(sine, (frequency, amplitude))| {
             // The record has it behind the filters, the model in front of them.
-            let frequency_hz = sine.cycles * rate_hz;
+            let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
             let gain = units.passed(&filters, frequency_hz);
             let gain_error = (units.passed(&filters_off, frequency_hz) / gain).ln();
             let (scale, seen) = (scale / gain, sine.amplitude());

@@ -1,7 +1,7 @@
 //! Lines: sines, and bands of noise that are narrow.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::explanation::{Sine, turning};
+use crate::diagnosis::explanation::{Sine, alternates, per_product, turning};
 use crate::diagnosis::grid::{Grid, Narrow};
 use crate::diagnosis::law::{Data, Law, Shape, Term};
 use crate::diagnosis::series::Series;
@@ -14,8 +14,12 @@ const LEAST_PERIODS: f64 = 3.0;
 fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
     let n = periodogram.len().checked_sub(1)?;
     let from = (2.0 * LEAST_PERIODS) as usize;
-    let power = |k: usize| periodogram[k];
-    let k = (from..n.saturating_sub(2)).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+    // At half the rate there is no sine beside the cosine.
+    let power = |k: usize| if k == n { 0.5 * periodogram[k] } else { periodogram[k] };
+    let k = (from..=n).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+    if k == n {
+        return Some((power(k), 0.5));
+    }
     // A parabola through ln of the power, then its top.
     let (left, middle, right) = (power(k - 1).ln(), power(k).ln(), power(k + 1).ln());
     let curvature = left - 2.0 * middle + right;
@@ -70,7 +74,9 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
         explanation.law = drift.law;
         return Some(Candidate { kind: Kind::Tone, gain: drift.gain, explanation });
     }
-    let cycles = peak(n, cycles, |cycles| products(&series.residual, cycles).iter().map(|sum| sum * sum).sum());
+    let power = |cycles: f64| products(&series.residual, cycles).iter().map(|sum| sum * sum).sum();
+    let cycles = if cycles < 0.5 { peak(n, cycles, power) } else { cycles };
+    let cycles = if alternates(cycles, n) { 0.5 } else { cycles };
     let spectrum = {
         let k = 2.0 * n as f64 * cycles;
         let below = (k as usize).clamp(1, n - 1);
@@ -78,7 +84,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     };
     // In the whitened series a sine is one of 1/√S.
     let mut rest = series.rest.clone();
-    let quadratures = products(&series.residual, cycles).map(|sum| 2.0 * sum / n as f64 * spectrum.sqrt());
+    let quadratures = products(&series.residual, cycles).map(|sum| per_product(cycles, n) * sum * spectrum.sqrt());
     let sine = Sine { cycles, quadratures };
     turning(cycles, n, |t, cosine, sine| rest[t] -= quadratures[0] * cosine + quadratures[1] * sine);
     series.transform().forward(&mut rest);
