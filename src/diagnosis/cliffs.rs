@@ -192,6 +192,7 @@ fn a_corrected_model_of_limits_and_steps_stands_at_the_records_level() {
     }
     wrong.none();
 }
+
 /// The amplitude of a sine in a channel's values.
 fn amplitude_of(real: &Recording, channel: Channel, frequency_hz: f64) -> f64 {
     let values = real.values(channel).unwrap();
@@ -296,4 +297,23 @@ fn slow_noise_alone_is_no_slow_tone() {
         }
     }
     wrong.none();
+}
+
+/// Where a filter lets nothing pass no one can tell how large a tone was in front of it.
+#[test]
+fn a_tone_that_a_filter_hardly_lets_pass_has_no_interval() {
+    let filter = json!({"effect": "moving_average", "window": 4});
+    let mut real = recording(&model(Some(&filter)), 121, 40_000);
+    // It comes in behind the filter, at the filter's own zero.
+    for (t, value) in real.channels[0].1.iter_mut().enumerate() {
+        *value += 0.003 * (std::f64::consts::TAU * 0.25 * t as f64 + 0.3).sin();
+    }
+    let found = diagnosed(&real, &model(Some(&filter))).diagnosis;
+    let tone = found.causes.iter().find(|cause| cause.effect == "tone").unwrap();
+    let near = |of: &Value| (of["frequency_hz"].as_f64().unwrap() - 10.0).abs() < 1e-4;
+    let own: Vec<usize> =
+        list(tone, "accel_x").iter().enumerate().filter(|(_, of)| near(of)).map(|(at, _)| at).collect();
+    let [own] = own[..] else { panic!("{tone:#?}") };
+    assert_eq!(tone.uncertainty["accel_x"][own].get("amplitude"), None, "{tone:#?}");
+    assert!(tone.uncertainty["accel_x"][own].get("frequency_hz").is_some());
 }

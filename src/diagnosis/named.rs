@@ -48,7 +48,6 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 fn of_channel(of: &Findings, found: &Found, sim: &SensorModel) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
-        rate_hz: sim.rate_hz,
         samples: found.samples,
         temperature_c: found.temperature_c,
         average_variance: of.average_variance,

@@ -19,32 +19,28 @@ use std::sync::Arc;
 pub struct Units<'a> {
     /// The channel.
     pub prepared: &'a Prepared,
-    /// Samples per second.
-    pub rate_hz: f64,
     /// Samples.
     pub samples: usize,
     /// Mean temperature, °C.
     pub temperature_c: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub average_variance: f64,
-    /// The model.
+    /// The model, and the rate of what it sends.
     pub sim: &'a SensorModel,
 }
 
 impl Units<'_> {
     /// What is left of a line's amplitude behind all filters, the model's own and `further` ones, as the simulator has them.
     fn passed(&self, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
-        /// Of a line of which less is left its amplitude in front of the filters is anyone's guess.
-        const LEAST: f64 = 1e-4;
         let channel = self.prepared.channel;
         let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
         let filters = own.iter().chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
         let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
         let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
         let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..self.sim.clone() };
-        let record = Record { rate_hz: self.rate_hz, samples: self.samples as u64 };
+        let record = Record { rate_hz: self.sim.rate_hz, samples: self.samples as u64 };
         let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
-        (2.0 * power).sqrt().max(LEAST)
+        (2.0 * power).sqrt().max(LEAST_PASSED)
     }
 }
 
@@ -74,13 +70,16 @@ fn times(value: f64, error: f64) -> [f64; 2] {
     [value / factor, value * factor]
 }
 
-/// A model's tone is below half the rate, in parts of which it is told; so near to it no record tells the difference.
+/// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
+const LEAST_PASSED: f64 = 1e-4;
+/// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the difference.
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// The effects of an explanation; those that the model has already are left out.
 #[must_use]
 pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, rate_hz, samples, temperature_c, average_variance, .. } = units;
+    let Units { prepared, samples, temperature_c, average_variance, sim } = units;
+    let rate_hz = sim.rate_hz;
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
     let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
@@ -136,7 +135,9 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
             // The record has it behind the filters, the model in front of them.
             let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
             let gain = units.passed(&filters, frequency_hz);
-            let gain_error = (units.passed(&filters_off, frequency_hz) / gain).ln();
+            let is_known = gain > LEAST_PASSED;
+            let off = units.passed(&filters_off, frequency_hz);
+            let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
             let (scale, seen) = (scale / gain, sine.amplitude());
             LineFound {
                 frequency_hz,
