@@ -117,7 +117,7 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
         let mut drift = with_steps(series, &with);
         drift.gain = drift.gain.max(0.0);
         let last = best.as_ref().map_or(0.0, |best| best.gain + FURTHER);
-        // A single one that is nothing is said as it is.
+        // The gain of a single step counts even if it is nothing: calibration measures it.
         if best.is_some() && drift.gain < last {
             break;
         }
