@@ -3,7 +3,7 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
-use crate::diagnosis::report::{Cause, Driver, Place};
+use crate::diagnosis::report::{Cause, Driver, Place, Sense};
 use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference, Verdict};
 use crate::jobs::{TwoThreads, gridded};
 use crate::motion::file::Rows;
@@ -12,6 +12,7 @@ use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Write as _};
 use std::path::Path;
@@ -112,11 +113,17 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         writeln!(out, "closed: {:.1} % ({:.1} to {:.1} %)", 100.0 * closed, 100.0 * low, 100.0 * high)?;
     }
     if !of.causes.is_empty() {
-        let mut rows = table(&["what the model lacks", "on", "parameters", "sure", "closes"]);
+        let mut rows = table(&["effect", "on", "parameters", "sure", "closes"]);
         for cause in &of.causes {
             let closes = cause.closes.map_or_else(|| "–".to_owned(), |part| format!("{:.0} %", 100.0 * part));
             let sure = format!("{:.0} %", (100.0 * cause.confidence).floor());
-            rows.add_row([cause.effect.to_owned(), cause.channels.join("\n"), parameters(cause), sure, closes]);
+            let (who, of) = match cause.sense {
+                Sense::Missing => ("the model lacks it", &cause.parameters),
+                Sense::Superfluous => ("the sensor lacks it", &cause.model),
+                Sense::Size => ("the model has it otherwise", &cause.parameters),
+            };
+            let effect = format!("{}\n{who}", cause.effect);
+            rows.add_row([effect, cause.channels.join("\n"), parameters(cause, of), sure, closes]);
         }
         writeln!(out, "\n{rows}")?;
     }
@@ -174,8 +181,8 @@ fn driver(at: &Driver) -> String {
     }
 }
 
-/// The parameters of a cause, channel by channel as the rows of its cell.
-fn parameters(cause: &Cause) -> String {
+/// The parameters of a cause that the sensor or the model has, channel by channel as the rows of its cell.
+fn parameters(cause: &Cause, all: &BTreeMap<String, Value>) -> String {
     const LONGEST: usize = 40;
     let number = |value: &Value| value.as_f64().map_or_else(|| value.to_string(), |value| format!("{value:.4e}"));
     let one = |of: &Value| {
@@ -195,8 +202,7 @@ fn parameters(cause: &Cause) -> String {
         other => one(other),
     };
     // In the order of the channels' column.
-    let of_triad = cause.triad.and_then(|triad| cause.parameters.get(triad)).into_iter();
-    let rows =
-        cause.channels.iter().filter_map(|channel| cause.parameters.get(channel)).chain(of_triad).map(of_channel);
+    let of_triad = cause.triad.and_then(|triad| all.get(triad)).into_iter();
+    let rows = cause.channels.iter().filter_map(|channel| all.get(channel)).chain(of_triad).map(of_channel);
     rows.collect::<Vec<_>>().join("\n")
 }

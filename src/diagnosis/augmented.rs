@@ -3,9 +3,11 @@
 use super::course::Course;
 use super::diagnose::{Findings, Found};
 use super::named::Named;
+use super::report::Sense;
 use super::shared::Shared;
 use crate::effects::{CommonMode, Stage};
 use crate::simulator::SensorModel;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Standard error of ln of a level, with no belief about it.
@@ -34,7 +36,8 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 channel.set_interval(parameter, [value / factor, value * factor]);
             }
         }
-        for one in named.iter().filter(|one| one.channel == of.prepared.channel) {
+        let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
+        for one in own().filter(|one| one.sense != Sense::Superfluous) {
             if one.effect.name() == "common_mode" {
                 // The first of all channels have one source, the second another: earlier sources are not this channel's.
                 let with = |shared: &Shared| {
@@ -57,6 +60,9 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 }
             }
         }
+        // What is not as the model has it; the last first, so that places stay.
+        let gone: BTreeSet<usize> = own().filter_map(|one| Some(one.declared.as_ref()?.0)).collect();
+        gone.into_iter().rev().for_each(|place| drop(channel.remove_effect(place)));
         // Limits and the values that are sent lie where they do, and what shifts the level shifts it from somewhere.
         let stages = || channel.effects.iter().map(|effect| effect.stage());
         let limited = stages().any(|stage| stage == Stage::Saturation);

@@ -12,7 +12,7 @@ use super::series::Series;
 use crate::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
 use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
 
 /// Records that a calibration makes.
@@ -101,7 +101,8 @@ impl Nulls {
         let mut found = Chance::default();
         let mut residuals: Vec<Vec<f64>> = Vec::new();
         for prepared in &ready.channels {
-            let base = |grid: &super::grid::Grid| prepare::base_of(&model, prepared, grid);
+            let base =
+                |grid: &super::grid::Grid, without: &BTreeSet<usize>| prepare::base_of(&model, prepared, grid, without);
             let setting = ready.setting(prepared, &base);
             let start = Explanation::noise(prepared.declared.clone());
             let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), start);

@@ -12,12 +12,14 @@ use super::pairs;
 use super::places::places;
 use super::prepare::Prepared;
 use super::recording::Recording;
-use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Verdict};
+use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Sense, Verdict};
 use super::search::Step;
+use crate::effects::Effect;
 use crate::sample::Channel;
 use crate::simulator::{SensorModel, plateau};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// A statistic that is this rare in noise alone, all of them counted, is no chance.
 const REMAINS: f64 = 0.005;
@@ -240,22 +242,34 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
     off
 }
 
-/// The same effect on several channels is one cause.
+/// The parameters of effects by channel, a list where a channel has several.
+fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
+    let mut lists: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    for (channel, effect) in effects {
+        let entry: Map<String, Value> =
+            effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        lists.entry(channel.name().to_owned()).or_default().push(entry.into());
+    }
+    let alone = |(channel, mut list): (String, Vec<Value>)| {
+        let only = if list.len() == 1 { list.pop() } else { None };
+        (channel, only.unwrap_or(Value::Array(list)))
+    };
+    lists.into_iter().map(alone).collect()
+}
+
+/// The same effect in the same sense on several channels is one cause.
 fn causes(named: &[Named], remains: &BTreeSet<Channel>, total: f64, closed: Option<f64>) -> Vec<Cause> {
-    let mut groups: BTreeMap<&'static str, Vec<&Named>> = BTreeMap::new();
+    let mut groups: BTreeMap<(&'static str, Sense), Vec<&Named>> = BTreeMap::new();
     for of in named {
-        groups.entry(of.effect.name()).or_default().push(of);
+        groups.entry((of.effect.name(), of.sense)).or_default().push(of);
     }
     let mut causes: Vec<(f64, Cause)> = groups
         .into_iter()
-        .map(|(effect, group)| {
+        .map(|((effect, sense), group)| {
             let gain: f64 = group.iter().map(|of| of.gain).sum();
-            let mut parameters: BTreeMap<String, Vec<Value>> = BTreeMap::new();
-            for of in &group {
-                let entry: Map<String, Value> =
-                    of.effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
-                parameters.entry(of.channel.name().to_owned()).or_default().push(entry.into());
-            }
+            let sensors = group.iter().filter(|of| of.sense != Sense::Superfluous).map(|of| (of.channel, &of.effect));
+            let models = group.iter().filter_map(|of| Some((of.channel, &of.declared.as_ref()?.1)));
+            let channels: BTreeSet<&str> = group.iter().map(|of| of.channel.name()).collect();
             let mut uncertainty: Map<String, Value> = Map::new();
             for of in group.iter().filter(|of| !of.ci95.is_empty()) {
                 let entry: Map<String, Value> =
@@ -265,11 +279,6 @@ fn causes(named: &[Named], remains: &BTreeSet<Channel>, total: f64, closed: Opti
                     list.push(entry.into());
                 }
             }
-            let channels = parameters.keys().cloned().collect();
-            let parameters = parameters.into_iter().map(|(channel, mut list)| {
-                let only = if list.len() == 1 { list.pop() } else { None };
-                (channel, only.unwrap_or(Value::Array(list)))
-            });
             let right = RIGHT[usize::from(group.iter().any(|of| remains.contains(&of.channel)))];
             let confidence = right * group.iter().map(|of| of.confidence).fold(0.0, f64::max);
             let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
@@ -277,11 +286,13 @@ fn causes(named: &[Named], remains: &BTreeSet<Channel>, total: f64, closed: Opti
             evidence.retain(|sentence| said.insert(sentence.clone()));
             let cause = Cause {
                 effect,
+                sense,
                 triad: None,
-                channels,
+                channels: channels.into_iter().map(str::to_owned).collect(),
                 confidence,
                 closes: closed.filter(|_| group.iter().all(|of| !is_fact(of))).map(|closed| closed * gain / total),
-                parameters: parameters.collect(),
+                parameters: parameters_of(sensors),
+                model: parameters_of(models),
                 uncertainty,
                 evidence,
             };

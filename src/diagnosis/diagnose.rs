@@ -1,8 +1,10 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
+use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::Kind;
 use super::explanation::Explanation;
+use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::Fitted;
 use super::motion::Residuals;
@@ -18,6 +20,7 @@ use super::spread::Spread;
 use super::tiles::Tiles;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
+use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
 /// Who does the work: several channels may be looked at at a time.
@@ -127,6 +130,8 @@ pub(super) struct Findings {
     pub(super) average_variance: f64,
     /// Standard errors of the explanation.
     pub(super) spread: Spread,
+    /// The model's lines as the channel has them.
+    pub(super) lines: Vec<MeasuredLine>,
 }
 
 /// What was found in a record.
@@ -197,7 +202,7 @@ fn explain(
     if !believed {
         prepared.beliefs = FREE;
     }
-    let base = |grid: &super::grid::Grid| prepare::base_of(sim, &prepared, grid);
+    let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
     let setting = ready.setting(&prepared, &base);
     let known = Explanation {
         sines: prepared.sines.clone(),
@@ -242,17 +247,28 @@ fn explain(
         fitted.log_likelihood - law.fit(data).log_likelihood
     });
     let after = Tiles::of(&series);
+    let lines = sim.channels.get(&prepared.channel).map(|model| declared::lines(&series, &prepared, model, prices));
+    let lines = lines.unwrap_or_default();
     let statistics = omnibus::statistics(&mut series);
+    // The model's lines have its amplitudes, but those that the channel has otherwise.
+    let mut known = known;
+    known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
+    known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
+    let mut found = series.explanation.clone();
+    for place in (0..lines.len()).filter(|place| !lines[*place].is_off) {
+        found.sines[place] = known.sines[place];
+    }
     let whole = Whole {
         samples: &prepared.samples,
         halves,
         base: &base,
+        declared: &prepared.spectral,
         beliefs: series.beliefs,
         rate_hz: ready.rate_hz,
         reach: prepared.reach,
         owner: prepared.channel as u32,
         known: &known,
-        found: &series.explanation,
+        found: &found,
     };
     let scores = holdout::scores(whole);
     debug_assert_eq!(scores.effects.len(), BLOCKS);
@@ -277,6 +293,7 @@ fn explain(
             scores,
             white,
             level,
+            lines,
         },
         whitened,
     )

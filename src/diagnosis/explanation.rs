@@ -3,6 +3,7 @@
 use super::course::Course;
 use super::law::{Law, Shape};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 /// A sine in a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,6 +19,11 @@ impl Sine {
     #[must_use]
     pub fn amplitude(&self) -> f64 {
         self.quadratures[0].hypot(self.quadratures[1])
+    }
+    /// Gives it another peak, at its phase.
+    pub(super) fn rescale(&mut self, peak: f64) {
+        let own = self.amplitude();
+        self.quadratures = if own > 0.0 { self.quadratures.map(|value| value * peak / own) } else { [peak, 0.0] };
     }
     /// Adds `factor` times the sine to values.
     pub(super) fn add(&self, factor: f64, values: &mut [f64]) {
@@ -104,6 +110,8 @@ pub enum Scedasticity {
 pub struct Explanation {
     /// The spectrum.
     pub law: Law,
+    /// The model's own effects of the spectrum that are not as it says: their places in its list.
+    pub without: BTreeSet<usize>,
     /// Courses of the level and their factors.
     pub courses: Vec<(Course, f64)>,
     /// Sines.
@@ -128,6 +136,8 @@ impl Explanation {
     pub fn adds_nothing_to(&self, other: &Self) -> bool {
         let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
         counts(self) == counts(other)
+            && self.without == other.without
+            && self.sines == other.sines
             && self.outliers == other.outliers
             && self.scedasticity == other.scedasticity
             && (self.tails.is_some(), self.spikes.is_some()) == (other.tails.is_some(), other.spikes.is_some())
@@ -168,6 +178,7 @@ impl Explanation {
     pub fn noise(law: Law) -> Self {
         Self {
             law,
+            without: BTreeSet::new(),
             courses: Vec::new(),
             sines: Vec::new(),
             outliers: Vec::new(),

@@ -2,9 +2,8 @@
 
 use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud};
-use super::grid::Grid;
-use super::law::{Base, Beliefs, Law};
-use super::series::{Series, Setting};
+use super::law::{Beliefs, Law, Term};
+use super::series::{BaseOf, Series, Setting};
 use super::transform::Cosines;
 use statrs::function::gamma::ln_gamma;
 
@@ -63,7 +62,9 @@ pub struct Whole<'a> {
     /// The halves.
     pub halves: &'a Halves,
     /// Spectra.
-    pub base: &'a (dyn Fn(&Grid) -> Base + Sync),
+    pub base: BaseOf<'a>,
+    /// The model's own effects of the spectrum.
+    pub declared: &'a [(usize, Term)],
     /// Beliefs.
     pub beliefs: Beliefs,
     /// Samples per second.
@@ -153,6 +154,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let setting = |half: usize| Setting {
         courses: &courses[half],
         base: whole.base,
+        declared: whole.declared,
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
         reach: whole.reach,
@@ -203,10 +205,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         }
     }
     for (sine, learned) in carried_over.sines.iter_mut().zip(&full.sines) {
-        let (own, known) = (sine.amplitude(), learned.amplitude());
-        if own > 0.0 {
-            sine.quadratures = sine.quadratures.map(|value| value * known / own);
-        }
+        sine.rescale(learned.amplitude());
     }
     // The white noise where nothing changes it is the same in both.
     carried_over.law.levels[0] -= quiet;

@@ -3,7 +3,7 @@
 //! Everything here is in the channel's own scale and per sample: power is U²·rate of a two-sided density, U a unit in which
 //! the white part is about 1.
 
-use super::grid::Grid;
+use super::grid::{Grid, Narrow};
 use crate::effects::{Effect, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
 use nalgebra::{DMatrix, DVector};
 
@@ -40,6 +40,46 @@ pub struct Term {
 }
 
 impl Term {
+    /// The term of a spectral effect of a model; none of what shapes no spectrum.
+    ///
+    /// `scale`: U per unit of the series; `white`: N of the channel, U/√Hz.
+    pub(super) fn of(effect: &dyn Effect, scale: f64, white: f64) -> Option<Self> {
+        let number = |name: &str| effect.number(name);
+        let level = |value: f64| 2.0 * (value / scale).max(f64::MIN_POSITIVE).ln();
+        let behind = || {
+            let share = number("white_behind").unwrap_or_default() / white.max(f64::MIN_POSITIVE);
+            (2.0 * share.max(f64::MIN_POSITIVE).ln()).clamp(FLOOR.0, FLOOR.1)
+        };
+        let whole = |name: &str| number(name).map(|value| value as u64);
+        let (shape, numbers) = match effect.name() {
+            "quantization_noise" => (Shape::QuantizationNoise, vec![level(number("Q")?)]),
+            "gauss_markov" => (Shape::GaussMarkov, vec![level(number("sigma")?), number("tc_s")?.ln()]),
+            "resonance" => {
+                let numbers = vec![level(number("sigma")?), number("frequency_hz")?, number("bandwidth_hz")?.ln()];
+                (Shape::Resonance, numbers)
+            }
+            "low_pass" => (Shape::LowPass(whole("order")?), vec![number("cutoff_hz")?.ln(), behind()]),
+            "moving_average" => (Shape::MovingAverage(whole("window")?), vec![behind()]),
+            _ => return None,
+        };
+        Some(Self { shape, numbers })
+    }
+
+    /// Where its spectrum is narrow.
+    pub(super) fn narrow(&self, rate_hz: f64) -> Vec<Narrow> {
+        const NOTCH: f64 = 1e-3;
+        match self.shape {
+            Shape::Resonance => vec![Narrow { frequency_hz: self.at(1), width_hz: self.at(2).exp() }],
+            // A boxcar's spectrum is narrow where it has none.
+            Shape::MovingAverage(window) => (1..=window / 2)
+                .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
+                .collect(),
+            // A Butterworth filter made by the bilinear transform has a zero of several orders at half the rate.
+            Shape::LowPass(_) => vec![Narrow { frequency_hz: 0.5 * rate_hz, width_hz: 0.1 * NOTCH * rate_hz }],
+            _ => Vec::new(),
+        }
+    }
+
     fn at(&self, index: usize) -> f64 {
         self.numbers.get(index).copied().unwrap_or_default()
     }
@@ -143,6 +183,8 @@ pub struct Base {
     pub known: Vec<f64>,
     /// What acts after everything, such as rounding.
     pub after: Vec<f64>,
+    /// The most that there may be behind the model's filters without its saying so, power per sample; 0 where it has none.
+    pub quiet_max: f64,
     /// Power gain of the model's own filters.
     pub gain: Vec<f64>,
     /// The same of those that are in the shapes already.
@@ -159,6 +201,9 @@ pub struct Law {
     pub levels: [f64; 3],
     /// Effects besides.
     pub terms: Vec<Term>,
+    /// Power per sample behind the model's filters that it does not state: numbers are rounded, and records end. No more than
+    /// [`Base::quiet_max`]. Each fit finds it.
+    pub quiet: f64,
 }
 
 /// A law at the maximum of its likelihood.
@@ -261,14 +306,47 @@ impl Pieces {
             pieces.before.iter_mut().zip(level).for_each(|(all, one)| *all += one);
         }
         let floor: f64 = pieces.floors.iter().sum();
+        let quiet = law.quiet.min(data.base.quiet_max);
         for bin in 0..bins {
-            pieces.spectrum[bin] = pieces.before[bin] * pieces.gain[bin] + data.base.after[bin] + floor;
+            let behind = data.base.after[bin] + quiet + floor;
+            pieces.spectrum[bin] = pieces.before[bin] * pieces.gain[bin] + behind;
         }
         pieces
     }
 }
 
 impl Law {
+    /// Finds the likeliest power behind the model's filters that it does not state, beside the law as it is.
+    pub(super) fn find_quiet(&mut self, data: Data<'_>) {
+        /// The least over the most, ln; steps of it, and how often they are halved.
+        const SPAN: f64 = 32.0;
+        const STEPS: i32 = 16;
+        const HALVED: i32 = 6;
+        let most = data.base.quiet_max;
+        if most <= 0.0 {
+            return;
+        }
+        let others = Pieces::of(self, data).spectrum;
+        let score = |below: f64| {
+            let change = most * (-below).exp() - self.quiet.min(most);
+            let spectrum: Vec<f64> = others.iter().map(|s| (s + change).max(f64::MIN_POSITIVE)).collect();
+            self.judged(&spectrum, data).0
+        };
+        let mut step = SPAN / f64::from(STEPS);
+        let starts = (0..=STEPS).map(|at| f64::from(at) * step).map(|below| (score(below), below));
+        let mut best = starts.reduce(|a, b| if b.0 > a.0 { b } else { a }).unwrap_or_default();
+        for _ in 0..HALVED {
+            step *= 0.5;
+            for below in [best.1 - step, best.1 + step] {
+                let there = (score(below), below);
+                if (0.0..=SPAN).contains(&below) && there.0 > best.0 {
+                    best = there;
+                }
+            }
+        }
+        self.quiet = most * (-best.1).exp();
+    }
+
     /// ln of the spectrum in each bin.
     #[must_use]
     pub fn logarithms(&self, data: Data<'_>) -> Vec<f64> {
@@ -392,6 +470,7 @@ impl Law {
         let mut numbers = self.numbers();
         clamp(&mut numbers);
         let mut law = self.with(&numbers);
+        law.find_quiet(data);
         let mut pieces = Pieces::of(&law, data);
         let (mut likelihood, mut posterior) = law.judged(&pieces.spectrum, data);
         let mut damping = 1e-3;
@@ -461,6 +540,11 @@ impl Law {
             if gained.is_none() || small >= 2 {
                 break;
             }
+            if data.base.quiet_max > 0.0 {
+                law.find_quiet(data);
+                pieces = Pieces::of(&law, data);
+                (likelihood, posterior) = law.judged(&pieces.spectrum, data);
+            }
         }
         let logarithms = pieces.spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect();
         let covariance = fisher.try_inverse();
@@ -509,6 +593,7 @@ mod tests {
         };
         let bins = grid.counts().len();
         Base {
+            quiet_max: 0.0,
             shapes: [of(&White { n: 1.0 }), of(&Flicker { b: 1.0 }), of(&RandomWalk { k: 1.0 })],
             known: vec![0.0; bins],
             after: vec![0.0; bins],
@@ -544,6 +629,7 @@ mod tests {
             let start = Law {
                 levels: [-3.0, -6.0, -12.0],
                 terms: vec![Term { shape: Shape::GaussMarkov, numbers: vec![-1.0, 0.5] }],
+                quiet: 0.0,
             };
             let fitted = start.fit_from_several(data);
             let covariance = fitted.covariance.unwrap();
@@ -575,6 +661,7 @@ mod tests {
         let start = Law {
             levels: [-3.0, -12.0, -20.0],
             terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -7.0] }],
+            quiet: 0.0,
         };
         let found = start.fit_from_several(data).law;
         assert!((found.terms[0].numbers[0].exp() / 9.0 - 1.0).abs() < 0.02, "{found:?}");

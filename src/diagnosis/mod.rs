@@ -9,12 +9,15 @@
 //! long as they are worth their price, which is what chance gives in simulated records of the same length.
 
 mod augmented;
+#[cfg(test)]
+mod both_ways;
 pub mod calibration;
 mod censored;
 #[cfg(test)]
 mod cliffs;
 mod compose;
 pub mod course;
+mod declared;
 pub mod diagnose;
 mod discrepancy;
 mod drawings;

@@ -1,24 +1,31 @@
 //! Named: effects on channels, with what they give and how that is known: of the search, the values, the stamps.
 
 use super::censored;
+use super::declared;
 use super::diagnose::{Findings, Found, Options};
 use super::evidence::Kind;
 use super::facts;
 use super::pairs;
 use super::prepare::Prepared;
 use super::recording::Recording;
+use super::report::Sense;
 use super::translate::{self, Translated, Units};
 use crate::effects::timing::JITTER_MAX;
 use crate::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Timing};
 use crate::sample::Channel;
-use crate::simulator::SensorModel;
+use crate::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
 /// A rounding is worth naming from this part of the white noise's standard deviation on.
 const MATERIAL_STEP: f64 = 0.03;
 /// An effect on a channel with what it gives.
+#[derive(Clone)]
 pub(super) struct Named {
     pub(super) channel: Channel,
+    pub(super) sense: Sense,
+    /// The model's own effect, and its place in the list, where it has it.
+    pub(super) declared: Option<(usize, Arc<dyn Effect>)>,
+    /// The sensor's; where the sensor lacks it the model's.
     pub(super) effect: Arc<dyn Effect>,
     pub(super) gain: f64,
     pub(super) confidence: f64,
@@ -27,13 +34,25 @@ pub(super) struct Named {
     pub(super) ci95: Vec<(&'static str, [f64; 2])>,
 }
 
+impl Named {
+    /// An effect that the model lacks, as sure as what is read off values and stamps.
+    fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
+        let sense = Sense::Missing;
+        Self { channel, sense, declared: None, effect, gain, confidence: 0.99, evidence: Vec::new(), ci95: Vec::new() }
+    }
+}
+
 /// Every effect that was found and is looked for.
 pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
     let mut named: Vec<Named> = Vec::new();
     for of in &found.channels {
-        named.extend(of_channel(of, found, sim));
+        if let Some(model) = sim.channels.get(&of.prepared.channel) {
+            named.extend(of_channel(of, found, sim, model));
+            named.extend(declared::of_lines(of, model));
+        }
         named.extend(of_facts(of));
     }
+    declared::elsewhere(&mut named);
     named.extend(of_repeats(found, sim));
     named.extend(of_shared(found, sim));
     named.extend(of_stamps(real, sim));
@@ -45,7 +64,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 }
 
 /// What the search found on a channel.
-fn of_channel(of: &Findings, found: &Found, sim: &SensorModel) -> Vec<Named> {
+fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
         samples: found.samples,
@@ -55,9 +74,12 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel) -> Vec<Named> {
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);
     let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);
-    effects
+    let standing = declared::stands_for(&effects, &of.steps, model);
+    let superfluous = declared::left_out(of, model, &standing);
+    let found_here = effects
         .iter()
-        .map(|Translated { kind, effect, ci95 }| {
+        .zip(&standing)
+        .map(|(Translated { kind, effect, ci95 }, place)| {
             let several = effects.iter().filter(|other| other.kind == *kind).count().max(1) as f64;
             let gain = same(*kind).map(|step| step.gain).sum::<f64>() / several;
             let margin = same(*kind)
@@ -78,10 +100,25 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel) -> Vec<Named> {
                     step.price,
                 ));
             }
-            let confidence = 1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp());
-            Named { channel: of.prepared.channel, effect: effect.clone(), gain, confidence, evidence, ci95: ci95.clone() }
+            let declared = place.and_then(|place| Some((place, model.effects.get(place)?.clone())));
+            Named {
+                channel: of.prepared.channel,
+                sense: if declared.is_some() { Sense::Size } else { Sense::Missing },
+                declared,
+                effect: effect.clone(),
+                gain,
+                confidence: confidence(margin),
+                evidence,
+                ci95: ci95.clone(),
+            }
         })
-        .collect()
+        .collect::<Vec<Named>>();
+    found_here.into_iter().chain(superfluous).collect()
+}
+
+/// What is stated for a lead of so many nats over the next best reading.
+pub(super) fn confidence(margin: f64) -> f64 {
+    1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
 }
 
 /// What the values show by themselves.
@@ -90,7 +127,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
     let channel = of.prepared.channel;
     let facts = of.prepared.facts;
     let mut add = |effect: Arc<dyn Effect>, gain: f64, evidence: String| {
-        named.push(Named { channel, effect, gain, confidence: 0.999, evidence: vec![evidence], ci95: Vec::new() });
+        named.push(Named { confidence: 0.999, evidence: vec![evidence], ..Named::missing(channel, effect, gain) });
     };
     if let Some(step) = facts.step
         && step > MATERIAL_STEP * of.white
@@ -136,13 +173,12 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 repeats.places.len(),
                 repeats.expected
             );
+            let gain = repeats.gain / channels.len() as f64;
             named.push(Named {
-                channel: *channel,
-                effect: Arc::new(HeldSamples { probability }),
-                gain: repeats.gain / channels.len() as f64,
                 confidence: 0.999,
                 evidence: vec![evidence],
                 ci95: vec![("probability", poisson(probability, found.samples))],
+                ..Named::missing(*channel, Arc::new(HeldSamples { probability }), gain)
             });
         }
     }
@@ -159,17 +195,15 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
             if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
                 return Vec::new();
             }
+            let gain = shared.gain / shared.parts.len() as f64;
             named.push(Named {
-                channel: of.prepared.channel,
-                effect: Arc::new(CommonMode { sigma: part * of.white }),
-                gain: shared.gain / shared.parts.len() as f64,
-                confidence: 0.99,
                 evidence: vec![format!(
                     "{}: {:.1} % of the white noise's variance is shared with other channels",
                     of.prepared.channel,
                     100.0 * part * part
                 )],
                 ci95: vec![("sigma", [-1.96, 1.96].map(|far| (part + far * error) * of.white))],
+                ..Named::missing(of.prepared.channel, Arc::new(CommonMode { sigma: part * of.white }), gain)
             });
         }
     }
@@ -234,10 +268,6 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     }
     let gain = 10.0 * runs as f64 + if jitter_s > 0.0 { real.len() as f64 } else { 0.0 };
     vec![Named {
-        channel: *first,
-        effect: Arc::new(Timing { jitter_s, drop_probability }),
-        gain,
-        confidence: 0.99,
         evidence,
         ci95: [("jitter_s", jitter_s), ("drop_probability", drop_probability)]
             .into_iter()
@@ -248,6 +278,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
                 (name, ends)
             })
             .collect(),
+        ..Named::missing(*first, Arc::new(Timing { jitter_s, drop_probability }), gain)
     }]
 }
 

@@ -5,19 +5,19 @@ use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
-use super::law::{Base, Beliefs, Law, reach};
+use super::law::{Base, Beliefs, Law, Term, reach};
 use super::recording::Recording;
-use super::series::Setting;
+use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
-use crate::effects::{At, Effect, Flicker, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
+use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Fewest samples of which anything is said.
 pub const LEAST: usize = 1000;
-/// Least density behind a model's filters, as a part of the white noise's before them.
+/// Greatest density behind a model's filters that nobody states, as a part of the white noise's before them.
 const QUIET: f64 = 1e-6;
 /// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
@@ -46,8 +46,12 @@ pub struct Prepared {
     pub beliefs: Beliefs,
     /// The step that counts as rounding, U: the capture's, or the model's.
     pub step: Option<f64>,
-    /// Lines that the model has.
+    /// The model's own effects of the spectrum: places in its list, and their terms.
+    pub spectral: Vec<(usize, Term)>,
+    /// Lines that the model has, with its amplitudes.
     pub sines: Vec<Sine>,
+    /// Of each the place of its effect in the model's list, and its amplitude over what the effect alone has.
+    pub lines: Vec<(usize, f64)>,
     /// Stretches of another variance that it has.
     pub loud: Vec<Loud>,
     /// Its variance by temperature or time.
@@ -81,10 +85,11 @@ pub struct Ready {
 
 impl Ready {
     /// What belongs to the record, for one of its channels.
-    pub(super) fn setting<'a>(&'a self, prepared: &Prepared, base: &'a (dyn Fn(&Grid) -> Base + Sync)) -> Setting<'a> {
+    pub(super) fn setting<'a>(&'a self, prepared: &'a Prepared, base: BaseOf<'a>) -> Setting<'a> {
         Setting {
             courses: &self.courses,
             base,
+            declared: &prepared.spectral,
             beliefs: prepared.beliefs,
             rate_hz: self.rate_hz,
             reach: prepared.reach,
@@ -341,14 +346,7 @@ fn channel_of(
     let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
     let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
     let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
-    let record = Record { rate_hz: sim.rate_hz, samples: values.len() as u64 };
-    let alone = SensorModel {
-        channels: [(channel, ChannelModel { effects: model.effects.clone(), ..ChannelModel::default() })].into(),
-        ..sim.clone()
-    };
-    let lines = Spectrum::new(&alone, channel, record).lines();
-    let sines = lines.iter().filter(|line| line.frequency_hz > 0.0);
-    let sines = sines.map(|line| Sine { cycles: line.frequency_hz / sim.rate_hz, quadratures: [0.0; 2] }).collect();
+    let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
     let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
     Ok(Prepared {
         channel,
@@ -359,15 +357,49 @@ fn channel_of(
         facts,
         outliers,
         limits,
-        declared: Law { levels, terms: Vec::new() },
+        declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
         beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
+        spectral: terms_of(model, scale),
         sines,
+        lines,
         loud,
         scedasticity,
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
         has: model.effects.iter().map(|effect| effect.name()).collect(),
         white_shift,
     })
+}
+
+/// The lines of a model's channel as they are sent, in the series' scale (U per unit of it), each with the place of its effect in
+/// the model's list and its amplitude over what the effect alone has: what filters let pass.
+fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> Vec<(Sine, (usize, f64))> {
+    let record = Record { rate_hz: sim.rate_hz, samples: samples as u64 };
+    let effects = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+    let is_filter = |effect: &&Arc<dyn Effect>| effect.stage() == Stage::Bandwidth;
+    let of_effect = |(place, effect): (usize, &Arc<dyn Effect>)| -> Vec<(Sine, (usize, f64))> {
+        let own = effect.lines();
+        if own.is_empty() {
+            return Vec::new();
+        }
+        let effects = effects.iter().filter(is_filter).chain([effect]).cloned().collect();
+        let channels = [(channel, ChannelModel { effects, ..ChannelModel::default() })].into();
+        let alone = SensorModel { channels, triads: BTreeMap::new(), ..sim.clone() };
+        let sent = Spectrum::new(&alone, channel, record).lines();
+        let pairs = sent.into_iter().zip(own).filter(|(sent, own)| sent.frequency_hz > 0.0 && own.power > 0.0);
+        let line = |(sent, own): (Line, Line)| {
+            let amplitude = (2.0 * sent.power).sqrt() / scale;
+            let sine = Sine { cycles: sent.frequency_hz / sim.rate_hz, quadratures: [amplitude, 0.0] };
+            (sine, (place, (sent.power / own.power).sqrt()))
+        };
+        pairs.map(line).collect()
+    };
+    effects.iter().enumerate().flat_map(of_effect).collect()
+}
+
+/// The spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list.
+fn terms_of(model: &ChannelModel, scale: f64) -> Vec<(usize, Term)> {
+    let listed = model.effects.iter().enumerate();
+    listed.filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n)?))).collect()
 }
 
 /// A robust standard deviation of what is white, U: from differences of neighbours.
@@ -487,12 +519,14 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
     grid.frequencies_hz().iter().map(of).collect()
 }
 
-/// The shapes of a channel's spectrum on a grid, in the series' scale.
+/// The shapes of a channel's spectrum on a grid, in the series' scale, without the model's effects at some places of its list.
 #[must_use]
-pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
+pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BTreeSet<usize>) -> Base {
     let channel = prepared.channel;
     let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
-    let effects = sim.channels.get(&channel).map(|model| model.effects.clone()).unwrap_or_default();
+    let listed = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+    let left = listed.iter().enumerate().filter(|(place, _)| !without.contains(place));
+    let effects: Vec<Arc<dyn Effect>> = left.map(|(_, effect)| effect.clone()).collect();
     let bandwidth = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
     let filters: Vec<Arc<dyn Effect>> =
         bandwidth.clone().map(|effect| effect.noiseless().unwrap_or_else(|| Arc::clone(effect))).collect();
@@ -523,15 +557,15 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid) -> Base {
     let rounding = prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
     let mut after = shape(ChannelModel { effects: bandwidth.cloned().collect(), ..ChannelModel::default() });
     // No record has a filter's exact zeros: numbers are rounded, and records end.
-    let quiet = if filters.is_empty() { 0.0 } else { QUIET * prepared.declared.levels[0].exp() * sim.rate_hz };
-    after.iter_mut().for_each(|behind| *behind = *behind / prepared.scale.powi(2) + rounding + quiet);
+    let quiet_max = if filters.is_empty() { 0.0 } else { QUIET * prepared.declared.levels[0].exp() * sim.rate_hz };
+    after.iter_mut().for_each(|behind| *behind = *behind / prepared.scale.powi(2) + rounding);
     // Before samples are decimated filters act at another rate: their phase at this one is small.
     let passed = |f: &f64| match sim.sampling {
         None => filters.iter().map(|filter| filter.power_gain(*f, sim.rate_hz)).product(),
         Some(_) => 1.0,
     };
     let passed = grid.frequencies_hz().iter().map(passed).collect();
-    Base { shapes, known, after, gain: vec![1.0; bins], passed }
+    Base { shapes, known, after, quiet_max, gain: vec![1.0; bins], passed }
 }
 
 #[cfg(test)]

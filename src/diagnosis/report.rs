@@ -108,12 +108,27 @@ pub struct Parameter {
     pub ci95: Option<[f64; 2]>,
 }
 
-/// An effect that the model lacks.
+/// On which side an effect is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(clippy::exhaustive_enums, reason = "the contract's three")]
+pub enum Sense {
+    /// The sensor has it, the model lacks it.
+    Missing,
+    /// The model has it, the sensor lacks it.
+    Superfluous,
+    /// Both have it, with other numbers.
+    Size,
+}
+
+/// An effect in which sensor and model differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
 pub struct Cause {
     /// The contract's name of it.
     pub effect: &'static str,
+    /// Who has it.
+    pub sense: Sense,
     /// The triad that it belongs to as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triad: Option<&'static str>,
@@ -123,8 +138,11 @@ pub struct Cause {
     pub confidence: f64,
     /// The part of the gap that it closes; none where nothing could be measured.
     pub closes: Option<f64>,
-    /// By channel (or triad): its parameters, a list where there are several.
+    /// By channel (or triad): the sensor's parameters, a list where there are several.
     pub parameters: BTreeMap<String, Value>,
+    /// The model's in the same form, where it has the effect.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub model: BTreeMap<String, Value>,
     /// 95 % intervals in the same form, where they are known.
     #[serde(skip_serializing_if = "Map::is_empty")]
     pub uncertainty: Map<String, Value>,
@@ -174,7 +192,7 @@ pub struct Diagnosis {
     pub r#where: Vec<Place>,
     /// What is merely off.
     pub parameters: Vec<Parameter>,
-    /// What the model lacks, strongest first.
+    /// Effects in which sensor and model differ, strongest first.
     pub causes: Vec<Cause>,
     /// What was weighed.
     pub alternatives: Vec<Alternative>,
@@ -197,7 +215,9 @@ impl Diagnosis {
             place.to_s += from_s;
         }
         for cause in &mut self.causes {
-            cause.parameters.values_mut().chain(cause.uncertainty.values_mut()).for_each(|of| later(of, from_s));
+            let own =
+                cause.parameters.values_mut().chain(cause.model.values_mut()).chain(cause.uncertainty.values_mut());
+            own.for_each(|of| later(of, from_s));
         }
         self.summary = super::sentence::summary(self);
     }

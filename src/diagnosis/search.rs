@@ -1,12 +1,14 @@
-//! The search: which effects explain a series, one after the other, each paid for.
+//! The search: in which effects a series and its model differ, one after the other, each paid for.
 
+use super::evidence::declared::{self, kind_of};
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
-use super::law::{Beliefs, Data, Shape};
+use super::law::{Beliefs, Data};
 use super::prices::Prices;
+use super::report::Sense;
 use super::series::Series;
 
-/// An effect that was added.
+/// An effect that was added, or one of the model's that was changed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
     /// Its kind.
@@ -17,6 +19,15 @@ pub struct Step {
     pub price: f64,
     /// What else would have been worth its price, best first.
     pub others: Vec<(Kind, f64)>,
+    /// Which of the model's own effects was changed, by its place in the list, and how; none of what the model lacks.
+    pub of_model: Option<(usize, Sense)>,
+}
+
+impl Step {
+    /// Whether the law has a term of it.
+    fn has_term(&self) -> bool {
+        self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)
+    }
 }
 
 /// A complex kind that stands in for a simple one has to be better by some nats.
@@ -52,7 +63,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
-        let Some((step, chosen)) = best_of(evidence::all(series), prices, &steps) else { break };
+        let Some((step, chosen)) = best_of(everything(series, prices), prices, &steps) else { break };
         if levels_do(series, &step) {
             continue;
         }
@@ -72,10 +83,21 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     other_filter(series, prices, &mut steps);
     one_slope(series, prices, &mut steps);
     take_back(series, prices, &mut steps);
+    put_back(series, prices, &mut steps);
     weak_tones(series, prices, &mut steps, start.sines.len());
     samples_again(series, prices, &mut steps, &start);
     believe_again(series);
     steps
+}
+
+/// What the model may lack, and what it may have otherwise than the series.
+fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
+    let mut found = evidence::all(series);
+    if !series.setting().declared.is_empty() {
+        let doubtful = found.iter().any(|of| of.gain > prices.of(of.kind));
+        found.extend(declared::all(series, doubtful, |kind| prices.of(kind)));
+    }
+    found
 }
 
 /// Whether B and K that are far off do as well as an effect: then nothing is believed of them any more.
@@ -148,10 +170,10 @@ fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>
 /// The candidate to be added next of those that were not named yet, None where nothing is worth its price.
 fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
     // What is named is named once: more of the same would be a failure to explain it.
-    candidates.retain(|of| of.kind.repeats() || steps.iter().all(|step| step.kind.effect() != of.kind.effect()));
-    let step = choose(&candidates, prices)?;
-    let chosen = candidates.into_iter().find(|candidate| candidate.kind == step.kind)?;
-    Some((step, chosen))
+    let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect());
+    candidates.retain(|of| of.of_model.is_some() || of.kind.repeats() || is_new(of));
+    let (step, place) = choose(&candidates, prices)?;
+    Some((step, candidates.swap_remove(place)))
 }
 
 /// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
@@ -165,7 +187,7 @@ fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         let losses = (0..terms.len()).filter_map(|at| {
             let kind = kind_of(terms[at].shape);
             // Where the model has the term itself nothing was named.
-            steps.iter().any(|step| step.kind == kind).then_some(())?;
+            steps.iter().any(|step| step.kind == kind && step.has_term()).then_some(())?;
             let mut law = series.explanation.law.clone();
             law.terms.remove(at);
             let loss = whole - law.fit(series.data()).log_posterior;
@@ -173,10 +195,13 @@ fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         });
         let Some((_, at, kind)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
         series.explanation.law.terms.remove(at);
-        let weakest = |of: &(usize, &Step)| of.1.kind == kind;
+        let weakest = |of: &(usize, &Step)| of.1.kind == kind && of.1.has_term();
         let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
         if let Some(step) = step.map(|(step, _)| step) {
-            steps.remove(step);
+            match &mut steps[step].of_model {
+                Some((_, sense)) => *sense = Sense::Superfluous,
+                None => drop(steps.remove(step)),
+            }
         }
         series.rebuild(false);
     }
@@ -201,14 +226,24 @@ fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, k
     }
 }
 
-fn kind_of(shape: Shape) -> Kind {
-    match shape {
-        Shape::QuantizationNoise => Kind::QuantizationNoise,
-        Shape::GaussMarkov => Kind::GaussMarkov,
-        Shape::Resonance => Kind::Resonance,
-        Shape::LowPass(_) => Kind::LowPass,
-        Shape::MovingAverage(_) => Kind::MovingAverage,
-        Shape::Slope(_) => Kind::Slope,
+/// Puts back what the model has, where it does as well beside what was found after it was changed.
+fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    let changed = |step: &Step| step.of_model.is_some();
+    while let Some((at, as_told)) = steps.iter().enumerate().filter(|(_, step)| changed(step)).find_map(|(at, step)| {
+        let (place, _) = step.of_model?;
+        let mut as_told = series.clone();
+        as_told.explanation.without.remove(&place);
+        if step.has_term() {
+            let own = as_told.explanation.law.terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
+            as_told.explanation.law.terms.remove(own);
+        }
+        as_told.relaw();
+        let loss = series.fitted.log_posterior - as_told.fitted.log_posterior;
+        (loss < prices.of(step.kind)).then_some((at, as_told))
+    }) {
+        *series = as_told;
+        series.rebuild(false);
+        steps.remove(at);
     }
 }
 
@@ -217,7 +252,8 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
     // The last to be chosen knew everything.
-    let of_filters: Vec<usize> = (0..steps.len()).filter(|at| filters.contains(&steps[*at].kind)).collect();
+    let is_filter = |step: &Step| filters.contains(&step.kind) && step.has_term();
+    let of_filters: Vec<usize> = (0..steps.len()).filter(|at| is_filter(&steps[*at])).collect();
     let [at] = of_filters[..] else { return };
     if at == last {
         if series.is_cut() {
@@ -230,13 +266,13 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     series.rebuild(false);
     let both = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
     let candidates: Vec<Candidate> = both.into_iter().flatten().collect();
-    let step = choose(&candidates, prices);
-    let best = step.as_ref().and_then(|step| candidates.into_iter().find(|candidate| candidate.kind == step.kind));
-    if let Some((step, best)) = step.zip(best) {
+    if let Some((step, place)) = choose(&candidates, prices)
+        && let Some(best) = candidates.into_iter().nth(place)
+    {
         series.explanation = best.explanation;
         series.rebuild(false);
         if step.kind != steps[at].kind || series.fitted.log_posterior > kept.fitted.log_posterior {
-            steps[at] = step;
+            steps[at] = Step { of_model: steps[at].of_model, ..step };
             return;
         }
     }
@@ -263,7 +299,7 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         .iter()
         .filter(|step| replaced(step.kind))
         .fold((0, 0.0), |(count, price), step| (count + 1, price + prices.of(step.kind)));
-    if own < 2 {
+    if own < 2 || steps.iter().any(|step| step.of_model.is_some()) {
         return;
     }
     let kept = series.clone();
@@ -281,7 +317,8 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     series.explanation = slope.explanation;
     series.rebuild(false);
     steps.retain(|step| !replaced(step.kind));
-    steps.push(Step { kind: Kind::Slope, gain: slope.gain, price: prices.of(Kind::Slope), others: Vec::new() });
+    let price = prices.of(Kind::Slope);
+    steps.push(Step { kind: Kind::Slope, gain: slope.gain, price, others: Vec::new(), of_model: None });
 }
 
 /// What was beyond a limit is drawn as if there were no filter until one is known, and that may make it look like the other
@@ -304,7 +341,7 @@ fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
     series.rebuild(false);
     let better = series.fitted.log_posterior - kept.fitted.log_posterior;
     if better - prices.of(kind) + prices.of(step.kind) > CLEARLY {
-        *step = Step { kind, gain: step.gain + better, price: prices.of(kind), others: step.others.clone() };
+        (step.kind, step.gain, step.price) = (kind, step.gain + better, prices.of(kind));
     } else {
         *series = kept;
     }
@@ -322,33 +359,45 @@ fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         }
         series.explanation = tone.explanation;
         series.rebuild(false);
-        steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new() });
+        steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new(), of_model: None });
     }
 }
 
-/// The kind to be added next; None where nothing is worth its price.
-fn choose(candidates: &[Candidate], prices: &Prices) -> Option<Step> {
-    let mut scores: Vec<(Kind, f64, f64)> = candidates
-        .iter()
-        .filter(|of| of.gain.is_finite())
-        .map(|of| (of.kind, of.gain - prices.of(of.kind), of.gain))
-        .collect();
-    scores.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut best = *scores.first().filter(|best| best.1 > 0.0)?;
+/// Nats by which what the model lacks has to be better than another reading of what it has.
+const NEWER: f64 = 4.0;
+
+/// The change to be made next, and the candidate that makes it; None where nothing is worth its price.
+fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
+    let score = |at: usize| candidates[at].gain - prices.of(candidates[at].kind);
+    let mut order: Vec<usize> = (0..candidates.len()).filter(|at| candidates[*at].gain.is_finite()).collect();
+    order.sort_by(|a, b| score(*b).total_cmp(&score(*a)));
+    let kind = |at: usize| candidates[at].kind;
+    let mut best = *order.first().filter(|best| score(**best) > 0.0)?;
     // A change of variance and bursts beside it look like tails, and those give at once what they give one by one.
-    let stretches = scores.iter().filter(|of| matches!(of.0, Kind::Bursts | Kind::VarianceInterval) && of.1 > 0.0);
-    let (sum, greatest) = stretches.fold((0.0, None), |(sum, greatest), of| (sum + of.1, greatest.or(Some(*of))));
-    if let Some(stretch) = greatest.filter(|of| best.0 == Kind::HeavyTails && of.1 < best.1 && sum > best.1) {
+    let is_stretch = |at: &&usize| matches!(kind(**at), Kind::Bursts | Kind::VarianceInterval) && score(**at) > 0.0;
+    let stretches = order.iter().filter(is_stretch);
+    let (sum, greatest) = stretches.fold((0.0, None), |(sum, greatest), at| (sum + score(*at), greatest.or(Some(*at))));
+    if let Some(stretch) =
+        greatest.filter(|at| kind(best) == Kind::HeavyTails && score(*at) < score(best) && sum > score(best))
+    {
         best = stretch;
     }
     for (complex, simple, margin) in SIMPLER {
-        if best.0 == complex
-            && let Some(other) = scores.iter().find(|score| score.0 == simple && score.1 > 0.0)
-            && best.1 - other.1 < margin
+        if kind(best) == complex
+            && let Some(other) = order.iter().find(|at| kind(**at) == simple && score(**at) > 0.0)
+            && score(best) - score(*other) < margin
         {
             best = *other;
         }
     }
-    let others = scores.iter().filter(|score| score.0 != best.0 && score.1 > 0.0).map(|score| (score.0, score.1));
-    Some(Step { kind: best.0, gain: best.2, price: prices.of(best.0), others: others.collect() })
+    if candidates[best].of_model.is_none()
+        && let Some(own) = order.iter().find(|at| candidates[**at].of_model.is_some() && score(**at) > 0.0)
+        && score(best) - score(*own) < NEWER
+    {
+        best = *own;
+    }
+    let others = order.iter().filter(|at| kind(**at) != kind(best) && score(**at) > 0.0);
+    let others = others.map(|at| (kind(*at), score(*at))).collect();
+    let Candidate { kind, gain, of_model, .. } = candidates[best];
+    Some((Step { kind, gain, price: prices.of(kind), others, of_model }, best))
 }

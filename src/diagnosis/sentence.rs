@@ -1,7 +1,8 @@
 //! Sentences: a diagnosis in one, for a person who has ten seconds.
 
-use super::report::{Cause, Diagnosis, Verdict};
+use super::report::{Cause, Diagnosis, Sense, Verdict};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// The one sentence.
 #[must_use]
@@ -34,22 +35,20 @@ pub(super) fn summary(of: &Diagnosis) -> String {
             let together = if of.causes.len() > 1 { "; together they" } else { "" };
             match closed {
                 Some(_) if together.is_empty() => {
-                    format!("{}: {} that the model lacks{}", channels(cause), phrase(cause), explained(closed))
+                    format!("{}: {}{}", channels(cause), phrase(cause), explained(closed))
                 }
                 Some(closed) => format!(
-                    "{}: {} that the model lacks{further}{together} explain {:.0} % of the gap",
+                    "{}: {}{further}{together} explain {:.0} % of the gap",
                     channels(cause),
                     phrase(cause),
                     100.0 * closed.clamp(0.0, 1.0)
                 ),
-                None => format!("{}: {} that the model lacks{further}", channels(cause), phrase(cause)),
+                None => format!("{}: {}{further}", channels(cause), phrase(cause)),
             }
         }
-        (Verdict::UnknownEffect, Some(cause)) => format!(
-            "{}: {} that the model lacks; something remains that no known effect explains",
-            channels(cause),
-            phrase(cause)
-        ),
+        (Verdict::UnknownEffect, Some(cause)) => {
+            format!("{}: {}; something remains that no known effect explains", channels(cause), phrase(cause))
+        }
         _ => "something is there that no known effect explains".to_owned(),
     }
 }
@@ -63,9 +62,18 @@ fn channels(cause: &Cause) -> String {
     }
 }
 
-/// An effect in a few words, with its main numbers.
+/// An effect in a few words, with its main numbers, and who has it.
 fn phrase(cause: &Cause) -> String {
-    let first = cause.parameters.values().next();
+    let of = |parameters: &BTreeMap<String, Value>| words(cause.effect, parameters.values().next());
+    match cause.sense {
+        Sense::Missing => format!("{} that the model lacks", of(&cause.parameters)),
+        Sense::Superfluous => format!("{} that the sensor lacks", of(&cause.model)),
+        Sense::Size => format!("{} where the model has {}", of(&cause.parameters), of(&cause.model)),
+    }
+}
+
+/// An effect in a few words, with its main numbers.
+fn words(effect: &str, first: Option<&Value>) -> String {
     let (of, count) = match first {
         Some(Value::Array(list)) => (list.first(), list.len()),
         other => (other, 1),
@@ -73,7 +81,7 @@ fn phrase(cause: &Cause) -> String {
     let number = |name: &str| of.and_then(|of| of.get(name)).and_then(Value::as_f64);
     let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
     let with = |name: &str, unit: &str| number(name).map_or_else(String::new, |value| format!("{value:.3e}{unit}"));
-    match cause.effect {
+    match effect {
         "tone" => format!(
             "a {:.3} Hz tone of {:.2e}{more}",
             number("frequency_hz").unwrap_or_default(),

@@ -5,18 +5,24 @@ use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, per_product, profile, turning};
 use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
-use super::law::{Base, Beliefs, Data, Fitted, Law, Shape, Term};
+use super::law::{Base, Beliefs, Data, Fitted, Law, Term};
 use super::phase;
 use super::transform::Cosines;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+/// Spectra on a grid without the model's effects at these places of its list.
+pub type BaseOf<'a> = &'a (dyn Fn(&Grid, &BTreeSet<usize>) -> Base + Sync);
 
 /// What belongs to the whole record.
 pub struct Setting<'a> {
     /// Courses.
     pub courses: &'a Courses,
-    /// Spectra of N, B, K and the model's own effects, at any frequencies.
-    pub base: &'a (dyn Fn(&Grid) -> Base + Sync),
+    /// Spectra of N, B, K and the model's own effects but those left out, at any frequencies.
+    pub base: BaseOf<'a>,
+    /// The model's own effects of the spectrum: places in its list, and their terms.
+    pub declared: &'a [(usize, Term)],
     /// Beliefs about the levels, with which a search begins.
     pub beliefs: Beliefs,
     /// Samples per second.
@@ -81,7 +87,7 @@ impl<'a> Series<'a> {
 
     fn unbuilt(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
         let grid = Grid::new(samples.len(), setting.rate_hz, &[]);
-        let base = (setting.base)(&grid);
+        let base = (setting.base)(&grid, &start.without);
         let power = vec![1.0; grid.counts().len()];
         let fitted = Fitted {
             law: start.law.clone(),
@@ -215,6 +221,9 @@ impl<'a> Series<'a> {
         self.transform.forward(&mut coefficients);
         self.power = self.grid.power(&coefficients);
         self.coefficients = coefficients;
+        let mut law = self.explanation.law.clone();
+        law.find_quiet(self.data());
+        self.explanation.law = law;
     }
 
     /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know. Its
@@ -239,10 +248,7 @@ impl<'a> Series<'a> {
             }
             series.refine_sines();
             for (sine, amplitude) in series.explanation.sines.iter_mut().zip(&amplitudes) {
-                let found = sine.amplitude();
-                if found > 0.0 && *amplitude > 0.0 {
-                    sine.quadratures = sine.quadratures.map(|value| value * amplitude / found);
-                }
+                sine.rescale(*amplitude);
             }
         }
         series
@@ -330,23 +336,49 @@ impl<'a> Series<'a> {
         self.refit(false);
     }
 
-    /// A grid that resolves the narrow bands of the law.
-    fn resolve_lines(&mut self) {
-        const NOTCH: f64 = 1e-3;
+    /// A grid that resolves these and the narrow bands of the law and of the model.
+    pub(super) fn resolving(&self, more: &[Narrow]) -> Grid {
         let rate_hz = self.setting.rate_hz;
-        let of = |term: &Term| match term.shape {
-            Shape::Resonance => vec![Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() }],
-            // A boxcar's spectrum is narrow where it has none.
-            Shape::MovingAverage(window) => (1..=window / 2)
-                .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
-                .collect(),
-            // A Butterworth filter made by the bilinear transform has a zero of several orders at half the rate.
-            Shape::LowPass(_) => vec![Narrow { frequency_hz: 0.5 * rate_hz, width_hz: 0.1 * NOTCH * rate_hz }],
-            _ => Vec::new(),
-        };
-        let lines: Vec<Narrow> = self.explanation.law.terms.iter().flat_map(of).collect();
-        self.grid = Grid::new(self.len(), self.setting.rate_hz, &lines);
-        self.base = (self.setting.base)(&self.grid);
+        let declared = self.setting.declared.iter().map(|(_, term)| term);
+        let own = self.explanation.law.terms.iter().chain(declared).flat_map(|term| term.narrow(rate_hz));
+        let lines: Vec<Narrow> = own.chain(more.iter().copied()).collect();
+        Grid::new(self.len(), rate_hz, &lines)
+    }
+
+    /// The series as if its model had no spectral effect at this place of its list. What stands for left out samples under a
+    /// filter that is wrong may be anything, and is drawn again; else the law is fitted again to what it is fitted to now.
+    #[must_use]
+    pub(super) fn without_declared(&self, place: usize) -> Self {
+        let mut bare = self.clone();
+        bare.explanation.without.insert(place);
+        bare.relaw();
+        if self.setting.declared.iter().any(|(own, term)| *own == place && term.is_filter()) {
+            bare.rebuild(false);
+        }
+        bare
+    }
+
+    /// Fits the law again beside what is left of the model's own effects.
+    pub(super) fn relaw(&mut self) {
+        self.base = (self.setting.base)(&self.grid, &self.explanation.without);
+        // A wrong filter may have driven the levels far away: white noise is about 1 in this scale.
+        let mut usual = self.explanation.law.clone();
+        usual.levels[0] = -self.setting.rate_hz.ln();
+        for (level, belief) in usual.levels.iter_mut().zip(self.setting.beliefs) {
+            *level = belief.map_or(*level, |(centre, _)| centre);
+        }
+        let fitted = [&self.explanation.law, &usual].map(|law| law.fit_from_several(self.data()));
+        let [one, other] = fitted;
+        self.fitted = if other.log_posterior > one.log_posterior { other } else { one };
+        self.explanation.law = self.fitted.law.clone();
+        self.spectrum = self.grid.fill(&self.fitted.logarithms);
+        self.whitened = self.coefficients.iter().zip(&self.spectrum).map(|(c, s)| c / s.sqrt()).collect();
+    }
+
+    /// Rebuilds grid and spectra of what there is.
+    fn resolve_lines(&mut self) {
+        self.grid = self.resolving(&[]);
+        self.base = (self.setting.base)(&self.grid, &self.explanation.without);
     }
 
     /// The rest without means, given the present law: samples with outliers filled in, less sines and courses.

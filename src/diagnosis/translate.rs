@@ -11,7 +11,7 @@ use crate::effects::{
     Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
 };
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// What is needed besides the explanation.
@@ -30,11 +30,13 @@ pub struct Units<'a> {
 }
 
 impl Units<'_> {
-    /// What is left of a line's amplitude behind all filters, the model's own and `further` ones, as the simulator has them.
-    fn passed(&self, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
+    /// What is left of a line's amplitude behind all filters, the model's own but those `without` which it is and `further` ones,
+    /// as the simulator has them.
+    fn passed(&self, without: &BTreeSet<usize>, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
         let channel = self.prepared.channel;
         let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
-        let filters = own.iter().chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
+        let own = own.iter().enumerate().filter(|(place, _)| !without.contains(place)).map(|(_, effect)| effect);
+        let filters = own.chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
         let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
         let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
         let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..self.sim.clone() };
@@ -134,9 +136,9 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         .map(|(sine, (frequency, amplitude))| {
             // The record has it behind the filters, the model in front of them.
             let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
-            let gain = units.passed(&filters, frequency_hz);
+            let gain = units.passed(&explanation.without, &filters, frequency_hz);
             let is_known = gain > LEAST_PASSED;
-            let off = units.passed(&filters_off, frequency_hz);
+            let off = units.passed(&explanation.without, &filters_off, frequency_hz);
             let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
             let (scale, seen) = (scale / gain, sine.amplitude());
             LineFound {

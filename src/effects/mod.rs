@@ -222,6 +222,11 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     /// Its parameters as they stand in a model's file.
     fn parameters(&self) -> Vec<(&'static str, Value)>;
 
+    /// A parameter that is a number, in its unit; none of another form or name.
+    fn number(&self, name: &str) -> Option<f64> {
+        self.parameters().into_iter().find(|(own, _)| *own == name).and_then(|(_, value)| value.as_f64())
+    }
+
     /// The name in files and messages (contract, section 5).
     fn name(&self) -> &'static str {
         self.spec().name

@@ -8,7 +8,7 @@ fn candidate(series: &Series<'_>, kind: Kind, courses: &[Course], drift: Drift) 
     let mut explanation = series.explanation.clone();
     explanation.courses.extend(courses.iter().copied().zip(drift.factors));
     explanation.law = drift.law;
-    Candidate { kind, gain: drift.gain, explanation }
+    Candidate::missing(kind, drift.gain, explanation)
 }
 
 fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {

@@ -2,7 +2,7 @@
 
 use super::{Candidate, Kind};
 use crate::diagnosis::explanation::{Sine, alternates, per_product, turning};
-use crate::diagnosis::grid::{Grid, Narrow};
+use crate::diagnosis::grid::Narrow;
 use crate::diagnosis::law::{Data, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
@@ -65,14 +65,14 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let mut explanation = series.explanation.clone();
     // The greatest of n by chance is about this.
     if power < (n as f64).ln() + 1.0 {
-        return Some(Candidate { kind: Kind::Tone, gain: power, explanation });
+        return Some(Candidate::missing(Kind::Tone, power, explanation));
     }
     if series.is_slow(cycles) {
         let cycles = peak(n, cycles, |cycles| series.turn(cycles).0);
         let drift = series.with_columns(&series.setting().courses.turning(cycles));
         explanation.sines.push(Sine { cycles, quadratures: [drift.factors[0], drift.factors[1]] });
         explanation.law = drift.law;
-        return Some(Candidate { kind: Kind::Tone, gain: drift.gain, explanation });
+        return Some(Candidate::missing(Kind::Tone, drift.gain, explanation));
     }
     let power = |cycles: f64| products(&series.residual, cycles).iter().map(|sum| sum * sum).sum();
     let cycles = if cycles < 0.5 { peak(n, cycles, power) } else { cycles };
@@ -93,7 +93,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let gain = fitted.log_posterior - series.fitted.log_posterior;
     explanation.sines.push(sine);
     explanation.law = fitted.law;
-    Some(Candidate { kind: Kind::Tone, gain, explanation })
+    Some(Candidate::missing(Kind::Tone, gain, explanation))
 }
 
 /// A narrow band of noise.
@@ -133,16 +133,11 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let mut explanation = series.explanation.clone();
     // About what chance makes of it.
     if score < 9.0 {
-        return Some(Candidate { kind: Kind::Resonance, gain: score.max(0.0), explanation });
+        return Some(Candidate::missing(Kind::Resonance, score.max(0.0), explanation));
     }
-    // All narrow bands on a grid that resolves them.
-    let others = explanation.law.terms.iter().filter(|term| term.shape == Shape::Resonance);
-    let mut lines: Vec<Narrow> =
-        others.map(|term| Narrow { frequency_hz: term.numbers[1], width_hz: term.numbers[2].exp() }).collect();
-    lines.push(Narrow { frequency_hz, width_hz: 0.5 * width_hz });
-    let grid = Grid::new(n, rate_hz, &lines);
+    let grid = series.resolving(&[Narrow { frequency_hz, width_hz: 0.5 * width_hz }]);
     let power = grid.power(&series.coefficients);
-    let base = (series.setting().base)(&grid);
+    let base = (series.setting().base)(&grid, &series.explanation.without);
     let data = Data { grid: &grid, power: &power, base: &base, beliefs: &series.beliefs };
     let without = series.explanation.law.fit(data);
     let level = {
@@ -164,5 +159,5 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     alone.terms.pop();
     let alone = alone.fit(data).log_posterior.max(without.log_posterior);
     explanation.law = with.law;
-    Some(Candidate { kind: Kind::Resonance, gain: with.log_posterior - alone, explanation })
+    Some(Candidate::missing(Kind::Resonance, with.log_posterior - alone, explanation))
 }

@@ -68,7 +68,7 @@ pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
     let (gain, slopes) = regression(&means, &[column], size)?;
     let mut explanation = series.explanation.clone();
     explanation.scedasticity = Some(Scedasticity::PerDegree(slopes[0]));
-    Some(Candidate { kind: Kind::VariancePerDegree, gain, explanation })
+    Some(Candidate::missing(Kind::VariancePerDegree, gain, explanation))
 }
 
 /// Variance over time, smoothly.
@@ -92,7 +92,7 @@ pub fn profile(series: &Series<'_>) -> Option<Candidate> {
     };
     let mut explanation = series.explanation.clone();
     explanation.scedasticity = Some(Scedasticity::Profile((0..INSTANTS).map(at).collect()));
-    Some(Candidate { kind: Kind::VarianceProfile, gain, explanation })
+    Some(Candidate::missing(Kind::VarianceProfile, gain, explanation))
 }
 
 /// Sums of squares up to each sample, as they are and limited.
@@ -236,7 +236,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         let gain = own().map(|(_, gain)| gain).sum::<f64>();
         let mut explanation = series.explanation.clone();
         explanation.loud.extend(stretches);
-        (gain > 0.0 && !too_many).then_some(Candidate { kind, gain, explanation })
+        (gain > 0.0 && !too_many).then_some(Candidate::missing(kind, gain, explanation))
     };
     // A change of variance that is known already is not told twice.
     let long = series.explanation.scedasticity.is_none().then(|| of(Kind::VarianceInterval, true));

@@ -1,5 +1,6 @@
 //! Evidence: what each effect would explain of a series, in nats, the noise fitted anew beside it.
 
+pub mod declared;
 pub mod level;
 pub mod line;
 pub mod loudness;
@@ -7,6 +8,7 @@ pub mod outlier;
 pub mod spectral;
 
 use super::explanation::Explanation;
+use super::report::Sense;
 use super::series::Series;
 use serde::{Deserialize, Serialize};
 
@@ -138,6 +140,16 @@ pub struct Candidate {
     pub gain: f64,
     /// The explanation with it.
     pub explanation: Explanation,
+    /// Which of the model's own effects it changes, by its place in the list, and how; none of what the model lacks.
+    pub of_model: Option<(usize, Sense)>,
+}
+
+impl Candidate {
+    /// Of an effect that the model lacks.
+    #[must_use]
+    pub fn missing(kind: Kind, gain: f64, explanation: Explanation) -> Self {
+        Self { kind, gain, explanation, of_model: None }
+    }
 }
 
 /// The same, with what is looked for beside something else only, as if that had been found.

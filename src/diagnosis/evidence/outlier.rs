@@ -78,7 +78,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     explanation.spikes = Some(if gain < 1.0 { hopeless } else { spike_law(series, &large, core, wide) });
     // Behind a filter each spoils as many samples as it reaches.
     explanation.leave_out(flagged.into_iter().flat_map(|at| at..(at + reach.max(1)).min(series.len())));
-    Some(Candidate { kind: Kind::Spikes, gain, explanation })
+    Some(Candidate::missing(Kind::Spikes, gain, explanation))
 }
 
 /// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
@@ -204,5 +204,5 @@ pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
         }
     }
     explanation.tails = Some(degrees);
-    Some(Candidate { kind: Kind::HeavyTails, gain, explanation })
+    Some(Candidate::missing(Kind::HeavyTails, gain, explanation))
 }

@@ -5,7 +5,11 @@ use crate::diagnosis::law::{Data, Fitted, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 
 /// The best law with another term, from several starts of its numbers.
-fn with_term(series: &Series<'_>, shape: Shape, starts: impl IntoIterator<Item = Vec<f64>>) -> Option<(f64, Fitted)> {
+pub(super) fn with_term(
+    series: &Series<'_>,
+    shape: Shape,
+    starts: impl IntoIterator<Item = Vec<f64>>,
+) -> Option<(f64, Fitted)> {
     let data = series.data();
     let started = |numbers: Vec<f64>| {
         let mut law = series.explanation.law.clone();
@@ -20,10 +24,10 @@ fn with_term(series: &Series<'_>, shape: Shape, starts: impl IntoIterator<Item =
     Some((best.log_posterior - without, best))
 }
 
-fn candidate(series: &Series<'_>, kind: Kind, (gain, fitted): (f64, Fitted)) -> Candidate {
+pub(super) fn candidate(series: &Series<'_>, kind: Kind, (gain, fitted): (f64, Fitted)) -> Candidate {
     let mut explanation = series.explanation.clone();
     explanation.law = fitted.law;
-    Candidate { kind, gain, explanation }
+    Candidate::missing(kind, gain, explanation)
 }
 
 fn has(series: &Series<'_>, wanted: impl Fn(Shape) -> bool) -> bool {

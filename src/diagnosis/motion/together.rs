@@ -3,7 +3,7 @@
 //! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was compared at
 //! one rest alone is taken to be as large a sample throughout.
 
-use crate::diagnosis::report::{Cause, Diagnosis, Place, Verdict};
+use crate::diagnosis::report::{Cause, Diagnosis, Place, Sense, Verdict};
 use crate::effects::{Stream, StreamId, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::{SensorModel, TriadModel};
@@ -43,11 +43,13 @@ impl Driven {
         }
         let cause = Cause {
             effect: effect.name(),
+            sense: Sense::Missing,
             triad: Some(triad.name()),
             channels,
             confidence,
             closes: None,
             parameters: BTreeMap::from([(triad.name().to_owned(), Value::Object(own))]),
+            model: BTreeMap::new(),
             uncertainty: intervals,
             evidence,
         };

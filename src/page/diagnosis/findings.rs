@@ -1,11 +1,12 @@
-//! What was found: effects that the model lacks with their evidence, what was weighed, what is off, and where.
+//! What was found: effects in which sensor and model differ with their evidence, what was weighed, what is off, and where.
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
-use super::{Cause, Driver, Parameter, Report};
+use super::{Cause, Driver, Parameter, Report, Sense};
 use crate::sample::Channel;
 use serde::Deserialize as _;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Entries of a list that are shown of one cause on one channel.
@@ -17,8 +18,12 @@ pub(super) fn causes(out: &mut String, report: &Report) {
     if report.causes.is_empty() {
         return;
     }
-    *out += "<h2>What the model lacks</h2>";
-    *out += &wide("what the model lacks");
+    let heading = match report.causes.iter().all(|cause| cause.sense == Sense::Missing) {
+        true => "What the model lacks",
+        false => "Effects in which sensor and model differ",
+    };
+    let _ = write!(out, "<h2>{heading}</h2>");
+    *out += &wide(&heading.to_lowercase());
     *out += "<table><tr><th scope=\"col\">effect</th><th scope=\"col\">on</th>\
              <th scope=\"col\">parameters, with 95&nbsp;% intervals</th><th scope=\"col\" class=\"number\">sure</th><th scope=\"col\" class=\"number\">closes</th></tr>";
     for cause in &report.causes {
@@ -26,10 +31,17 @@ pub(super) fn causes(out: &mut String, report: &Report) {
         let sure = percent((100.0 * cause.confidence).floor() / 100.0);
         let _ = write!(
             out,
-            "<tr><td><b>{}</b></td><td>{}</td><td>{}</td><td class=\"number\">{sure}</td><td class=\"number\">{}</td></tr>",
+            "<tr><td><b>{}</b>{}</td><td>{}</td><td>{}</td><td class=\"number\">{sure}</td><td class=\"number\">{}</td></tr>",
             escaped(&cause.effect.replace('_', " ")),
+            match cause.sense {
+                Sense::Missing => "",
+                Sense::Superfluous => "<br>the sensor lacks it",
+                Sense::Size => "<br>the model has it otherwise",
+            },
             escaped(&cause.channels.join(", ")),
-            parameters(cause),
+            [("", &cause.parameters), ("the model’s ", &cause.model)]
+                .map(|(whose, of)| parameters(whose, of, cause))
+                .concat(),
             cause.closes.map_or_else(|| "–".to_owned(), percent),
         );
     }
@@ -40,13 +52,17 @@ pub(super) fn causes(out: &mut String, report: &Report) {
     *out += "</ul>";
 }
 
-/// A cause's parameters, channel by channel, in a list.
-fn parameters(cause: &Cause) -> String {
+/// The parameters of a cause that the sensor or the model has, channel by channel, in a list.
+fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> String {
+    if all.is_empty() {
+        return String::new();
+    }
     let mut out = String::from("<ul>");
-    for (place, value) in &cause.parameters {
+    for (place, value) in all {
         let entries = entries(value);
-        let known = cause.uncertainty.get(place).map(self::entries).unwrap_or_default();
-        let of = if cause.parameters.len() > 1 { format!("{}: ", escaped(place)) } else { String::new() };
+        let known = cause.uncertainty.get(place).filter(|_| whose.is_empty());
+        let known = known.map(self::entries).unwrap_or_default();
+        let of = if all.len() > 1 { format!("{whose}{}: ", escaped(place)) } else { whose.to_owned() };
         for (index, entry) in entries.iter().take(ENTRIES).enumerate() {
             let intervals = known.get(index).copied();
             let told = entry.as_object().into_iter().flatten().map(|(key, value)| {

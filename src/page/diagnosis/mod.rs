@@ -97,15 +97,30 @@ struct Parameter {
     ci95: Option<[f64; 2]>,
 }
 
+/// Who has an effect.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Sense {
+    /// The sensor alone, as reports say that have no sense.
+    #[default]
+    Missing,
+    Superfluous,
+    Size,
+}
+
 #[derive(Debug, Deserialize)]
 struct Cause {
     effect: String,
+    #[serde(default)]
+    sense: Sense,
     channels: Vec<String>,
     #[serde(deserialize_with = "crate::plot::json::number")]
     confidence: f64,
     closes: Option<f64>,
     #[serde(default)]
     parameters: BTreeMap<String, Value>,
+    #[serde(default)]
+    model: BTreeMap<String, Value>,
     #[serde(default)]
     uncertainty: BTreeMap<String, Value>,
     #[serde(default)]

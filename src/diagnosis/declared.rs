@@ -1,0 +1,171 @@
+//! Declared: the effects that a model has and its sensor has not, or has otherwise.
+
+use super::diagnose::Findings;
+use super::evidence::Kind;
+use super::named::Named;
+use super::prices::Prices;
+use super::report::Sense;
+use super::search::Step;
+use super::series::Series;
+use super::spread::Spread;
+use super::translate::Translated;
+use crate::effects::{Comb, Effect, Tone};
+use crate::simulator::ChannelModel;
+use std::sync::Arc;
+
+/// Nats of a line whose frequency is known: it is there.
+const THERE: f64 = 6.0;
+
+/// One of the model's lines as a channel has it, in the series' scale.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MeasuredLine {
+    /// Peak, and its standard error.
+    pub(super) amplitude: f64,
+    pub(super) error: f64,
+    /// Nats more than with the model's amplitude, and than without the line.
+    pub(super) otherwise: f64,
+    pub(super) there: f64,
+    /// Whether the channel has it otherwise than the model says.
+    pub(super) is_off: bool,
+}
+
+/// The model's lines as a channel has them: normal amplitudes about the true ones.
+///
+/// One whose stated interval reaches the channel's is as the model says.
+pub(super) fn lines(
+    series: &Series<'_>,
+    of: &super::prepare::Prepared,
+    model: &ChannelModel,
+    prices: &Prices,
+) -> Vec<MeasuredLine> {
+    let errors = Spread::of(series).sines;
+    let own = series.explanation.sines.iter().zip(&of.sines).zip(&of.lines).zip(errors);
+    own.map(|(((found, declared), (place, passed)), (_, error))| {
+        let (amplitude, expected) = (found.amplitude(), declared.amplitude());
+        let nats = |off: f64| 0.5 * (off / error).powi(2);
+        let stated = model.effect_interval(*place, "amplitude").map(|ends| ends.map(|end| end * passed / of.scale));
+        let is_within =
+            stated.is_some_and(|[low, high]| amplitude - 1.96 * error <= high && amplitude + 1.96 * error >= low);
+        let otherwise = nats(amplitude - expected);
+        MeasuredLine {
+            amplitude,
+            error,
+            otherwise,
+            there: nats(amplitude),
+            is_off: !is_within && otherwise > prices.of(Kind::Tone),
+        }
+    })
+    .collect()
+}
+
+/// Lines of the model that a channel lacks or has with other amplitudes.
+pub(super) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+    let prepared = &of.prepared;
+    let channel = prepared.channel;
+    let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
+        let own: Vec<(f64, &MeasuredLine)> = prepared
+            .lines
+            .iter()
+            .zip(&of.lines)
+            .filter(|((of_effect, _), _)| *of_effect == place)
+            .map(|((_, passed), line)| (prepared.scale / passed, line))
+            .collect();
+        if !own.iter().any(|(_, line)| line.is_off) {
+            return None;
+        }
+        let otherwise: f64 = own.iter().map(|(_, line)| line.otherwise).sum();
+        let is_there = own.iter().any(|(_, line)| line.there > THERE);
+        let amplitudes: Vec<f64> = own.iter().map(|(unit, line)| unit * line.amplitude).collect();
+        let (found, ci95): (Arc<dyn Effect>, _) = match (effect.number("frequency_hz"), effect.number("fundamental_hz"))
+        {
+            (Some(frequency_hz), _) => {
+                let (unit, line) = own[0];
+                let ends = [-1.96, 1.96].map(|far| (unit * (line.amplitude + far * line.error)).max(0.0));
+                (Arc::new(Tone { frequency_hz, amplitude: amplitudes[0] }), vec![("amplitude", ends)])
+            }
+            (_, Some(fundamental_hz)) => (Arc::new(Comb { fundamental_hz, amplitudes }), Vec::new()),
+            _ => return None,
+        };
+        let (sense, says) = match is_there {
+            true => (Sense::Size, "with another amplitude than the model's"),
+            false => (Sense::Superfluous, "without the model's line"),
+        };
+        let evidence = format!("{channel}: {otherwise:.0} nats more {says}, its phase fitted");
+        Some(Named {
+            channel,
+            sense,
+            declared: Some((place, effect.clone())),
+            effect: if is_there { found } else { effect.clone() },
+            gain: otherwise,
+            confidence: 0.99,
+            evidence: vec![evidence],
+            ci95: if is_there { ci95 } else { Vec::new() },
+        })
+    };
+    model.effects.iter().enumerate().filter_map(named).collect()
+}
+
+/// Which of the model's effects each found one stands for, by its place in the list.
+pub(super) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelModel) -> Vec<Option<usize>> {
+    let mut places = vec![None; found.len()];
+    let changed = steps.iter().filter_map(|step| step.of_model.filter(|(_, sense)| *sense == Sense::Size));
+    for (place, _) in changed {
+        let Some(declared) = model.effects.get(place) else { continue };
+        let hz = |effect: &dyn Effect| effect.number("frequency_hz").unwrap_or_default();
+        let apart = |at: &usize| (hz(&*found[*at].effect) - hz(&**declared)).abs();
+        let same = (0..found.len()).filter(|at| places[*at].is_none() && found[*at].effect.name() == declared.name());
+        if let Some(at) = same.min_by(|a, b| apart(a).total_cmp(&apart(b))) {
+            places[at] = Some(place);
+        }
+    }
+    places
+}
+
+/// The model's spectral effects that a channel lacks: left out, and nothing found stands for them.
+pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>]) -> Vec<Named> {
+    let channel = of.prepared.channel;
+    let superfluous = of.steps.iter().filter_map(|step| {
+        let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
+        let effect = model.effects.get(place)?.clone();
+        let next = step.others.first().map_or(0.0, |(_, score)| *score);
+        let margin = step.gain - step.price - next;
+        let evidence = format!(
+            "{channel}: {:.0} nats more without the model's {} than with it, the noise fitted again; chance gives {:.0}",
+            step.gain,
+            effect.name(),
+            step.price
+        );
+        Some(Named {
+            channel,
+            sense: Sense::Superfluous,
+            declared: Some((place, effect.clone())),
+            effect,
+            gain: step.gain,
+            confidence: super::named::confidence(margin),
+            evidence: vec![evidence],
+            ci95: Vec::new(),
+        })
+    });
+    superfluous.collect()
+}
+
+/// What the model has at one place and the sensor at another is one effect of other numbers.
+pub(super) fn elsewhere(named: &mut Vec<Named>) {
+    let mut at = 0;
+    while at < named.len() {
+        let same = |one: &Named| {
+            let both = [named[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
+            both && one.channel == named[at].channel && one.effect.name() == named[at].effect.name()
+        };
+        let Some(other) = named.iter().position(same) else {
+            at += 1;
+            continue;
+        };
+        let lacked = named[at].clone();
+        let found = &mut named[other];
+        (found.sense, found.declared) = (Sense::Size, lacked.declared);
+        found.gain += lacked.gain;
+        found.evidence.extend(lacked.evidence);
+        named.remove(at);
+    }
+}
