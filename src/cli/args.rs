@@ -444,15 +444,19 @@ pub struct DiagnoseArgs {
 /// Arguments of `trial`.
 #[derive(Debug, Args)]
 pub struct TrialArgs {
-    /// How many cases: of 2500, 500 have no effect, 850 one, 650 two, 500 one outside the library
+    /// How many cases; which share of them is of each class is in docs/trial.md
     #[arg(long, value_name = "N", default_value_t = 250)]
     pub cases: usize,
     /// Seed of the cases (default: the time in ms; it is told)
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Only these, with commas between: none, single, pair, outside, or names of effects (docs/trial.md)
+    /// Only these, with commas between: none, known, single, pair, several, superfluous, size, outside, kept, or names of effects
+    /// (docs/trial.md); default: all but kept
     #[arg(long, value_name = "NAMES", default_value = "")]
     pub kinds: String,
+    /// A frozen set of cases that others can compare with: 2026
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["cases", "seed", "kinds", "samples", "motion", "on"])]
+    pub suite: Option<String>,
     /// Cases with a known motion: scale factor, misalignment, g-sensitivity and their like; of them a fifth have no effect, half
     /// one of the library, a fifth two, a tenth one outside it
     #[arg(long, conflicts_with_all = ["on", "html"])]
@@ -472,6 +476,9 @@ pub struct TrialArgs {
     /// Also measure what the true effects would close; takes twice as long
     #[arg(long)]
     pub truth: bool,
+    /// Also record each case with a gap once more, and simulate its corrected model, and diagnose both; takes five times as long
+    #[arg(long, conflicts_with = "motion")]
+    pub again: bool,
     /// Write the score as a page
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
@@ -513,6 +520,9 @@ pub struct TrialPartArgs {
     /// Which case, from 0
     #[arg(long, default_value_t = 0)]
     pub case: usize,
+    /// The corrected model: where the diagnosis writes it, and what is tried again
+    #[arg(long)]
+    pub corrected: Option<PathBuf>,
 }
 
 /// Parts of a trial.
@@ -530,6 +540,8 @@ pub enum TrialPart {
     Key,
     /// The discrepancy of a case under the model that has its effects
     Truth,
+    /// Diagnoses of a second record, and of what the corrected model makes
+    Again,
 }
 
 impl TrialPart {
@@ -543,6 +555,7 @@ impl TrialPart {
             Self::Diagnose => "diagnose",
             Self::Key => "key",
             Self::Truth => "truth",
+            Self::Again => "again",
         }
     }
 }

@@ -35,6 +35,8 @@ mod subject;
 mod trial;
 mod trial_motion;
 mod trial_on;
+mod trial_part;
+mod trial_show;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;
@@ -249,7 +251,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Report(args) => report::run(&context, &args),
         Command::Simulate(args) => simulate::run(&context, &args),
         Command::Trial(args) => trial::run(&context, &args),
-        Command::TrialPart(args) => trial::run_part(&args),
+        Command::TrialPart(args) => trial_part::run(&context, &args),
         Command::Model(args) => model::run(&context, &args),
         Command::Diagnose(args) => diagnose::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),

@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -19,19 +19,44 @@ use std::sync::{Mutex, PoisonError};
 pub(super) struct Sealed<'a> {
     pub(super) seed: u64,
     args: &'a TrialArgs,
+    /// Cases, kinds and length.
+    shape: Shape<'a>,
+    /// Where corrected models are kept until they are tried again, if they are.
+    corrected: Option<tempfile::TempDir>,
     /// The folder of the recording that effects are imposed on.
     ground: Option<&'a Path>,
 }
 
+/// What cases there are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shape<'a> {
+    /// How many.
+    pub(super) cases: usize,
+    /// The seed, where one is told.
+    pub(super) seed: Option<u64>,
+    /// Words for their kinds.
+    pub(super) kinds: &'a str,
+    /// Samples of each, where they are told.
+    pub(super) samples: Option<usize>,
+}
+
+impl<'a> Shape<'a> {
+    /// As the arguments say.
+    pub(super) fn of(args: &'a TrialArgs) -> Self {
+        Self { cases: args.cases, seed: args.seed, kinds: &args.kinds, samples: args.samples }
+    }
+}
+
 impl<'a> Sealed<'a> {
     /// With the seed that is asked for, or the time; its folder is made.
-    pub(super) fn new(args: &'a TrialArgs, ground: Option<&'a Path>) -> anyhow::Result<Self> {
+    pub(super) fn new(args: &'a TrialArgs, shape: Shape<'a>, ground: Option<&'a Path>) -> anyhow::Result<Self> {
         if let Some(folder) = &args.out {
             let reports = folder.join("reports");
             std::fs::create_dir_all(&reports).with_context(|| format!("{} cannot be made", reports.display()))?;
         }
-        let seed = args.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
-        Ok(Self { seed, args, ground })
+        let seed = shape.seed.unwrap_or_else(|| SystemClock.utc_ns().unsigned_abs() / 1_000_000);
+        let corrected = args.again.then(tempfile::tempdir).transpose().context("no temporary folder can be made")?;
+        Ok(Self { seed, args, shape, corrected, ground })
     }
 
     /// The manifest and its SHA-256, which are told and kept; of no case it is `empty`.
@@ -103,7 +128,11 @@ impl<'a> Sealed<'a> {
     pub(super) fn diagnosed(&self, part: TrialPart, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
         let mut maker = self.command(part, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let parcel = maker.stdout.take().context("the maker has no output")?;
-        let output = self.command(TrialPart::Diagnose, None)?.stdin(parcel).output()?;
+        let mut diagnose = self.command(TrialPart::Diagnose, None)?;
+        if let Some(path) = self.corrected(case).filter(|_| part == TrialPart::Case) {
+            diagnose.arg("--corrected").arg(path);
+        }
+        let output = diagnose.stdin(parcel).output()?;
         let made = maker.wait()?;
         anyhow::ensure!(made.success(), "case {case} could not be made");
         if output.status.success() {
@@ -111,6 +140,30 @@ impl<'a> Sealed<'a> {
         }
         let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
         Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
+    }
+
+    /// The file of a case's corrected model, where those are kept.
+    fn corrected(&self, case: usize) -> Option<PathBuf> {
+        Some(self.corrected.as_ref()?.path().join(format!("{case:05}.json")))
+    }
+
+    /// What came of every case on other data, where that is asked for and `has_gap` says so.
+    pub(super) fn again<T: Send>(
+        &self,
+        cases: usize,
+        has_gap: impl Fn(usize) -> bool + Sync,
+        of: impl Fn(usize, &[u8]) -> anyhow::Result<T> + Sync,
+    ) -> anyhow::Result<Vec<Option<T>>> {
+        self.each(cases, "cases tried again", |case| {
+            let Some(path) = self.corrected(case).filter(|path| has_gap(case) && path.exists()) else {
+                return Ok(None);
+            };
+            let output = self.command(TrialPart::Again, Some(case))?.arg("--corrected").arg(path).output()?;
+            let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
+            anyhow::ensure!(output.status.success(), "case {case} could not be tried again: {}", said());
+            self.keep(&format!("reports/{case:05}-again.json"), &output.stdout)?;
+            of(case, &output.stdout).map(Some)
+        })
     }
 
     /// Writes a file of the trial's folder, if it has one.
@@ -126,9 +179,9 @@ impl<'a> Sealed<'a> {
             command.arg("--motion");
         }
         if part != TrialPart::Diagnose {
-            command.args(["--seed", &self.seed.to_string(), "--cases", &self.args.cases.to_string()]);
-            command.args(["--kinds", &self.args.kinds]);
-            if let Some(samples) = self.args.samples {
+            command.args(["--seed", &self.seed.to_string(), "--cases", &self.shape.cases.to_string()]);
+            command.args(["--kinds", self.shape.kinds]);
+            if let Some(samples) = self.shape.samples {
                 command.args(["--samples", &samples.to_string()]);
             }
             if let Some(ground) = self.ground {

@@ -4,7 +4,7 @@
 //! the keys' digests comes first and the keys last.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
-use super::sealed::{Sealed, Threshold, discrepancy, usage, words};
+use super::sealed::{Sealed, Shape, Threshold, discrepancy, usage, words};
 use super::{Context, Outcome, print_json, table};
 use crate::diagnosis::{self, Options};
 use crate::sample::Triad;
@@ -28,7 +28,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         return Err(usage(format!("--samples: a case with a motion takes {SAMPLES_MIN} or more")));
     }
     let thresholds = Threshold::of(args, &RATES.map(|(name, _)| name))?;
-    let sealed = Sealed::new(args, None)?;
+    let sealed = Sealed::new(args, Shape::of(args), None)?;
     let (manifest, manifest_sha256) = sealed.manifest(|| "--cases: there is no case".to_owned())?;
     let reports = sealed.reports(manifest.digests.len())?;
     let verified =
@@ -105,7 +105,7 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
             let outcome = diagnosis::diagnose_moved(&recording, &reference, &case.model(true)?, &options)?;
             serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
         }
-        TrialPart::Own | TrialPart::Diagnose => {}
+        TrialPart::Again | TrialPart::Own | TrialPart::Diagnose => {}
     }
     Ok(Outcome::Done)
 }

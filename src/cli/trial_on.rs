@@ -8,10 +8,13 @@ use crate::diagnosis::{self, Options, Recording};
 use crate::jobs::gridded;
 use crate::simulator::SensorModel;
 use crate::trial::limit::STUDY;
+use crate::trial::parcel::Parcel;
 use crate::trial::{Kind, Report, Stretch, Survey, parcel, recorded};
 use anyhow::Context as _;
 use std::path::{Path, PathBuf};
 
+/// Samples that half a stretch has at least to be diagnosed under the model of the other.
+const HALF_MIN: usize = 4_000;
 /// How often a stretch is asked what it still shows.
 const ROUNDS: usize = 3;
 
@@ -21,6 +24,8 @@ pub(super) struct Ground {
     pub name: String,
     /// Its stretches and what can be imposed on them.
     pub survey: Survey,
+    /// Of each stretch the second half under the model of the first: verdict and number of causes.
+    pub halves: Vec<(String, usize)>,
     folder: tempfile::TempDir,
 }
 
@@ -41,16 +46,17 @@ impl Ground {
             let stretch = of_itself(&stretches[number])?;
             let text = serde_json::to_vec(&stretch.own)?;
             std::fs::write(own(folder.path(), number), text)?;
-            std::fs::write(parcel_of(folder.path(), number), parcel::pack(&stretch.recording, &stretch.model)?)?;
+            std::fs::write(parcel_of(folder.path(), number), parcel::pack(&stretch.recording, &stretch.model, false)?)?;
             Ok(stretch.kinds())
         })?;
-        let all = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE);
+        let halves =
+            each(stretches.len(), args.threads, "halves against each other", |number| halves(&stretches[number]))?;
         let survey = Survey {
             stretches: stretches.len(),
-            kinds: all.filter(|kind| kinds.iter().all(|of| of.contains(kind))).collect(),
+            kinds: Kind::all().filter(|kind| kinds.iter().all(|of| of.contains(kind))).collect(),
         };
         std::fs::write(survey_of(folder.path()), serde_json::to_vec(&survey)?)?;
-        Ok(Self { name: named.to_owned(), survey, folder })
+        Ok(Self { name: named.to_owned(), survey, halves: halves.into_iter().flatten().collect(), folder })
     }
 
     /// Where it is kept while this lives.
@@ -66,7 +72,7 @@ pub(super) fn survey(folder: &Path) -> anyhow::Result<Survey> {
 
 /// One of them.
 pub(super) fn stretch(folder: &Path, number: usize) -> anyhow::Result<Stretch> {
-    let (recording, model) = parcel::unpack(&read(&parcel_of(folder, number))?)?;
+    let Parcel { recording, model, .. } = parcel::unpack(&read(&parcel_of(folder, number))?)?;
     let own = serde_json::from_slice(&read(&own(folder, number))?)?;
     Ok(Stretch { recording, model, own })
 }
@@ -89,6 +95,17 @@ fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
         }
     }
     Ok(Stretch::new(recording.clone(), model, &named))
+}
+
+/// The second half of a stretch under the model that has what the first shows: verdict and number of causes; none where half of it is
+/// too short.
+fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
+    let Ok(halves) = recorded::cut_in(stretch, stretch.len() / 2, HALF_MIN) else { return Ok(None) };
+    let [first, second, ..] = halves.as_slice() else { return Ok(None) };
+    let model = of_itself(first)?.model;
+    let outcome = diagnosis::diagnose(second, &model, &Options::default())?;
+    let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
+    Ok(Some((report.verdict, report.causes.len())))
 }
 
 /// The model as the processes that are told it read it.

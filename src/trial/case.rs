@@ -1,89 +1,110 @@
-//! Cases: a device with effects that its model lacks, its key, and recordings of it.
+//! Cases: a device with effects that its model lacks or has otherwise, its key, and recordings of it.
 
+use super::class::Sense;
 use super::columns::{Column, Columns};
 use super::draw::Draw;
 use super::ground::{as_read, flicker};
 use super::impose::{Effect, ImposeError};
 use super::key::{Key, TrueEffect};
-use super::kind::{Class, Kind};
+use super::kind::Kind;
+use super::limit::{ABOVE, LEAST};
+use super::recipe::Recipe;
 use super::recorded::Stretch;
+use super::report::entries;
 use super::setting::{Part, Setting};
+use super::told::{over_limit, told, with};
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use serde_json::Value;
+use std::collections::BTreeMap;
 
-/// A sealed case. The same seed and number give the same device; the capture's number gives the realisation.
+/// An effect of a case.
+#[derive(Debug)]
+struct Has {
+    effect: Effect,
+    sense: Sense,
+    /// What the model says of it, if anything.
+    told: Option<BTreeMap<String, Value>>,
+    over_limit: f64,
+}
+
+/// A sealed case. The same seed and number give the same device with the same events, the take's number gives the noise.
 #[derive(Debug)]
 pub struct Case {
     seed: u64,
     number: usize,
-    capture: u32,
+    take: u32,
+    recipe: Recipe,
     setting: Setting,
-    effects: Vec<Effect>,
+    has: Vec<Has>,
     /// What it is made of, where somebody recorded it.
     stretch: Option<Stretch>,
 }
 
 impl Case {
-    /// The case `number` of the sealed seed with these kinds, recorded for the `capture`th time (from 1).
+    /// The case `number` of the sealed seed whose model lacks these kinds.
     ///
     /// # Errors
-    /// [`ImposeError`]: kinds that its device cannot have; a setting is drawn for the kinds, so that there is none for those
-    /// of [`Kind::LIBRARY`] and [`Kind::OUTSIDE`].
-    pub fn draw(seed: u64, number: usize, kinds: &[Kind], capture: u32) -> Result<Self, ImposeError> {
-        Self::draw_of_length(seed, number, kinds, capture, None)
+    /// As [`Self::make`].
+    pub fn draw(seed: u64, number: usize, kinds: &[Kind]) -> Result<Self, ImposeError> {
+        Self::make(seed, number, &Recipe::lacking(kinds), None)
     }
 
-    /// The same with so many samples instead of a drawn number.
+    /// The case `number` of the sealed seed by this recipe, of so many samples instead of a drawn number.
     ///
     /// # Errors
-    /// As [`Self::draw`], and [`ImposeError::TooShort`].
-    pub fn draw_of_length(
-        seed: u64,
-        number: usize,
-        kinds: &[Kind],
-        capture: u32,
-        samples: Option<usize>,
-    ) -> Result<Self, ImposeError> {
-        let mut setting = Setting::draw(kinds, &mut Draw::device(seed, number as u64, "setting"));
+    /// [`ImposeError`]: kinds that its device cannot have; a setting is drawn for the kinds, so that there is none but
+    /// [`ImposeError::TooShort`].
+    pub fn make(seed: u64, number: usize, recipe: &Recipe, samples: Option<usize>) -> Result<Self, ImposeError> {
+        let kinds: Vec<Kind> = recipe.kinds().collect();
+        let mut setting = Setting::draw(&kinds, &mut Draw::device(seed, number as u64, "setting"));
         setting.samples = samples.unwrap_or(setting.samples);
-        Self::with(seed, number, kinds, capture, setting, None)
+        Self::with(seed, number, recipe, setting, None)
     }
 
     /// A case of a stretch that somebody recorded: the effects act on it.
     ///
     /// # Errors
     /// [`ImposeError`]: kinds that are not of [`Stretch::kinds`].
-    pub fn draw_on(
-        seed: u64,
-        number: usize,
-        kinds: &[Kind],
-        capture: u32,
-        stretch: Stretch,
-    ) -> Result<Self, ImposeError> {
-        let setting = stretch.setting(kinds, &mut Draw::device(seed, number as u64, "setting"));
-        Self::with(seed, number, kinds, capture, setting, Some(stretch))
+    pub fn draw_on(seed: u64, number: usize, recipe: &Recipe, stretch: Stretch) -> Result<Self, ImposeError> {
+        let kinds: Vec<Kind> = recipe.kinds().collect();
+        let setting = stretch.setting(&kinds, &mut Draw::device(seed, number as u64, "setting"));
+        Self::with(seed, number, recipe, setting, Some(stretch))
     }
 
     fn with(
         seed: u64,
         number: usize,
-        kinds: &[Kind],
-        capture: u32,
+        recipe: &Recipe,
         setting: Setting,
         stretch: Option<Stretch>,
     ) -> Result<Self, ImposeError> {
         let case = number as u64;
-        let mut kinds = kinds.to_vec();
-        kinds.sort_by_key(|kind| kind.place());
-        let effect = |(index, kind): (usize, &Kind)| {
-            let purpose = format!("effect {index}");
-            let device = Draw::device(seed, case, &purpose);
-            Effect::draw(*kind, &setting, device, Draw::capture(seed, case, capture, &format!("events {index}")))
+        let mut recipe = recipe.clone();
+        recipe.effects.sort_by_key(|(kind, _)| kind.place());
+        // A case counts where all its effects are above their limits: of three and four that would be few.
+        let least = if recipe.effects.len() > 2 { ABOVE } else { LEAST };
+        let has = |(index, (kind, sense)): (usize, &(Kind, Sense))| {
+            let device = |purpose: &str| Draw::device(seed, case, &format!("{purpose} {index}"));
+            let effect = Effect::draw(*kind, &setting, least, device("effect"), device("events"))?;
+            let told = told(&effect, *sense, &setting, &mut device("told"));
+            let over_limit = match (&told, sense) {
+                (Some((_, factor)), Sense::Size) => over_limit(*kind, effect.over_limit, *factor),
+                _ => effect.over_limit,
+            };
+            Ok(Has { effect, sense: *sense, told: told.map(|(told, _)| told), over_limit })
         };
-        let effects = kinds.iter().enumerate().map(effect).collect::<Result<_, _>>()?;
-        Ok(Self { seed, number, capture, setting, effects, stretch })
+        let has = recipe.effects.iter().enumerate().map(has).collect::<Result<_, _>>()?;
+        Ok(Self { seed, number, take: 1, recipe, setting, has, stretch })
+    }
+
+    /// The same device recorded once more: the same effects at the same times, other noise. `None` where somebody recorded it, and
+    /// where limits follow from the samples, so that they would be others.
+    #[must_use]
+    pub fn again(self) -> Option<Self> {
+        let same = self.stretch.is_none() && self.recipe.kinds().all(|kind| kind != Kind::Saturation);
+        same.then_some(Self { take: self.take + 1, ..self })
     }
 
     /// The device and its record's shape.
@@ -93,18 +114,29 @@ impl Case {
     }
 
     /// The effects, in the order in which they act.
-    #[must_use]
-    pub fn effects(&self) -> &[Effect] {
-        &self.effects
+    pub fn effects(&self) -> impl Iterator<Item = &Effect> {
+        self.has.iter().map(|has| &has.effect)
     }
 
     /// The model that the diagnosis is given.
     #[must_use]
     pub fn model(&self) -> SensorModel {
-        match &self.stretch {
+        let plain = match &self.stretch {
             Some(stretch) => stretch.model_of(&self.setting, true),
             None => self.setting.model(),
-        }
+        };
+        let key = self.key();
+        let told = key.effects.iter().filter_map(|effect| Some((effect, effect.told.as_ref()?)));
+        let level = |channel: &str| {
+            self.setting.parts.iter().find(|part| part.channel.name() == channel).map(|part| part.level)
+        };
+        with(&plain, told, level).unwrap_or(plain)
+    }
+
+    /// Whether it is read as a table is, so that its rate follows from its stamps.
+    #[must_use]
+    pub fn is_table(&self) -> bool {
+        self.stretch.is_none() && self.setting.stamps.is_some()
     }
 
     /// Where somebody recorded it: its channels with nothing imposed, and the model as it was fitted to them.
@@ -118,48 +150,60 @@ impl Case {
     #[must_use]
     pub fn key(&self) -> Key {
         let name = |channel: &Channel| channel.name().to_owned();
-        let effect = |effect: &Effect| TrueEffect {
-            kind: effect.kind,
-            effect: effect.kind.effect().map(str::to_owned),
-            size: effect.size,
-            over_limit: effect.over_limit,
-            channels: effect.channels.iter().map(name).collect(),
-            parameters: effect.parameters.clone(),
+        let effect = |has: &Has| TrueEffect {
+            kind: has.effect.kind,
+            effect: has.effect.kind.effect().map(str::to_owned),
+            sense: has.sense,
+            size: has.effect.size,
+            over_limit: has.over_limit,
+            channels: has.effect.channels.iter().map(name).collect(),
+            parameters: has.effect.parameters.clone(),
+            told: has.told.clone(),
         };
-        let kinds: Vec<Kind> = self.effects.iter().map(|effect| effect.kind).collect();
         Key {
             case: self.number,
-            class: Class::of(&kinds),
+            class: self.recipe.class,
             rate_hz: self.setting.rate_hz,
             samples: self.setting.samples,
             channels: self.setting.parts.iter().map(|part| name(&part.channel)).collect(),
-            effects: self.effects.iter().map(effect).collect(),
+            effects: self.has.iter().map(effect).collect(),
             true_nbk: self.setting.parts.iter().map(|part| (name(&part.channel), part.true_nbk)).collect(),
-            salt: self.stream("salt").salt(),
+            stamps: self.setting.stamps,
+            salt: Draw::capture(self.seed, self.number as u64, 1, "salt").salt(),
         }
     }
 
     /// The recording.
     #[must_use]
     pub fn record(&self) -> Recording {
+        let imposed: Vec<(usize, &Effect)> = self
+            .has
+            .iter()
+            .enumerate()
+            .filter(|(_, has)| has.sense.is_in_sensor())
+            .map(|(at, has)| (at, &has.effect))
+            .collect();
         if let Some(stretch) = &self.stretch {
-            return stretch.with(&self.setting, &self.effects, |purpose| self.stream(purpose));
+            return stretch.with(&self.setting, &imposed, |purpose| self.stream(purpose));
         }
         let (samples, rate_hz) = (self.setting.samples, self.setting.rate_hz);
         let mut warmth = self.stream("temperature");
         let temperature_c =
             self.setting.temperature.map(|course| course.samples(samples, &mut warmth)).unwrap_or_default();
         let read = self.setting.temperature.map(|_| as_read(&temperature_c, &mut warmth));
-        let stamp = |first: f64| (0..samples).map(|index| first + index as f64 / rate_hz).collect();
+        let times = |first: f64| (0..samples).map(|index| first + index as f64 / rate_hz).collect();
         let mut columns = Columns {
             rate_hz,
             columns: self.setting.parts.iter().map(|part| self.column(part)).collect(),
             temperature_c,
             missing: Vec::new(),
-            time_s: self.setting.first_stamp_s.map(stamp).unwrap_or_default(),
+            time_s: self.setting.stamps.map(|stamps| times(stamps.first_s)).unwrap_or_default(),
         };
-        for (index, effect) in self.effects.iter().enumerate() {
+        for (index, effect) in imposed {
             effect.impose(&mut columns, &mut self.stream(&format!("realisation {index}")));
+        }
+        if let Some(stamps) = self.setting.stamps {
+            stamps.write(&mut columns, &mut self.stream("stamps"));
         }
         columns.into_recording(read)
     }
@@ -180,42 +224,36 @@ impl Case {
     }
 
     fn stream(&self, purpose: &str) -> Draw {
-        Draw::capture(self.seed, self.number as u64, self.capture, purpose)
+        Draw::capture(self.seed, self.number as u64, self.take, purpose)
     }
 }
 
-/// The model that has what the key says: true N, B and K, and the effects in the contract's form; `None` where the model
-/// format cannot say it: what is outside the library, limits that follow from the samples, and filters, which have a little noise
-/// behind them that no parameter describes.
+/// The model that has what the key says: true N, B and K, and the effects as the sensor has them; `None` where the model
+/// format cannot say it: what is outside the library, and limits that follow from the samples; filters neither, whose form the
+/// model's only resembles.
 ///
 /// `told` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
 #[must_use]
 pub fn true_model(key: &Key, told: &SensorModel) -> Option<SensorModel> {
+    if key.effects.iter().any(|effect| !can_be_said(effect.kind)) {
+        return None;
+    }
     let mut value = serde_json::to_value(told).ok()?;
     for (channel, nbk) in &key.true_nbk {
         let entry = value.get_mut("channels")?.get_mut(channel)?.as_object_mut()?;
         for (name, parameter) in ["N", "B", "K"].into_iter().zip(nbk) {
             entry.insert(name.to_owned(), (*parameter).into());
         }
-        // A recording's own effects are told, and are true.
-        let mut effects = entry.get("effects").and_then(Value::as_array).cloned().unwrap_or_default();
-        for effect in &key.effects {
-            if !can_be_said(effect.kind) {
-                return None;
-            }
-            let name = effect.effect.as_ref()?;
-            let Some(told) = effect.parameters.get(channel) else { continue };
-            for one in told.as_array().map_or_else(|| std::slice::from_ref(told), Vec::as_slice) {
-                let mut one = one.as_object()?.clone();
-                one.insert("effect".to_owned(), name.as_str().into());
-                effects.push(Value::Object(one));
-            }
-        }
-        if !effects.is_empty() {
-            entry.insert("effects".to_owned(), effects.into());
+        // A recording's own effects come first in what is told, and are true; those of the case come anew.
+        if let Some(list) = entry.get_mut("effects").and_then(Value::as_array_mut) {
+            let of_case = |told: &BTreeMap<String, Value>| told.get(channel).map_or(0, |told| entries(told).len());
+            let all: usize = key.effects.iter().filter_map(|effect| effect.told.as_ref()).map(of_case).sum();
+            list.truncate(list.len().saturating_sub(all));
         }
     }
-    SensorModel::from_value(&value, "key").ok()
+    let plain = SensorModel::from_value(&value, "key").ok()?;
+    let has = key.effects.iter().filter(|effect| effect.sense.is_in_sensor());
+    with(&plain, has.map(|effect| (effect, &effect.parameters)), |_| None)
 }
 
 /// Whether a model has all that an effect of this kind does.
@@ -229,8 +267,8 @@ mod tests {
 
     #[test]
     fn a_case_is_the_same_every_time_and_never_has_a_value_that_is_no_number() {
-        for (number, kind) in Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).enumerate() {
-            let made = || Case::draw(11, number, &[kind], 1).unwrap().record();
+        for (number, kind) in Kind::all().enumerate() {
+            let made = || Case::make(11, number, &Recipe::lacking(&[kind]), Some(30_000)).unwrap().record();
             let once = made();
             assert!(once.channels.iter().all(|(_, values)| values.iter().all(|value| value.is_finite())), "{kind}");
             assert!(once.channels.iter().all(|(_, values)| values.len() == once.len()));
@@ -241,18 +279,35 @@ mod tests {
     }
 
     #[test]
-    fn a_second_capture_has_the_same_device_and_other_noise() {
-        let of = |capture| Case::draw(11, 4, &[Kind::Tone, Kind::Bursts], capture).unwrap();
-        let (first, second) = (of(1), of(2));
-        assert_eq!(first.setting(), second.setting());
-        assert_eq!(first.effects()[0].parameters, second.effects()[0].parameters);
-        assert_ne!(first.effects()[1].parameters, second.effects()[1].parameters);
-        assert_ne!(first.record().channels, second.record().channels);
+    fn a_second_take_has_the_same_device_and_events_and_other_noise() {
+        let first = Case::draw(11, 4, &[Kind::Tone, Kind::Bursts]).unwrap();
+        let (key, record) = (first.key(), first.record());
+        let second = first.again().unwrap();
+        assert_eq!(key, second.key());
+        assert_ne!(record.channels, second.record().channels);
+        assert!(Case::draw(11, 4, &[Kind::Saturation]).unwrap().again().is_none());
+    }
+
+    #[test]
+    fn what_is_superfluous_is_in_the_model_alone() {
+        let of = |sense| Case::make(14, 3, &Recipe::of_model(Kind::Spikes, sense), Some(20_000)).unwrap();
+        let most = |case: &Case| {
+            let channel = case.effects().next().unwrap().channels[0];
+            let recording = case.record();
+            let values = recording.values(channel).unwrap();
+            let scale = super::super::columns::scale(values);
+            values.iter().map(|value| (value - values[0]).abs() / scale).fold(0.0, f64::max)
+        };
+        let effects = |case: &Case| case.model().channels.values().map(|of| of.effects.len()).sum::<usize>();
+        let (missing, superfluous) = (of(Sense::Missing), of(Sense::Superfluous));
+        assert!(most(&missing) > most(&superfluous));
+        assert_eq!(effects(&missing), 0);
+        assert!(effects(&superfluous) > 0 && true_model(&superfluous.key(), &superfluous.model()).is_some());
     }
 
     #[test]
     fn the_ground_has_its_white_noise() {
-        let case = Case::draw(12, 0, &[], 1).unwrap();
+        let case = (0..).map(|number| Case::draw(12, number, &[]).unwrap()).find(|case| !case.is_table()).unwrap();
         let recording = case.record();
         for (part, (_, values)) in case.setting().parts.iter().zip(&recording.channels) {
             let steps = values.windows(2).map(|two| (two[1] - two[0]).powi(2)).sum::<f64>();
@@ -263,15 +318,15 @@ mod tests {
 
     #[test]
     fn the_truth_is_a_model_where_a_model_can_say_it() {
-        for kind in Kind::LIBRARY {
-            let case = Case::draw(13, 1, &[kind], 1).unwrap();
+        for kind in Kind::LIBRARY.iter().copied() {
+            let case = Case::draw(13, 1, &[kind]).unwrap();
             let found = true_model(&case.key(), &case.model());
             assert_eq!(found.is_some(), can_be_said(kind), "{kind}");
             let effects =
                 found.iter().flat_map(|model| model.channels.values()).map(|of| of.effects.len()).sum::<usize>();
-            assert!(found.is_none() || effects >= case.effects()[0].channels.len(), "{kind}");
+            assert!(found.is_none() || effects >= case.effects().next().unwrap().channels.len(), "{kind}");
         }
-        let outside = Case::draw(13, 1, &[Kind::Chirp], 1).unwrap();
+        let outside = Case::draw(13, 1, &[Kind::Chirp]).unwrap();
         assert_eq!(true_model(&outside.key(), &outside.model()), None);
     }
 }

@@ -17,6 +17,23 @@ pub struct Column {
     pub scale: f64,
 }
 
+impl Column {
+    /// Multiplies the white part, and with it what is of it in the values; `gain` takes a sample's number and its white part in σ.
+    pub fn amplify(&mut self, mut gain: impl FnMut(usize, f64) -> f64) {
+        for (i, (value, white)) in self.values.iter_mut().zip(&mut self.white).enumerate() {
+            let new = *white * gain(i, *white / self.scale);
+            *value += new - *white;
+            *white = new;
+        }
+    }
+
+    /// Adds a course to the values, told in σ per sample.
+    pub fn add(&mut self, mut course: impl FnMut(usize) -> f64) {
+        let scale = self.scale;
+        self.values.iter_mut().enumerate().for_each(|(i, value)| *value += scale * course(i));
+    }
+}
+
 /// Samples of several channels at one rate, and what goes with them.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
@@ -65,6 +82,17 @@ impl Columns {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Loses samples: they are missing from then on, and the last one before stands in their place.
+    pub fn lose(&mut self, places: impl IntoIterator<Item = usize>) {
+        self.missing.resize(self.len(), false);
+        for place in places {
+            self.missing[place] = true;
+            for column in &mut self.columns {
+                column.values[place] = column.values[place.saturating_sub(1)];
+            }
+        }
     }
 
     /// As a recording, with the temperature as it was read.

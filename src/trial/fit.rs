@@ -7,7 +7,11 @@
 //!      have in common are at least half of all they cover: more white noise in a stretch has one law, whatever its name;
 //!    * a `profile` for an interval or for a dependence on temperature, and two or more intervals for a profile: a profile can
 //!      follow either. The other way round it is the wrong form, and no fit.
-//! 3. Everything else is spurious: also the right effect on none of its channels, a comb for a single tone, a single interval for
+//! 3. Its sense has to be the true one: an effect that the model lacks, one that it has too much, one that both have differently. Of one
+//!    that both have, at two places, each of the three says what is so. A report that tells no sense says that it is lacking.
+//! 4. Of what is outside the library the effects of the contract's section 8 that describe it are right, where they have the
+//!    parameters that do.
+//! 5. Everything else is spurious: also the right effect on none of its channels, a comb for a single tone, a single interval for
 //!    a wave, a resonance for a tone.
 
 use super::key::{Key, TrueEffect};
@@ -35,6 +39,9 @@ const OVERLAP: f64 = 0.5;
 /// Whether `cause` is `truth`, an effect of the case with this key.
 #[must_use]
 pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
+    if !truth.sense.accepts(cause.sense) {
+        return Fit::No;
+    }
     if truth.kind == Kind::Timing {
         return if cause.effect == "timing" { Fit::Exact } else { Fit::No };
     }
@@ -56,6 +63,11 @@ pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
             when(louder && overlap(&intervals_of(truth), &told_intervals(cause)) >= OVERLAP)
         }
         (kind, named) if kind.effect() == Some(named) => Fit::Exact,
+        (kind, named) if kind.described().contains(&named) => {
+            let needed = kind.described_by();
+            let has = |entry: &Value| needed.iter().any(|name| !entry[*name].is_null());
+            when(needed.is_empty() || cause.all_entries().any(has))
+        }
         _ => Fit::No,
     }
 }
@@ -135,7 +147,7 @@ fn overlap(one: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trial::kind::Class;
+    use crate::trial::class::{Class, Sense};
     use serde_json::json;
 
     fn key() -> Key {
@@ -147,6 +159,7 @@ mod tests {
             channels: vec!["gyro_x".to_owned(), "gyro_y".to_owned()],
             effects: Vec::new(),
             true_nbk: Default::default(),
+            stamps: None,
             salt: String::new(),
         }
     }
@@ -154,10 +167,12 @@ mod tests {
         TrueEffect {
             kind,
             effect: kind.effect().map(str::to_owned),
+            sense: Sense::Missing,
             size: 1.0,
             over_limit: 2.0,
             channels: vec!["gyro_x".to_owned()],
             parameters: [("gyro_x".to_owned(), parameters)].into(),
+            told: None,
         }
     }
     fn cause(effect: &str, channel: &str, parameters: Value) -> Cause {
@@ -166,6 +181,9 @@ mod tests {
             channels: vec![channel.to_owned()],
             confidence: None,
             parameters: json!({ channel: parameters }),
+            sense: Sense::Missing,
+            uncertainty: Value::Null,
+            index: 0,
         }
     }
 
@@ -177,6 +195,28 @@ mod tests {
         assert_eq!(of("tone", "gyro_y"), Fit::No);
         assert_eq!(of("comb", "gyro_x"), Fit::No);
         assert_eq!(of("resonance", "gyro_x"), Fit::No);
+    }
+
+    #[test]
+    fn a_cause_in_the_wrong_sense_is_wrong() {
+        let tone = json!({"frequency_hz": 3.0, "amplitude": 1.0});
+        let of = |sense, told| {
+            let truth = TrueEffect { sense, ..truth(Kind::Tone, tone.clone()) };
+            fit(&truth, &Cause { sense: told, ..cause("tone", "gyro_x", tone.clone()) }, &key())
+        };
+        assert_eq!(of(Sense::Superfluous, Sense::Missing), Fit::No);
+        assert_eq!(of(Sense::Superfluous, Sense::Superfluous), Fit::Exact);
+        assert_eq!(of(Sense::Size, Sense::Missing), Fit::No);
+        assert_eq!(of(Sense::Elsewhere, Sense::Missing), Fit::Exact);
+    }
+
+    #[test]
+    fn what_section_8_describes_is_an_answer_outside() {
+        let of = |kind, effect, entry| fit(&truth(kind, json!({})), &cause(effect, "gyro_x", entry), &key());
+        assert_eq!(of(Kind::ToneOnOff, "intermittent", json!({})), Fit::Equivalent);
+        assert_eq!(of(Kind::ToneOnOff, "resonance", json!({})), Fit::No);
+        assert_eq!(of(Kind::Hysteresis, "temperature_bias", json!({"per_c": 1.0})), Fit::No);
+        assert_eq!(of(Kind::Hysteresis, "temperature_bias", json!({"per_c": 1.0, "play_c": 2.0})), Fit::Equivalent);
     }
 
     #[test]

@@ -1,12 +1,15 @@
 //! Judgements: one case's diagnosis held against its key.
 
-use super::fit::{Fit, fit, intervals_of, told_intervals};
+use super::again::Again;
+use super::class::{Class, Sense};
+use super::compare::{compare, intervals_held, locate};
+use super::fit::{Fit, fit};
 use super::key::{Key, TrueEffect};
-use super::kind::{Class, Kind};
+use super::kind::Kind;
 use super::limit::ABOVE;
-use super::report::{Cause, Report, entries};
+use super::place::{false_places, is_placed};
+use super::report::{Cause, Place, Report};
 use serde::Serialize;
-use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What came of a case: its diagnosis, or why there was none, and what the true effects close where that was measured.
@@ -19,6 +22,8 @@ pub struct Answer {
     pub own: Option<Report>,
     /// What the model with the true effects closes, scored as `closed` is.
     pub closed_by_truth: Option<f64>,
+    /// What came of it on data that the diagnosis did not see, where that was measured.
+    pub again: Option<Again>,
 }
 
 /// An effect of a case as it was found.
@@ -27,6 +32,8 @@ pub struct Answer {
 pub struct Found {
     /// Which.
     pub kind: Kind,
+    /// How sensor and model differ in it.
+    pub sense: Sense,
     /// Its size over the limit.
     pub over_limit: f64,
     /// Whether it was named.
@@ -35,6 +42,10 @@ pub struct Found {
     pub equivalent: bool,
     /// Whether all its channels were named and no other; none where it was not named, and for what has no channel.
     pub channels_exact: Option<bool>,
+    /// Whether `where` has its places and no others; none where it was not named, and for what has no channel.
+    pub placed: Option<bool>,
+    /// How many 95 % intervals of its parameters hold the truth, and of how many.
+    pub intervals: [usize; 2],
     /// What was located, by what it is (`frequency_bins`, `at_s`, `edge_s`): absolute errors.
     pub location: BTreeMap<&'static str, Vec<f64>>,
     /// Parameters: relative errors.
@@ -49,6 +60,8 @@ pub struct Named {
     pub effect: String,
     /// Its channels.
     pub channels: Vec<String>,
+    /// Its stated sense.
+    pub sense: Sense,
     /// Its stated confidence.
     pub confidence: Option<f64>,
     /// Whether it is one of the case's effects.
@@ -76,14 +89,28 @@ pub struct Judgement {
     pub own: usize,
     /// Whether the recording as it is is called unknown: then that verdict tells nothing of the case.
     pub own_unknown: bool,
+    /// The verdict on the recording as it is, and how many causes are named of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub control: Option<(String, usize)>,
     /// The case's effects.
     pub effects: Vec<Found>,
+    /// Places where nothing of the case is; none where nobody can tell.
+    pub false_places: Option<usize>,
+    /// The part of the gap that is reproduced without a name.
+    pub remainder: Option<f64>,
+    /// Hints that were given, by what they are of, and channels with an offset.
+    pub hints: Vec<String>,
+    /// Channels of which an offset is told.
+    pub offsets: Vec<String>,
     /// Part of the gap that was closed.
     pub closed: Option<f64>,
     /// Its interval.
     pub closed_ci95: Option<[f64; 2]>,
     /// What the true effects close.
     pub closed_by_truth: Option<f64>,
+    /// What holds on other data.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub again: Option<Again>,
 }
 
 impl Judgement {
@@ -103,6 +130,19 @@ impl Judgement {
     #[must_use]
     pub fn unknown(&self) -> bool {
         self.verdict == "unknown_effect"
+    }
+
+    /// Of what is outside the library: whether it is called unknown, is reproduced and said to be without a name, or is named by an
+    /// effect that describes it.
+    #[must_use]
+    pub fn answered(&self) -> bool {
+        self.unknown() || self.remainder.is_some() || self.causes.iter().any(|cause| cause.right)
+    }
+
+    /// Whether nothing is named.
+    #[must_use]
+    pub fn silent(&self) -> bool {
+        self.causes.is_empty() && self.verdict != "refused"
     }
 
     /// Whether every effect was named.
@@ -129,15 +169,21 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         Ok(report) => (report.causes.clone(), report.verdict.clone(), None),
         Err(refusal) => (Vec::new(), "refused".to_owned(), Some(refusal.clone())),
     };
+    let late = key.stamps.is_some_and(|stamps| stamps.deliver_late())
+        && !key.effects.iter().any(|effect| effect.kind.needs_stamps());
+    // Whether the sensor's clock or the delivery scatters nobody can tell from stamps of arrival.
+    let all: Vec<Cause> = all.into_iter().filter(|cause| !(late && cause.effect == "timing")).collect();
     let named_in_all = all.len();
     let causes: Vec<Cause> = match &answer.own {
         Some(own) => all.into_iter().filter_map(|cause| beyond(own, cause, key)).collect(),
         None => all,
     };
     let report = answer.report.as_ref().ok();
+    let places = report.map_or(&[][..], |report| &report.places);
     let named = |cause: &Cause| Named {
         effect: cause.effect.clone(),
         channels: cause.channels.clone(),
+        sense: cause.sense,
         confidence: cause.confidence,
         right: key.effects.iter().any(|truth| fit(truth, cause, key) > Fit::No),
     };
@@ -149,11 +195,18 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         refusal,
         own: named_in_all - causes.len(),
         own_unknown: answer.own.as_ref().is_some_and(|own| own.verdict == "unknown_effect"),
+        control: answer.own.as_ref().map(|own| (own.verdict.clone(), own.causes.len())),
         causes: causes.iter().map(named).collect(),
-        effects: key.effects.iter().map(|truth| found(truth, &causes, key)).collect(),
+        effects: key.effects.iter().map(|truth| found(truth, &causes, places, key)).collect(),
+        // Of what a recording has of itself nobody knows where it lies.
+        false_places: report.filter(|_| answer.own.is_none()).map(|_| false_places(places, key).count()),
+        remainder: report.and_then(|report| report.remainder),
+        hints: report.map(|report| report.hints.clone()).unwrap_or_default(),
+        offsets: report.map(|report| report.offsets.clone()).unwrap_or_default(),
         closed: report.and_then(|report| report.closed),
         closed_ci95: report.and_then(|report| report.closed_ci95),
         closed_by_truth: answer.closed_by_truth,
+        again: answer.again,
     }
 }
 
@@ -173,7 +226,7 @@ fn beyond(own: &Report, mut cause: Cause, key: &Key) -> Option<Cause> {
     (was_empty || !cause.channels.is_empty()).then_some(cause)
 }
 
-fn found(truth: &TrueEffect, causes: &[Cause], key: &Key) -> Found {
+fn found(truth: &TrueEffect, causes: &[Cause], places: &[Place], key: &Key) -> Found {
     let fits: Vec<(Fit, &Cause)> =
         causes.iter().map(|cause| (fit(truth, cause, key), cause)).filter(|(fit, _)| *fit > Fit::No).collect();
     let best = fits.iter().map(|(fit, _)| *fit).max().unwrap_or(Fit::No);
@@ -181,10 +234,13 @@ fn found(truth: &TrueEffect, causes: &[Cause], key: &Key) -> Found {
     let channels_exact = told == truth.channels.iter().collect();
     let mut found = Found {
         kind: truth.kind,
+        sense: truth.sense,
         over_limit: truth.over_limit,
         named: best > Fit::No,
         equivalent: best == Fit::Equivalent,
-        channels_exact: (best > Fit::No && truth.kind != Kind::Timing).then_some(channels_exact),
+        channels_exact: (best > Fit::No && !truth.kind.needs_stamps()).then_some(channels_exact),
+        placed: fits.first().and_then(|(_, cause)| is_placed(truth, cause, places, key)),
+        intervals: [0; 2],
         location: BTreeMap::new(),
         parameters: BTreeMap::new(),
     };
@@ -192,95 +248,23 @@ fn found(truth: &TrueEffect, causes: &[Cause], key: &Key) -> Found {
         locate(truth, cause, key, &mut found.location);
         if best == Fit::Exact && Some(cause.effect.as_str()) == truth.kind.effect() {
             compare(truth, cause, key, &mut found.parameters);
+            let [held, of] = intervals_held(truth, cause, key);
+            found.intervals = [found.intervals[0] + held, found.intervals[1] + of];
         }
     }
     found
-}
-
-/// The told number nearest to a true one, and how far off it is.
-fn nearest(truth: f64, told: impl IntoIterator<Item = f64>) -> Option<f64> {
-    told.into_iter().map(|told| (told - truth).abs()).min_by(f64::total_cmp)
-}
-
-/// The numbers of this name in a list of entries.
-fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64> + 'a {
-    entries.iter().filter_map(move |entry| entry[name].as_f64())
-}
-
-fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
-    let bins = key.samples as f64 / key.rate_hz;
-    for (channel, parameters) in &truth.parameters {
-        let (truths, told) = (entries(parameters), cause.entries(channel));
-        if told.is_empty() {
-            continue;
-        }
-        for (name, place, unit) in [
-            ("frequency_hz", "frequency_bins", bins),
-            ("fundamental_hz", "frequency_bins", bins),
-            ("at_s", "at_s", 1.0),
-        ] {
-            for one in numbers(truths, name) {
-                into.entry(place).or_default().extend(nearest(one, numbers(told, name)).map(|off| off * unit));
-            }
-        }
-    }
-    let (truths, told) = (intervals_of(truth), told_intervals(cause));
-    for [from, to] in truths {
-        // Each end against that of the interval that it lies nearest to.
-        let edges = [(from, 0), (to, 1)];
-        let off = edges.into_iter().filter_map(|(time, end)| nearest(time, told.iter().map(|interval| interval[end])));
-        into.entry("edge_s").or_default().extend(off);
-    }
-}
-
-/// Parameters that say where something is, or that are free: not compared as sizes.
-const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s", "to_s", "reference_c", "order"];
-
-fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
-    let relative = |told: f64, truth: f64| (truth != 0.0).then(|| (told.abs() / truth.abs() - 1.0).abs());
-    for (channel, parameters) in &truth.parameters {
-        for one in entries(parameters) {
-            let Some(told) = alike(one, cause.entries(channel), key) else { continue };
-            let Some(one) = one.as_object() else { continue };
-            for (name, value) in one.iter().filter(|(name, _)| !NO_SIZES.contains(&name.as_str())) {
-                let pairs: Vec<(f64, f64)> = match (value.as_f64(), value.as_array()) {
-                    (Some(truth), _) => told[name].as_f64().map(|told| (told, truth)).into_iter().collect(),
-                    (None, Some(list)) if name == "amplitudes" => {
-                        let told = told[name].as_array().map_or(&[][..], Vec::as_slice);
-                        list.iter().zip(told).filter_map(|(truth, told)| told.as_f64().zip(truth.as_f64())).collect()
-                    }
-                    _ => Vec::new(),
-                };
-                let errors = pairs.into_iter().filter_map(|(told, truth)| relative(told, truth));
-                into.entry(name.clone()).or_default().extend(errors);
-            }
-        }
-    }
-    into.retain(|_, errors| !errors.is_empty());
-}
-
-/// The told entry that means this true one: the only one, or the one that is nearest in frequency or time.
-fn alike<'a>(truth: &Value, told: &'a [Value], key: &Key) -> Option<&'a Value> {
-    let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
-    let Some(place) = place else { return told.first() };
-    let at = truth[place].as_f64()?;
-    let off = |entry: &Value| entry[place].as_f64().map(|other| (other - at).abs());
-    let best =
-        told.iter().filter_map(|entry| Some((off(entry)?, entry))).min_by(|one, other| one.0.total_cmp(&other.0))?;
-    // A step that was not found is not compared with another one.
-    let near = if place == "at_s" { 0.02 * key.samples as f64 / key.rate_hz } else { f64::INFINITY };
-    (best.0 <= near).then_some(best.1)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::trial::case::Case;
-    use serde_json::json;
+    use crate::trial::recipe::Recipe;
+    use serde_json::{Value, json};
 
     fn key(kinds: &[Kind]) -> Key {
         (0..)
-            .map(|case| Case::draw(17, case, kinds, 1).unwrap().key())
+            .map(|case| Case::draw(17, case, kinds).unwrap().key())
             .find(|key| key.effects.iter().all(|one| one.over_limit > 2.0))
             .unwrap()
     }
@@ -288,7 +272,7 @@ mod tests {
         let report = Report::of(
             &json!({"verdict": verdict, "causes": causes, "discrepancy": {"closed": 0.9, "closed_ci95": [0.8, 0.95]}}),
         );
-        Answer { report: Ok(report.unwrap()), own: None, closed_by_truth: Some(0.92) }
+        Answer { report: Ok(report.unwrap()), own: None, closed_by_truth: Some(0.92), again: None }
     }
     fn truth(key: &Key, at: usize) -> Value {
         let effect = &key.effects[at];
@@ -297,12 +281,13 @@ mod tests {
 
     #[test]
     fn the_truth_itself_is_right_in_everything() {
-        for kind in Kind::LIBRARY {
+        for kind in Kind::LIBRARY.iter().copied() {
             let key = key(&[kind]);
             let judged = judge(&key, &report("effects", json!([truth(&key, 0)])));
             assert!(judged.right_first() && judged.exactly() && judged.counts, "{kind}");
             assert!(judged.effects[0].channels_exact != Some(false) && !judged.effects[0].equivalent, "{kind}");
             assert!(judged.effects[0].location.values().flatten().all(|error| *error < 1e-9), "{kind}");
+            assert!(judged.effects[0].placed != Some(true), "{kind}: no place was told");
             assert!(judged.effects[0].parameters.values().flatten().all(|error| *error < 1e-9), "{kind}");
         }
     }
@@ -332,7 +317,8 @@ mod tests {
         let extra = json!({"effect": "rate_ramp", "channels": key.channels, "confidence": 0.5, "parameters": {}});
         let more = judge(&key, &report("effects", json!([extra, truth(&key, 0), truth(&key, 1)])));
         assert!(more.all_found() && more.spurious() && !more.right_first() && !more.exactly());
-        let refused = judge(&key, &Answer { report: Err("no".to_owned()), own: None, closed_by_truth: None });
+        let refused =
+            judge(&key, &Answer { report: Err("no".to_owned()), own: None, closed_by_truth: None, again: None });
         assert!(!refused.right_first() && !refused.all_found() && refused.verdict == "refused");
     }
 
@@ -352,6 +338,34 @@ mod tests {
         assert_eq!(left, [("spikes", true), ("rate_ramp", false), ("tone", false)]);
         assert!(judged.right_first() && judged.effects[0].channels_exact == Some(true));
         assert_eq!(judged.causes[2].channels, [imposed]);
+    }
+
+    #[test]
+    fn a_sense_that_is_wrong_makes_a_cause_wrong() {
+        let key = Case::make(3, 1, &Recipe::of_model(Kind::Tone, Sense::Superfluous), Some(20_000)).unwrap().key();
+        let mut cause = truth(&key, 0);
+        assert!(!judge(&key, &report("effects", json!([cause.clone()]))).right_first());
+        cause["sense"] = json!("superfluous");
+        let judged = judge(&key, &report("effects", json!([cause])));
+        assert!(judged.right_first() && judged.exactly());
+    }
+
+    #[test]
+    fn a_timing_that_is_the_deliverys_is_set_aside() {
+        let keys = (0..).map(|case| Case::make(17, case, &Recipe::lacking(&[Kind::Tone]), Some(20_000)).unwrap().key());
+        let key = keys.into_iter().find(|key| key.stamps.is_some_and(|stamps| stamps.deliver_late())).unwrap();
+        let timing = json!({"effect": "timing", "channels": [], "confidence": 0.9, "parameters": {}});
+        assert!(judge(&key, &report("effects", json!([timing, truth(&key, 0)]))).exactly());
+    }
+
+    #[test]
+    fn intervals_hold_the_truth_or_do_not() {
+        let key = key(&[Kind::Tone]);
+        let mut cause = truth(&key, 0);
+        let channel = key.effects[0].channels[0].clone();
+        let hz = key.effects[0].parameters[&channel]["frequency_hz"].as_f64().unwrap();
+        cause["uncertainty"] = json!({ &channel: [{"frequency_hz": [hz - 1.0, hz + 1.0], "amplitude": [0.0, 0.0]}] });
+        assert_eq!(judge(&key, &report("effects", json!([cause]))).effects[0].intervals, [1, 2]);
     }
 
     #[test]

@@ -3,7 +3,9 @@
 //! A manifest lists SHA-256 of every case's key as compact JSON. A key holds 16 bytes of salt, so that nobody finds it by
 //! trying. The manifest is written first, the keys are opened last and have to have the digests that it lists.
 
-use super::kind::{Class, Kind};
+use super::class::{Class, Sense};
+use super::kind::Kind;
+use super::stamps::Stamps;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
@@ -20,14 +22,19 @@ pub struct TrueEffect {
     pub kind: Kind,
     /// The contract's name; none outside the library.
     pub effect: Option<String>,
+    /// How sensor and model differ in it.
+    pub sense: Sense,
     /// In the units of [`super::limit::limit`].
     pub size: f64,
-    /// Over the limit.
+    /// Over the limit; of an effect that both have at different sizes that of the difference.
     pub over_limit: f64,
     /// The channels.
     pub channels: Vec<String>,
-    /// By channel, in the contract's form, as far as known before there are samples.
+    /// By channel, in the contract's form, as far as known before there are samples. Of an effect that the sensor lacks those
+    /// that the model has.
     pub parameters: BTreeMap<String, Value>,
+    /// What the model says, where it has the effect.
+    pub told: Option<BTreeMap<String, Value>>,
 }
 
 /// What a case has.
@@ -48,6 +55,8 @@ pub struct Key {
     pub effects: Vec<TrueEffect>,
     /// N, B, K of each channel as they are.
     pub true_nbk: BTreeMap<String, [f64; 3]>,
+    /// How samples are stamped, where they are.
+    pub stamps: Option<Stamps>,
     /// 16 random bytes.
     pub salt: String,
 }
@@ -141,11 +150,8 @@ mod tests {
 
     #[test]
     fn keys_fit_their_manifest_also_after_a_file_and_no_other_does() {
-        let keys: Vec<Key> = Kind::LIBRARY
-            .iter()
-            .enumerate()
-            .map(|(case, kind)| Case::draw(5, case, &[*kind], 1).unwrap().key())
-            .collect();
+        let keys: Vec<Key> =
+            Kind::LIBRARY.iter().enumerate().map(|(case, kind)| Case::draw(5, case, &[*kind]).unwrap().key()).collect();
         let manifest = Manifest::of(&keys);
         let read: Vec<Key> = serde_json::from_str(&serde_json::to_string_pretty(&keys).unwrap()).unwrap();
         assert_eq!(manifest.verify(&read), Ok(()));
@@ -158,7 +164,7 @@ mod tests {
 
     #[test]
     fn a_salt_is_the_cases_own() {
-        let key = |case| Case::draw(5, case, &[], 1).unwrap().key();
+        let key = |case| Case::draw(5, case, &[]).unwrap().key();
         assert_ne!(key(1).salt, key(2).salt);
         assert_eq!(key(1).salt.len(), 32);
     }

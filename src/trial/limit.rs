@@ -59,6 +59,41 @@ pub fn limit(kind: Kind, samples: usize) -> f64 {
     }
 }
 
+/// Times the limit that sizes start from.
+pub const LEAST: f64 = 0.5;
+/// And that they reach, where nothing physical is in the way.
+const MOST: f64 = 100.0;
+
+/// Times the limit that the sizes of `kind` reach in cases of `samples`: 100, or what makes sense.
+///
+/// | kind | no more than |
+/// |---|---|
+/// | resolution | steps of 6 σ: coarser ones leave one or two codes |
+/// | heavy_tails | 2.5 degrees of freedom: the variance has to be finite |
+/// | spikes, held_samples, saturation | a twentieth of the samples: more are no exception |
+/// | timing | a jitter of a fifth of a period: stamps keep their order |
+/// | variance_… | a factor of 50 on the amplitude; per standard deviation of the temperature 4.5 |
+/// | bursts | 50 σ; the limit is a burst's own, so that this is kept where they are drawn |
+///
+/// A bias step may be of 2,000 σ, in some cases: an axis that is turned over.
+#[must_use]
+pub fn most(kind: Kind, samples: usize) -> f64 {
+    let physical = match kind {
+        Kind::Resolution => 6.0,
+        Kind::HeavyTails => 0.4,
+        Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.05,
+        Kind::VarianceInterval | Kind::VarianceProfile => 2.0 * LOUDEST.ln(),
+        Kind::VariancePerC => 3.0,
+        // Its jitter grows in parts of a period, whatever the length is.
+        Kind::Timing => 40.0 * limit(kind, samples),
+        _ => f64::INFINITY,
+    };
+    (physical / limit(kind, samples)).clamp(2.0 * LEAST, MOST)
+}
+
+/// Factor on the amplitude of noise that no change of its size is beyond.
+pub(super) const LOUDEST: f64 = 50.0;
+
 /// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit where it has one.
 #[must_use]
 pub fn one(kind: Kind) -> f64 {
@@ -117,6 +152,16 @@ mod tests {
         let power = (limit(Kind::Resonance, 720_000) / limit(Kind::Resonance, 65_536)).powi(2);
         assert!((power - 0.3).abs() < 0.01, "{power}");
         assert_eq!(limit(Kind::RateRamp, 4 * 65_536), 4.8);
+    }
+
+    #[test]
+    fn sizes_reach_a_hundred_times_the_limit_or_what_is_physical() {
+        assert_eq!(most(Kind::Tone, 65_536), 100.0);
+        assert!((most(Kind::Resolution, 65_536) - 40.0).abs() < 1e-9);
+        assert!((most(Kind::HeavyTails, 65_536) * limit(Kind::HeavyTails, 65_536) - 0.4).abs() < 1e-12);
+        for kind in Kind::all() {
+            assert!((1.0..=100.0).contains(&most(kind, 10_000)), "{kind}");
+        }
     }
 
     #[test]

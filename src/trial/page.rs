@@ -3,7 +3,9 @@
 use super::detection::Limit;
 use super::interval::Rate;
 use super::limit::STUDY;
-use super::score::{Bin, Miss, Score};
+use super::of_kind::{Bin, Spread};
+use super::score::{Miss, Score};
+use super::suite::Suite;
 use std::fmt::Write as _;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}\
@@ -27,6 +29,10 @@ pub fn page(score: &Score) -> String {
         escaped(&score.software),
         escaped(&score.manifest_sha256)
     );
+    if let Some(suite) = score.suite.and_then(Suite::named) {
+        out += "<h2>A frozen set</h2>";
+        let _ = write!(out, "<p>{}</p>", escaped(&suite.told(&score.manifest_sha256)));
+    }
     if let Some(on) = &score.on {
         let _ = write!(
             out,
@@ -40,9 +46,11 @@ pub fn page(score: &Score) -> String {
     }
     out += "<h2>In short</h2><p>Effects of 1.5 times the study's 90&nbsp;% limit or above; intervals are Clopper and Pearson's, \
             95&nbsp;%.</p>";
-    let rows =
-        score.named_rates().into_iter().map(|(_, meaning, rate)| vec![escaped(meaning), count(rate), percent(rate)]);
-    table(&mut out, &["", "cases", "share"], rows);
+    let rows = score.rates.told().map(|one| vec![escaped(one.meaning), count(one.rate), percent(one.rate)]);
+    table(&mut out, &["", "count", "share"], rows);
+    if let Some(places) = score.false_places {
+        let _ = write!(out, "<p>False places per record: {places:.2}.</p>");
+    }
     kinds(&mut out, score);
     curves(&mut out, score);
     confusion(&mut out, score);
@@ -57,15 +65,15 @@ pub fn page(score: &Score) -> String {
         number(of.expected_error)
     );
     out += "<h2>Cases that went wrong</h2>";
-    table(&mut out, &["case", "has", "size/limit", "verdict", "named"], score.misses.iter().map(miss));
+    table(&mut out, &["case", "class", "has", "size/limit", "verdict", "named"], score.misses.iter().map(miss));
     out + "</html>\n"
 }
 
 fn kinds(out: &mut String, score: &Score) {
     *out += "<h2>By effect, alone in its case</h2>";
     let rows = score.kinds.iter().map(|of| {
-        let spread = |map: &[(String, super::score::Spread)]| {
-            let told = |(name, spread): &(String, super::score::Spread)| {
+        let spread = |map: &[(String, Spread)]| {
+            let told = |(name, spread): &(String, Spread)| {
                 format!("{} {:.3} ({:.3})", escaped(name), spread.median, spread.p90)
             };
             map.iter().map(told).collect::<Vec<_>>().join("<br>")
@@ -150,12 +158,19 @@ fn confusion(out: &mut String, score: &Score) {
     }
     *out += "</tr>";
     for (truth, row) in &score.confusion {
-        let effect = super::kind::Kind::from_name(truth).and_then(super::kind::Kind::effect);
+        let effect = truth
+            .split(" (")
+            .next()
+            .filter(|_| !truth.ends_with("(known)"))
+            .and_then(super::kind::Kind::from_name)
+            .and_then(super::kind::Kind::effect);
         let _ = write!(out, "<tr><td>{}</td>", escaped(truth));
         for name in &named {
             let right = match effect {
                 Some(effect) => effect == name.as_str(),
-                None if truth == "none" => ["no_gap", "parameters"].contains(&name.as_str()),
+                None if truth == "none" || truth.ends_with("(known)") => {
+                    ["no_gap", "parameters"].contains(&name.as_str())
+                }
                 None => name.as_str() == "unknown_effect",
             };
             match row.get(*name) {
@@ -184,6 +199,7 @@ fn miss(miss: &Miss) -> Vec<String> {
     let said = miss.refusal.as_ref().map_or_else(|| named.join("; "), |refusal| escaped(refusal));
     vec![
         miss.case.to_string(),
+        miss.class.name().to_owned(),
         if kinds.is_empty() { "none".to_owned() } else { kinds.join(", ") },
         number(miss.over_limit),
         escaped(&miss.verdict),
@@ -257,16 +273,23 @@ mod tests {
 
     #[test]
     fn a_page_has_every_part_and_nothing_from_elsewhere() {
-        let refused = Answer { report: Err("<b>no</b>".to_owned()), own: None, closed_by_truth: None };
+        let refused = Answer { report: Err("<b>no</b>".to_owned()), own: None, closed_by_truth: None, again: None };
         let judged: Vec<_> = [&[Kind::Tone][..], &[], &[Kind::Echo]]
             .into_iter()
             .enumerate()
-            .map(|(case, kinds)| judge(&Case::draw(1, case, kinds, 1).unwrap().key(), &refused))
+            .map(|(case, kinds)| judge(&Case::draw(1, case, kinds).unwrap().key(), &refused))
             .collect();
-        let page = page(&Score::of("vn100d <test>", 7, "ab12", &judged));
-        for part in
-            ["In short", "By effect", "Detection", "First cause named", "Stated confidence", "went wrong", "ab12"]
-        {
+        let page = page(&Score::of("vn100d <test>", 7, "ab12", &judged, &[]).of_suite(Some("2026")));
+        for part in [
+            "In short",
+            "A frozen set",
+            "By effect",
+            "Detection",
+            "First cause named",
+            "Stated confidence",
+            "went wrong",
+            "ab12",
+        ] {
             assert!(page.contains(part), "{part}");
         }
         assert!(!page.contains("<b>no</b>") && !page.contains("<script") && !page.contains("http"));

@@ -1,7 +1,8 @@
 //! Parcels: a case's recording and model as bytes, from the process that makes cases to the one that diagnoses them.
 //!
 //! One line of JSON (rate, channels, samples, what else there is, the model), then the columns as 64-bit floating-point numbers,
-//! little endian: the channels in order, the temperature, the stamps. A parcel says nothing of the key.
+//! little endian: the channels in order, the temperature, the stamps. A parcel says nothing of the key. One that is a table is written as
+//! the contract's CSV (section 4) and read again before it is diagnosed.
 
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
@@ -43,14 +44,27 @@ struct Head {
     temperature: bool,
     stamps: usize,
     missing: Vec<usize>,
+    table: bool,
     model: Value,
 }
 
-/// Packs a recording and a model.
+/// What a parcel holds.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that callers take apart")]
+pub struct Parcel {
+    /// The recording.
+    pub recording: Recording,
+    /// The model.
+    pub model: SensorModel,
+    /// Whether it is to be read as a table is, with the rate that its stamps tell.
+    pub table: bool,
+}
+
+/// Packs a recording and a model, to be read as a table or as it is.
 ///
 /// # Errors
 /// [`ParcelError::Head`]: the model cannot be written as JSON.
-pub fn pack(recording: &Recording, model: &SensorModel) -> Result<Vec<u8>, ParcelError> {
+pub fn pack(recording: &Recording, model: &SensorModel, table: bool) -> Result<Vec<u8>, ParcelError> {
     let missing = recording.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(place, _)| place);
     let head = Head {
         rate_hz: recording.rate_hz,
@@ -59,6 +73,7 @@ pub fn pack(recording: &Recording, model: &SensorModel) -> Result<Vec<u8>, Parce
         temperature: recording.temperature_c.is_some(),
         stamps: recording.time_s.len(),
         missing: missing.collect(),
+        table,
         model: serde_json::to_value(model)?,
     };
     let mut bytes = serde_json::to_vec(&head)?;
@@ -74,7 +89,7 @@ pub fn pack(recording: &Recording, model: &SensorModel) -> Result<Vec<u8>, Parce
 ///
 /// # Errors
 /// [`ParcelError`] with what was expected and found.
-pub fn unpack(bytes: &[u8]) -> Result<(Recording, SensorModel), ParcelError> {
+pub fn unpack(bytes: &[u8]) -> Result<Parcel, ParcelError> {
     let end = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(bytes.len());
     let (head, body) = bytes.split_at(end);
     let head: Head = serde_json::from_slice(head)?;
@@ -100,7 +115,39 @@ pub fn unpack(bytes: &[u8]) -> Result<(Recording, SensorModel), ParcelError> {
         }
     }
     let model = SensorModel::from_value(&head.model, "the case's model")?;
-    Ok((Recording { rate_hz: head.rate_hz, channels, missing, temperature_c, time_s, ..Recording::default() }, model))
+    let recording =
+        Recording { rate_hz: head.rate_hz, channels, missing, temperature_c, time_s, ..Recording::default() };
+    Ok(Parcel { recording, model, table: head.table })
+}
+
+/// A recording as the contract's CSV: rows of samples that are there, every number with all its digits.
+#[must_use]
+pub fn table(recording: &Recording) -> String {
+    let mut text = String::from("time_s");
+    for (channel, _) in &recording.channels {
+        text.push(',');
+        text += &channel.column_name();
+    }
+    if recording.temperature_c.is_some() {
+        text.push(',');
+        text += &Channel::Temperature.column_name();
+    }
+    text.push('\n');
+    for place in 0..recording.len() {
+        if recording.missing.get(place).copied().unwrap_or(false) {
+            continue;
+        }
+        let stamp = recording.time_s.get(place).copied().unwrap_or(place as f64 / recording.rate_hz);
+        text += &stamp.to_string();
+        for values in recording.channels.iter().map(|(_, values)| values).chain(&recording.temperature_c) {
+            text.push(',');
+            if let Some(value) = values.get(place).filter(|value| value.is_finite()) {
+                text += &value.to_string();
+            }
+        }
+        text.push('\n');
+    }
+    text
 }
 
 #[cfg(test)]
@@ -112,18 +159,17 @@ mod tests {
     #[test]
     fn what_is_packed_is_unpacked_bit_by_bit() {
         for kinds in [&[][..], &[Kind::Timing], &[Kind::TemperatureBias]] {
-            let case = Case::draw(3, 2, kinds, 1).unwrap();
+            let case = Case::draw(3, 2, kinds).unwrap();
             let recording = case.record();
-            let (again, model) = unpack(&pack(&recording, &case.model()).unwrap()).unwrap();
-            assert_eq!(again, recording);
-            assert_eq!(model, case.model());
+            let again = unpack(&pack(&recording, &case.model(), case.is_table()).unwrap()).unwrap();
+            assert_eq!(again, Parcel { recording, model: case.model(), table: case.is_table() });
         }
     }
 
     #[test]
     fn a_parcel_that_is_cut_is_refused() {
-        let case = Case::draw(3, 2, &[], 1).unwrap();
-        let bytes = pack(&case.record(), &case.model()).unwrap();
+        let case = Case::draw(3, 2, &[]).unwrap();
+        let bytes = pack(&case.record(), &case.model(), false).unwrap();
         assert!(matches!(unpack(&bytes[..bytes.len() - 8]), Err(ParcelError::Length { .. })));
         assert!(matches!(unpack(b"{}"), Err(ParcelError::Head(_))));
         let text = String::from_utf8_lossy(&bytes[..60]).into_owned();

@@ -1,23 +1,39 @@
 //! Plans: how many cases of which kinds a trial has, in an order that the sealed seed decides.
 
+use super::class::{Class, Sense};
 use super::draw::Draw;
-use super::kind::{Class, Kind};
+use super::kind::Kind;
+use super::recipe::Recipe;
 
-/// Cases of 2,500 that are of each class.
-const MIX: [(Class, f64); 4] =
-    [(Class::None, 500.0), (Class::Single, 850.0), (Class::Pair, 650.0), (Class::Outside, 500.0)];
+/// Cases of 2,500 that are of each class. Those that are kept come only where they are asked for.
+pub const MIX: [(Class, f64); 9] = [
+    (Class::None, 400.0),
+    (Class::Known, 100.0),
+    (Class::Single, 600.0),
+    (Class::Pair, 350.0),
+    (Class::Several, 250.0),
+    (Class::Superfluous, 200.0),
+    (Class::Size, 200.0),
+    (Class::Outside, 400.0),
+    (Class::Kept, 400.0),
+];
+
+/// Part of the cases of another size whose effect stands elsewhere, where it can.
+const ELSEWHERE: f64 = 0.5;
 
 /// Why a plan was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
     /// A word names no kind and no class.
-    #[error("`{found}` names no kind of case; expected none, single, pair, outside, or some of {known}")]
+    #[error("`{found}` names no kind of case; expected {classes}, or some of {kinds}")]
     Unknown {
         /// The word.
         found: String,
+        /// The classes.
+        classes: String,
         /// The kinds.
-        known: String,
+        kinds: String,
     },
 }
 
@@ -27,19 +43,20 @@ pub enum PlanError {
 pub struct Wanted {
     /// Their classes.
     pub classes: Vec<Class>,
-    /// Their kinds: those of the library for single ones and pairs, those outside it for the others.
+    /// Their kinds: those of the library, those outside it, those that are kept, each for the classes that are made of them.
     pub kinds: Vec<Kind>,
 }
 
 impl Default for Wanted {
-    /// All.
+    /// All but those that are kept.
     fn default() -> Self {
-        Self { classes: Class::ALL.to_vec(), kinds: Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).collect() }
+        let classes = Class::ALL.into_iter().filter(|class| *class != Class::Kept).collect();
+        Self { classes, kinds: Kind::all().collect() }
     }
 }
 
 impl Wanted {
-    /// From words: classes, and kinds; all cases if there is no word. Kinds alone are wanted one at a time; a class without
+    /// From words: classes, and kinds; the default if there is no word. Kinds alone are wanted one at a time; a class without
     /// kinds of its own has all.
     ///
     /// # Errors
@@ -51,45 +68,53 @@ impl Wanted {
                 classes.push(class);
             } else if let Some(kind) = Kind::from_name(word) {
                 kinds.push(kind);
-                if kind.effect().is_none() {
-                    classes.push(Class::Outside);
-                }
             } else {
-                let known: Vec<_> = Self::default().kinds.into_iter().map(Kind::name).collect();
-                return Err(PlanError::Unknown { found: word.to_owned(), known: known.join(", ") });
+                let names = |list: Vec<&str>| list.join(", ");
+                return Err(PlanError::Unknown {
+                    found: word.to_owned(),
+                    classes: names(Class::ALL.map(Class::name).to_vec()),
+                    kinds: names(Kind::all().map(Kind::name).collect()),
+                });
             }
         }
         if classes.is_empty() && kinds.is_empty() {
             return Ok(Self::default());
         }
-        let inside = kinds.iter().any(|kind| kind.effect().is_some());
-        if inside && !classes.contains(&Class::Single) && !classes.contains(&Class::Pair) {
-            classes.push(Class::Single);
-        }
-        if !inside {
-            kinds.extend(Kind::LIBRARY);
-        }
-        if !kinds.iter().any(|kind| kind.effect().is_none()) {
-            kinds.extend(Kind::OUTSIDE);
+        let mut chosen = kinds.clone();
+        for (list, alone, takes) in [
+            (Kind::LIBRARY, Class::Single, (|class| class.in_library() || class == Class::Known) as fn(Class) -> bool),
+            (Kind::TUNED, Class::Outside, |class| class == Class::Outside),
+            (Kind::KEPT, Class::Kept, |class| class == Class::Kept),
+        ] {
+            let named = kinds.iter().any(|kind| list.contains(kind));
+            if named && !classes.iter().any(|class| takes(*class)) {
+                classes.push(alone);
+            }
+            if !named {
+                chosen.extend(list);
+            }
         }
         classes.sort_unstable();
         classes.dedup();
-        kinds.sort_unstable();
-        kinds.dedup();
-        Ok(Self { classes, kinds })
+        chosen.sort_unstable();
+        chosen.dedup();
+        Ok(Self { classes, kinds: chosen })
+    }
+
+    fn of(&self, list: &[Kind], may: impl Fn(Kind) -> bool) -> Vec<Kind> {
+        self.kinds.iter().copied().filter(|kind| list.contains(kind) && may(*kind)).collect()
     }
 }
 
-/// The kinds of every case of a trial.
+/// The recipe of every case of a trial.
 ///
-/// Of 2,500 cases 500 have nothing, 850 one effect of the library, 650 two, 500 one outside it; of other numbers as many in
-/// proportion. Each kind comes as often as the others of its class.
+/// Shares are those of [`MIX`] among the classes that are wanted. Each kind comes as often as the others of its class.
 #[must_use]
-pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Vec<Kind>> {
+pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Recipe> {
     let mut draw = Draw::device(seed, u64::MAX, "plan");
     let shares: Vec<(Class, f64)> = MIX.into_iter().filter(|(class, _)| wanted.classes.contains(class)).collect();
     let total: f64 = shares.iter().map(|(_, share)| share).sum();
-    let mut made: Vec<Vec<Kind>> = Vec::new();
+    let mut made: Vec<Recipe> = Vec::new();
     let mut until = 0.0;
     for (class, share) in shares {
         until += share / total * cases as f64;
@@ -100,65 +125,126 @@ pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Vec<Kind>> {
     made
 }
 
-fn of_class(class: Class, count: usize, wanted: &Wanted, draw: &mut Draw) -> Vec<Vec<Kind>> {
-    let inside = |inside: bool| -> Vec<Kind> {
-        wanted.kinds.iter().copied().filter(|kind| kind.effect().is_some() == inside).collect()
-    };
-    let in_turn = |mut kinds: Vec<Kind>, draw: &mut Draw| -> Vec<Vec<Kind>> {
+fn of_class(class: Class, count: usize, wanted: &Wanted, draw: &mut Draw) -> Vec<Recipe> {
+    let in_turn = |mut kinds: Vec<Kind>, draw: &mut Draw| -> Vec<Kind> {
         // Which of them get one more than the others is chance.
         draw.shuffle(&mut kinds);
-        kinds.into_iter().cycle().take(count).map(|kind| vec![kind]).collect()
+        kinds.into_iter().cycle().take(count).collect()
     };
+    let lacking = |kinds: Vec<Kind>| kinds.into_iter().map(|kind| Recipe::lacking(&[kind])).collect();
+    let library = |may: fn(Kind) -> bool| wanted.of(Kind::LIBRARY, may);
     match class {
-        Class::None => vec![Vec::new(); count],
-        Class::Single => in_turn(inside(true), draw),
-        Class::Outside => in_turn(inside(false), draw),
-        Class::Pair => {
-            let kinds = inside(true);
-            let mut pairs: Vec<Vec<Kind>> = kinds
-                .iter()
-                .enumerate()
-                .flat_map(|(at, one)| kinds[at + 1..].iter().map(move |other| vec![*one, *other]))
-                .filter(|pair| pair[0].goes_with(pair[1]))
-                .collect();
-            draw.shuffle(&mut pairs);
-            pairs.into_iter().cycle().take(count).collect()
+        Class::None => vec![Recipe::lacking(&[]); count],
+        Class::Single => lacking(in_turn(library(|_| true), draw)),
+        Class::Outside => lacking(in_turn(wanted.of(Kind::TUNED, |_| true), draw)),
+        Class::Kept => lacking(in_turn(wanted.of(Kind::KEPT, |_| true), draw)),
+        Class::Known => {
+            let kinds = in_turn(library(Kind::can_be_known), draw);
+            kinds.into_iter().map(|kind| Recipe::of_model(kind, Sense::Known)).collect()
+        }
+        Class::Superfluous => {
+            let kinds = in_turn(library(|_| true), draw);
+            kinds.into_iter().map(|kind| Recipe::of_model(kind, Sense::Superfluous)).collect()
+        }
+        Class::Size => {
+            let kinds = in_turn(library(Kind::can_be_resized), draw);
+            let of = |kind: Kind| {
+                let elsewhere = kind.can_be_elsewhere() && draw.chance(ELSEWHERE);
+                Recipe::of_model(kind, if elsewhere { Sense::Elsewhere } else { Sense::Size })
+            };
+            kinds.into_iter().map(of).collect()
+        }
+        Class::Pair => together(&library(|_| true), 2, count, draw),
+        Class::Several => {
+            let kinds = library(|_| true);
+            let half = count / 2;
+            let mut made = together(&kinds, 3, count - half, draw);
+            made.extend(together(&kinds, 4, half, draw));
+            made
         }
     }
+}
+
+/// How often kinds are put together before there are no more of them.
+const TRIES: usize = 60;
+
+/// Kinds together, each with each of the others in turn: no pair comes again before all of them were tried.
+fn together(kinds: &[Kind], size: usize, count: usize, draw: &mut Draw) -> Vec<Recipe> {
+    let mut pairs: Vec<Vec<Kind>> = kinds
+        .iter()
+        .enumerate()
+        .flat_map(|(at, one)| kinds[at + 1..].iter().map(move |other| vec![*one, *other]))
+        .filter(|pair| pair[0].goes_with(pair[1]))
+        .collect();
+    draw.shuffle(&mut pairs);
+    let mut filled = |mut together: Vec<Kind>| -> Option<Vec<Kind>> {
+        for _ in 0..TRIES {
+            if together.len() == size {
+                break;
+            }
+            let next = kinds[draw.whole(0, kinds.len() - 1)];
+            if together.iter().all(|one| one.goes_with(next)) {
+                together.push(next);
+            }
+        }
+        together.sort_unstable();
+        (together.len() == size).then_some(together)
+    };
+    let all = pairs.into_iter().cycle().take(count).filter_map(&mut filled);
+    all.map(|kinds| Recipe::lacking(&kinds)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn counts(plan: &[Vec<Kind>]) -> [usize; 4] {
-        Class::ALL.map(|class| plan.iter().filter(|kinds| Class::of(kinds) == class).count())
+    fn counts(plan: &[Recipe]) -> Vec<usize> {
+        Class::ALL.map(|class| plan.iter().filter(|recipe| recipe.class == class).count()).to_vec()
     }
 
     #[test]
     fn a_trial_of_2500_has_its_shares_and_a_smaller_one_too() {
         let full = plan(1, 2500, &Wanted::default());
-        assert_eq!(counts(&full), [500, 850, 650, 500]);
-        assert_eq!(counts(&plan(1, 100, &Wanted::default())), [20, 34, 26, 20]);
+        let everything = Wanted::from_words(Class::ALL.map(Class::name)).unwrap();
+        assert_eq!(counts(&full), [400, 100, 600, 350, 250, 200, 200, 400, 0]);
+        assert_eq!(counts(&plan(1, 100, &Wanted::default())), [16, 4, 24, 14, 10, 8, 8, 16, 0]);
+        assert_eq!(counts(&plan(1, 290, &everything))[8], 40);
         for kind in Kind::LIBRARY {
-            let count = full.iter().filter(|kinds| **kinds == [kind]).count();
-            assert!((38..=39).contains(&count), "{kind} {count}");
+            let count = full.iter().filter(|recipe| **recipe == Recipe::lacking(&[*kind])).count();
+            assert!((27..=28).contains(&count), "{kind} {count}");
         }
         assert_eq!(full, plan(1, 2500, &Wanted::default()));
         assert_ne!(full, plan(2, 2500, &Wanted::default()));
-        assert!(full.iter().filter(|kinds| kinds.len() == 2).all(|pair| pair[0].goes_with(pair[1])));
+        for recipe in full {
+            let kinds: Vec<Kind> = recipe.kinds().collect();
+            for (at, one) in kinds.iter().enumerate() {
+                assert!(kinds[at + 1..].iter().all(|other| one.goes_with(*other)), "{kinds:?}");
+            }
+            let expected = match recipe.class {
+                Class::None => 0..=0,
+                Class::Pair => 2..=2,
+                Class::Several => 3..=4,
+                _ => 1..=1,
+            };
+            assert!(expected.contains(&kinds.len()), "{recipe:?}");
+        }
     }
 
     #[test]
     fn words_choose_classes_and_kinds() {
         let of = |words: &[&str]| plan(1, 20, &Wanted::from_words(words.iter().copied()).unwrap());
-        assert_eq!(counts(&of(&["tone"])), [0, 20, 0, 0]);
-        assert!(of(&["tone", "pair", "spikes"]).iter().all(|kinds| *kinds == [Kind::Tone, Kind::Spikes]));
-        assert_eq!(counts(&of(&["none", "chirp"])), [10, 0, 0, 10]);
-        assert_eq!(counts(&of(&["none"])), [20, 0, 0, 0]);
+        let count = |words: &[&str], class: Class| of(words).iter().filter(|recipe| recipe.class == class).count();
+        assert_eq!(count(&["tone"], Class::Single), 20);
+        assert!(of(&["tone", "pair", "spikes"]).iter().all(|one| *one == Recipe::lacking(&[Kind::Tone, Kind::Spikes])));
+        assert_eq!((count(&["none", "chirp"], Class::None), count(&["none", "chirp"], Class::Outside)), (10, 10));
+        assert_eq!(count(&["none"], Class::None), 20);
+        assert_eq!(count(&["kept"], Class::Kept), 20);
+        assert_eq!(count(&["notch"], Class::Kept), 20);
+        let superfluous = of(&["superfluous", "tone"]);
+        assert!(superfluous.iter().all(|one| *one == Recipe::of_model(Kind::Tone, Sense::Superfluous)));
         assert_eq!(Wanted::from_words([]).unwrap(), Wanted::default());
         let error = Wanted::from_words(["tune"]).unwrap_err().to_string();
-        assert!(error.contains("`tune`") && error.contains("gauss_markov"), "{error}");
+        assert!(error.contains("`tune`") && error.contains("gauss_markov") && error.contains("superfluous"), "{error}");
     }
 
     #[test]

@@ -14,7 +14,8 @@ use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::impose::{Effect, SAMPLES_MIN};
 use super::kind::Kind;
-use super::setting::{OFF, Part, SIX, Setting};
+use super::setting::{Part, SIX, Setting, is_of_another, told};
+use super::stamps::Stamps;
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
@@ -75,9 +76,17 @@ pub struct Stretch {
 /// # Errors
 /// [`RecordedError`]: no stretch is long enough, or nothing varies.
 pub fn cut(recording: &Recording, samples: usize) -> Result<Vec<Recording>, RecordedError> {
+    cut_in(recording, samples, SAMPLES_MIN)
+}
+
+/// The same, where stretches may be shorter than a case.
+///
+/// # Errors
+/// As [`cut`].
+pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Vec<Recording>, RecordedError> {
     let length = samples.min(recording.len());
-    if length < SAMPLES_MIN {
-        return Err(RecordedError::TooShort { needed: SAMPLES_MIN, found: length });
+    if length < needed {
+        return Err(RecordedError::TooShort { needed, found: length });
     }
     let varies = |(_, values): &&(Channel, Vec<f64>)| scale(&filled(values)) > 0.0;
     let channels: Vec<&(Channel, Vec<f64>)> = recording.channels.iter().filter(varies).collect();
@@ -143,9 +152,9 @@ impl Stretch {
         let possible = |kind: &Kind| {
             self.free(*kind).len() >= kind.channels_min()
                 && (temperature || !kind.needs_temperature())
-                && (*kind != Kind::Timing || (stamps && self.free(*kind).len() == self.model.channels.len()))
+                && (!kind.needs_stamps() || (stamps && self.free(*kind).len() == self.model.channels.len()))
         };
-        Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).filter(possible).collect()
+        Kind::all().filter(possible).collect()
     }
 
     /// Channels on which it has nothing like a kind.
@@ -184,16 +193,14 @@ impl Stretch {
                 chosen.insert(channel);
             }
         }
+        let far = is_of_another(device);
         let part = |channel: &Channel| {
             let of = self.model.channels.get(channel)?;
             let values = filled(self.recording.values(*channel)?);
             let level = values.iter().sum::<f64>() / values.len() as f64;
             let n = if of.n > 0.0 { of.n } else { scale(&values) / rate_hz.sqrt() };
             let true_nbk = [n, of.b, of.k];
-            let mut told_nbk = true_nbk;
-            for (told, off) in told_nbk.iter_mut().zip(OFF) {
-                *told *= 1.0 + device.uniform(-off, off);
-            }
+            let told_nbk = told(true_nbk, far, device);
             Some(Part { channel: *channel, level, true_nbk, told_nbk, told_bias: None })
         };
         let parts = chosen.iter().filter_map(part).collect();
@@ -203,7 +210,7 @@ impl Stretch {
             samples,
             parts,
             temperature: self.temperature(),
-            first_stamp_s: self.recording.time_s.first().copied().filter(|_| stamped),
+            stamps: self.recording.time_s.first().copied().filter(|_| stamped).map(Stamps::exact),
             own: self.own.clone(),
         }
     }
@@ -240,14 +247,14 @@ impl Stretch {
 
     /// These channels with effects imposed; `stream` gives the draws of a purpose.
     #[must_use]
-    pub fn with(&self, setting: &Setting, effects: &[Effect], stream: impl Fn(&str) -> Draw) -> Recording {
+    pub fn with(&self, setting: &Setting, effects: &[(usize, &Effect)], stream: impl Fn(&str) -> Draw) -> Recording {
         let untouched = self.as_it_is(setting);
         if effects.is_empty() {
             return untouched;
         }
         let mut ready = untouched.clone();
         ready.channels.iter_mut().for_each(|(_, values)| *values = filled(values));
-        let touched = |channel: Channel| effects.iter().any(|effect| effect.channels.contains(&channel));
+        let touched = |channel: Channel| effects.iter().any(|(_, effect)| effect.channels.contains(&channel));
         let steps: Vec<Option<f64>> =
             ready.channels.iter().map(|(channel, _)| self.step(*channel).filter(|_| touched(*channel))).collect();
         for ((channel, values), step) in ready.channels.iter_mut().zip(&steps) {
@@ -262,7 +269,7 @@ impl Stretch {
             columns.temperature_c = around(&filled(read), window);
         }
         let mut rounded = false;
-        for (index, effect) in effects.iter().enumerate() {
+        for (index, effect) in effects {
             if effect.kind.place() > Kind::Resolution.place() && !rounded {
                 round(&mut columns, &steps);
                 rounded = true;
@@ -312,11 +319,12 @@ fn filled(values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::trial::case::Case;
+    use crate::trial::recipe::Recipe;
     use serde_json::json;
 
     /// A made-up case as if somebody had recorded it, one channel of it in steps, with gaps.
     fn stretch() -> Stretch {
-        let made = (0..).map(|number| Case::draw_of_length(5, number, &[], 1, Some(20_000)).unwrap());
+        let made = (0..).map(|number| Case::make(5, number, &Recipe::lacking(&[]), Some(20_000)).unwrap());
         let case = made.into_iter().find(|case| case.setting().parts.len() == 2).unwrap();
         let mut recording = case.record();
         recording.time_s = Vec::new();
@@ -347,8 +355,8 @@ mod tests {
             assert!(!kinds.contains(&lacking), "{lacking}");
         }
         for number in 0..30 {
-            let case = Case::draw_on(9, number, &[Kind::Tone], 1, stretch.clone()).unwrap();
-            assert_eq!(case.effects()[0].channels, [second]);
+            let case = Case::draw_on(9, number, &Recipe::lacking(&[Kind::Tone]), stretch.clone()).unwrap();
+            assert_eq!(case.effects().next().unwrap().channels, [second]);
         }
     }
 
@@ -357,14 +365,14 @@ mod tests {
         let stretch = stretch();
         let step = stretch.step(stretch.recording.channels[0].0).unwrap();
         for (number, kind) in stretch.kinds().into_iter().enumerate() {
-            let case = Case::draw_on(9, number, &[kind], 1, stretch.clone()).unwrap();
+            let case = Case::draw_on(9, number, &Recipe::lacking(&[kind]), stretch.clone()).unwrap();
             let recording = case.record();
             assert_eq!(recording.missing, stretch.recording.missing, "{kind}");
             for (channel, values) in &recording.channels {
                 let before = stretch.recording.values(*channel).unwrap();
                 let same = |(now, then): (&f64, &f64)| now == then || (now.is_nan() && then.is_nan());
                 let changed = !values.iter().zip(before).all(same);
-                assert_eq!(changed, case.effects()[0].channels.contains(channel), "{kind} on {channel}");
+                assert_eq!(changed, case.effects().next().unwrap().channels.contains(channel), "{kind} on {channel}");
                 assert!(values.iter().zip(before).all(|(now, then)| now.is_nan() == then.is_nan()), "{kind}");
             }
             let first = &recording.channels[0].1;
@@ -378,9 +386,17 @@ mod tests {
         // A tenth of the step on average is still there after rounding, since the values are spread over their steps first.
         let stretch = stretch();
         let (channel, step) = (stretch.recording.channels[0].0, stretch.step(stretch.recording.channels[0].0).unwrap());
-        let of = |number| Case::draw_on(9, number, &[Kind::BiasStep], 1, stretch.clone()).unwrap();
-        let case = (0..).map(of).find(|case| case.effects()[0].channels.contains(&channel)).unwrap();
-        let steps = case.effects()[0].parameters[channel.name()].as_array().unwrap().clone();
+        let of = |number| Case::draw_on(9, number, &Recipe::lacking(&[Kind::BiasStep]), stretch.clone()).unwrap();
+        // All steps are over before the end that is looked at.
+        let early = |case: &Case| {
+            let effect = case.effects().next().unwrap();
+            let of =
+                effect.parameters.get(channel.name()).and_then(|list| list.as_array().cloned()).unwrap_or_default();
+            let over = |one: &serde_json::Value| one["at_s"].as_f64().unwrap() * stretch.recording.rate_hz < 18_500.0;
+            !of.is_empty() && of.iter().all(over)
+        };
+        let case = (0..).map(of).find(early).unwrap();
+        let steps = case.effects().next().unwrap().parameters[channel.name()].as_array().unwrap().clone();
         let sum: f64 = steps.iter().map(|one| one["size"].as_f64().unwrap()).sum();
         let last = |values: &[f64]| {
             let end: Vec<f64> = values[19_000..].iter().copied().filter(|value| value.is_finite()).collect();
@@ -393,7 +409,7 @@ mod tests {
     #[test]
     fn a_case_without_effects_is_the_recording_under_a_model_that_is_a_little_wrong() {
         let stretch = stretch();
-        let case = Case::draw_on(9, 3, &[], 1, stretch.clone()).unwrap();
+        let case = Case::draw_on(9, 3, &Recipe::lacking(&[]), stretch.clone()).unwrap();
         let (recording, model) = (case.record(), case.model());
         assert_eq!(recording.len(), stretch.recording.len());
         for (channel, of) in &model.channels {

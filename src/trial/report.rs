@@ -1,5 +1,6 @@
 //! Reports: what a trial reads of a diagnosis in the contract's form (section 6), whoever made it.
 
+use super::class::Sense;
 use serde_json::Value;
 
 /// Why something is no diagnosis.
@@ -26,6 +27,44 @@ pub struct Cause {
     pub confidence: Option<f64>,
     /// By channel: its parameters, an object or a list of them.
     pub parameters: Value,
+    /// How sensor and model differ in it; missing where it is not told.
+    pub sense: Sense,
+    /// 95 % intervals of the parameters, in the same form.
+    pub uncertainty: Value,
+    /// Its place among the report's causes.
+    pub index: usize,
+}
+
+/// What a place is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_enums, reason = "the contract's words")]
+pub enum Of {
+    /// The cause of this index.
+    Cause(usize),
+    /// Parameters that are off.
+    Parameters,
+    /// What has no name.
+    Remainder,
+    /// It is not told.
+    Untold,
+}
+
+/// A place where sensor and model differ.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+pub struct Place {
+    /// The channel.
+    pub channel: String,
+    /// Of what.
+    pub of: Of,
+    /// Its band, Hz; none is any.
+    pub band_hz: Option<[f64; 2]>,
+    /// Its time, s after the record's begin; none is any.
+    pub time_s: Option<[f64; 2]>,
+    /// What it weighs, nats per sample, where it is told.
+    pub nats: Option<f64>,
+    /// How often noise alone makes one as heavy, where it is told.
+    pub p_value: Option<f64>,
 }
 
 /// What a diagnosis says.
@@ -40,6 +79,14 @@ pub struct Report {
     pub closed: Option<f64>,
     /// The interval.
     pub closed_ci95: Option<[f64; 2]>,
+    /// The places, where any are told.
+    pub places: Vec<Place>,
+    /// The part of the gap that is reproduced without a name, where that is told.
+    pub remainder: Option<f64>,
+    /// Hints, by what they are of.
+    pub hints: Vec<String>,
+    /// The channels of which an offset is told.
+    pub offsets: Vec<String>,
 }
 
 impl Report {
@@ -51,22 +98,29 @@ impl Report {
         let missing = |key| ReportError::Missing { key };
         let verdict = value["verdict"].as_str().ok_or_else(|| missing("verdict"))?.to_owned();
         let causes = value["causes"].as_array().ok_or_else(|| missing("causes"))?;
-        let cause = |value: &Value| {
+        let cause = |(index, value): (usize, &Value)| {
             let names = value["channels"].as_array().ok_or_else(|| missing("causes.channels"))?;
             Ok(Cause {
                 effect: value["effect"].as_str().ok_or_else(|| missing("causes.effect"))?.to_owned(),
                 channels: names.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect(),
                 confidence: value["confidence"].as_f64(),
                 parameters: value["parameters"].clone(),
+                sense: value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default(),
+                uncertainty: value["uncertainty"].clone(),
+                index,
             })
         };
         let discrepancy = &value["discrepancy"];
         let interval = &discrepancy["closed_ci95"];
         Ok(Self {
             verdict,
-            causes: causes.iter().map(cause).collect::<Result<_, _>>()?,
+            causes: causes.iter().enumerate().map(cause).collect::<Result<_, _>>()?,
             closed: discrepancy["closed"].as_f64(),
-            closed_ci95: interval[0].as_f64().zip(interval[1].as_f64()).map(|(low, high)| [low, high]),
+            closed_ci95: pair(interval),
+            places: value["where"].as_array().into_iter().flatten().filter_map(place).collect(),
+            remainder: value["remainder"]["share"].as_f64(),
+            hints: words(&value["hints"], "kind"),
+            offsets: words(&value["offsets"], "channel"),
         })
     }
 }
@@ -84,11 +138,75 @@ impl Cause {
     }
 }
 
+/// Two numbers.
+fn pair(value: &Value) -> Option<[f64; 2]> {
+    value[0].as_f64().zip(value[1].as_f64()).map(|(low, high)| [low, high])
+}
+
+/// A place; none where it names no channel.
+fn place(value: &Value) -> Option<Place> {
+    let of = match value["of"].as_str() {
+        Some("parameters") => Of::Parameters,
+        Some("remainder") => Of::Remainder,
+        Some(other) => other.strip_prefix("cause:").and_then(|index| index.parse().ok()).map_or(Of::Untold, Of::Cause),
+        None => Of::Untold,
+    };
+    let time_s = value["from_s"].as_f64().zip(value["to_s"].as_f64()).map(|(from, to)| [from, to]);
+    Some(Place {
+        channel: value["channel"].as_str()?.to_owned(),
+        of,
+        band_hz: pair(&value["band_hz"]),
+        time_s,
+        nats: value["nats"].as_f64(),
+        p_value: value["p_value"].as_f64(),
+    })
+}
+
+/// The texts of this name in a list of objects.
+fn words(value: &Value, name: &str) -> Vec<String> {
+    value.as_array().into_iter().flatten().filter_map(|one| one[name].as_str().map(str::to_owned)).collect()
+}
+
 /// One entry, or several of a list.
 pub(super) fn entries(value: &Value) -> &[Value] {
     match value {
         Value::Null => &[],
         Value::Array(list) => list,
         one => std::slice::from_ref(one),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn what_the_contract_adds_is_read_where_it_is_there() {
+        let place = |of: Value| json!({"channel": "gyro_x", "of": of, "band_hz": [1.0, 2.0], "from_s": 0, "to_s": 9.5, "nats": 0.1, "p_value": 1e-9});
+        let cause = json!({"effect": "tone", "channels": ["gyro_x"], "sense": "size", "parameters": {},
+            "uncertainty": {"gyro_x": [{"amplitude": [1.0, 2.0]}]}});
+        let report = Report::of(&json!({"verdict": "effects", "causes": [cause], "discrepancy": {},
+            "where": [place(json!("cause:0")), place(json!("parameters")), place(json!("remainder")), place(Value::Null)],
+            "remainder": {"share": 0.021, "channels": ["gyro_x"]}, "hints": [{"about": "gyro_x N", "kind": "unit"}],
+            "offsets": [{"channel": "gyro_x"}]}))
+        .unwrap();
+        assert_eq!((report.causes[0].sense, report.causes[0].index), (Sense::Size, 0));
+        let of: Vec<Of> = report.places.iter().map(|place| place.of).collect();
+        assert_eq!(of, [Of::Cause(0), Of::Parameters, Of::Remainder, Of::Untold]);
+        assert_eq!(report.places[0].time_s, Some([0.0, 9.5]));
+        assert_eq!(
+            (report.remainder, &report.hints[..], &report.offsets[..]),
+            (Some(0.021), &["unit".to_owned()][..], &["gyro_x".to_owned()][..])
+        );
+    }
+
+    #[test]
+    fn a_report_without_it_is_a_report() {
+        let report =
+            Report::of(&json!({"verdict": "effects", "causes": [{"effect": "tone", "channels": ["gyro_x"]}]})).unwrap();
+        assert_eq!(report.causes[0].sense, Sense::Missing);
+        assert!(report.places.is_empty() && report.remainder.is_none() && report.hints.is_empty());
+        assert!(Report::of(&json!({"causes": []})).is_err());
     }
 }

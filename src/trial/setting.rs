@@ -4,6 +4,7 @@ use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::kind::Kind;
 use super::recorded::Own;
+use super::stamps::Stamps;
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeMap;
@@ -36,8 +37,8 @@ pub struct Setting {
     pub parts: Vec<Part>,
     /// The temperature, where it is measured.
     pub temperature: Option<TemperatureCourse>,
-    /// Whether samples have stamps, and the first one, s.
-    pub first_stamp_s: Option<f64>,
+    /// How samples are stamped, where they are.
+    pub stamps: Option<Stamps>,
     /// What the device has of itself, where it is a recorded one: nothing like it is imposed on these channels.
     pub own: Own,
 }
@@ -49,8 +50,11 @@ const RATE_HZ: [f64; 2] = [40.0, 200.0];
 pub(super) const SIX: f64 = 0.3;
 /// Share of the cases with a measured temperature, where none is needed.
 const WARM: f64 = 0.8;
-/// How far a model's N, B and K are off at most.
+/// How far a model's N, B and K are off at most where it is of this sensor.
 pub(super) const OFF: [f64; 3] = [0.05, 0.25, 0.4];
+/// Factors by which they are off where it is of a data sheet or of another session, and the part of the cases in which it is.
+const FAR: [f64; 3] = [3.0, 30.0, 30.0];
+const OF_ANOTHER: f64 = 0.35;
 /// The study's B, and step of its walk, in units of the white part per sample.
 const FLICKER: f64 = 0.063;
 const WALK: f64 = 8e-4;
@@ -58,6 +62,21 @@ const WALK: f64 = 8e-4;
 /// A number between two whose density falls as its cube: most are near the lower one, so that thousands of cases can be run.
 fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
     draw.uniform(high.powi(-2), low.powi(-2)).powf(-0.5)
+}
+
+/// N, B and K as a model has them that somebody wrote: a little wrong, or far off.
+pub(super) fn told(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 3] {
+    let mut told = true_nbk;
+    for (at, parameter) in told.iter_mut().enumerate() {
+        *parameter *=
+            if far { draw.log_uniform(1.0 / FAR[at], FAR[at]) } else { 1.0 + draw.uniform(-OFF[at], OFF[at]) };
+    }
+    told
+}
+
+/// Whether the model of a case is far off.
+pub(super) fn is_of_another(device: &mut Draw) -> bool {
+    device.chance(OF_ANOTHER)
 }
 
 impl Part {
@@ -73,7 +92,7 @@ impl Part {
         self.true_nbk[2] / rate_hz.sqrt()
     }
 
-    fn draw(channel: Channel, rate_hz: f64, draw: &mut Draw) -> Self {
+    fn draw(channel: Channel, rate_hz: f64, far: bool, draw: &mut Draw) -> Self {
         // N of a VN-100 in its units (data sheet), its level at rest, and how far both go from device to device.
         let (density, level) = match channel.triad() {
             Some(Triad::Gyro) => (6e-5, 0.003 * draw.normal()),
@@ -85,10 +104,7 @@ impl Part {
         let b = FLICKER * white * draw.log_uniform(0.5, 2.0);
         let k = WALK * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
         let true_nbk = [n, b, k];
-        let mut told_nbk = true_nbk;
-        for (told, off) in told_nbk.iter_mut().zip(OFF) {
-            *told *= 1.0 + draw.uniform(-off, off);
-        }
+        let told_nbk = told(true_nbk, far, draw);
         let told_bias = draw.chance(0.2).then(|| level + 20.0 * white * draw.normal());
         Self { channel, level, true_nbk, told_nbk, told_bias }
     }
@@ -104,20 +120,17 @@ impl Setting {
         device.shuffle(&mut channels);
         channels.truncate(if device.chance(SIX) { 6 } else { 2 });
         channels.sort_unstable();
-        let parts = channels.into_iter().map(|channel| Part::draw(channel, rate_hz, device)).collect();
+        let far = is_of_another(device);
+        let parts = channels.into_iter().map(|channel| Part::draw(channel, rate_hz, far, device)).collect();
         let needed = kinds.iter().any(|kind| kind.needs_temperature());
         let measured = device.chance(WARM) || needed;
         let temperature = TemperatureCourse::draw(device);
-        let stamped = device.chance(0.5) || kinds.contains(&Kind::Timing);
-        let first_stamp_s = device.uniform(0.0, 5000.0);
-        Self {
-            rate_hz,
-            samples,
-            parts,
-            temperature: measured.then_some(temperature),
-            first_stamp_s: stamped.then_some(first_stamp_s),
-            own: Own::new(),
-        }
+        let stamps = if kinds.iter().any(|kind| kind.needs_stamps()) {
+            Some(Stamps::exact(device.uniform(0.0, 5_000.0)))
+        } else {
+            device.chance(0.5).then(|| Stamps::draw(rate_hz, device))
+        };
+        Self { rate_hz, samples, parts, temperature: measured.then_some(temperature), stamps, own: Own::new() }
     }
 
     /// Whether a channel has nothing of itself that is like a kind.
@@ -171,13 +184,23 @@ mod tests {
             assert!((LENGTH_S[0] - 1.0..=LENGTH_S[1]).contains(&setting.length_s()));
             assert!((RATE_HZ[0]..=RATE_HZ[1]).contains(&setting.rate_hz));
             for part in &setting.parts {
-                for ((told, truth), off) in part.told_nbk.iter().zip(part.true_nbk).zip(OFF) {
-                    assert!((told / truth - 1.0).abs() <= off);
+                for ((told, truth), far) in part.told_nbk.iter().zip(part.true_nbk).zip(FAR) {
+                    assert!((1.0 / far..=far).contains(&(told / truth)));
                 }
             }
             assert!(setting.model().check(setting.rate_hz).is_ok());
         }
         let share = |of: &dyn Fn(&Setting) -> bool| all.iter().filter(|setting| of(setting)).count() as f64 / 400.0;
+        let near = |setting: &Setting| {
+            setting.parts.iter().all(|part| {
+                part.told_nbk
+                    .iter()
+                    .zip(part.true_nbk)
+                    .zip(OFF)
+                    .all(|((told, truth), off)| (told / truth - 1.0).abs() <= off)
+            })
+        };
+        assert!((share(&near) - (1.0 - OF_ANOTHER)).abs() < 0.1);
         assert!((share(&|setting| setting.samples % 2 == 1) - 0.5).abs() < 0.1);
         assert!((share(&|setting| setting.parts.len() == 6) - SIX).abs() < 0.1);
         assert!(share(&|setting| setting.temperature.is_some()) < 0.9);

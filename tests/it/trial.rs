@@ -40,12 +40,13 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     assert!(std::fs::read_to_string(&page).unwrap().contains("Trial of the diagnosis"));
 }
 
-/// Fails if the engine gets clearly worse. Some twenty seconds of one processor.
+/// Fails if the engine gets clearly worse in the wide ranges: bounds are what it reached when the ranges were widened, less what
+/// chance makes of 48 cases. Some twenty seconds of one processor.
 #[test]
 fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
     let least =
-        ["right_first=0.85", "right_first_or_none=0.9", "both_found=0.8", "outside_unknown=0.55", "channels_exact=0.9"];
-    let most = ["none_named=0.1", "none_unknown=0.1", "library_unknown=0.13", "spurious=0.13", "refused=0"];
+        ["right_first=0.7", "cause_and_sense_first=0.6", "all_found=0.6", "outside_unknown=0.55", "channels_exact=0.9"];
+    let most = ["none_named=0.5", "none_unknown=0.13", "library_unknown=0.35", "spurious=0.55", "refused=0"];
     let mut arguments = vec!["trial", "--json", "--cases", "48", "--samples", "16384", "--seed", "41"];
     arguments.extend(least.iter().flat_map(|one| ["--at-least", one]));
     arguments.extend(most.iter().flat_map(|one| ["--at-most", one]));
@@ -62,7 +63,7 @@ fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
             "{of}"
         );
     }
-    assert!(score["calibration"]["expected_error"].as_f64() < Some(0.1), "{}", score["calibration"]);
+    assert!(score["calibration"]["expected_error"].as_f64() < Some(0.35), "{}", score["calibration"]);
 }
 
 /// A recording of two channels that has a line and a resolution of its own.
@@ -134,6 +135,22 @@ fn a_recording_that_is_too_short_is_refused() {
     assert!(said.contains("500 samples") && said.contains("10000"), "{said}");
 }
 
+/// What was found is tried on a second record and on what the corrected model makes.
+#[test]
+fn what_is_found_is_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("trial");
+    let arguments = ["--cases", "2", "--seed", "12", "--samples", "16384", "--kinds", "tone", "--again"];
+    let ended = vn100d(&[&["trial", "--json", "--out", out.to_str().unwrap()], &arguments[..]].concat());
+    assert_eq!(ended.status.code(), Some(0), "{}", String::from_utf8_lossy(&ended.stderr));
+    let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
+    for name in ["second_clean", "itself_clean", "cause_returns"] {
+        assert_eq!(score["rates"][name]["of"], 2, "{name}: {}", score["rates"]);
+    }
+    assert_eq!(score["rates"]["cause_returns"]["count"], 2, "{}", score["rates"]);
+    assert!(out.join("reports/00000-again.json").exists());
+}
+
 #[test]
 fn what_is_asked_for_is_checked_first() {
     for (arguments, part) in [
@@ -142,6 +159,7 @@ fn what_is_asked_for_is_checked_first() {
         (["--at-most", "spurious=2"], "NAME=SHARE"),
         (["--cases", "0"], "no such case"),
         (["--samples", "900"], "10000 or more"),
+        (["--suite", "1999"], "2026"),
     ] {
         let ended = vn100d(&[&["trial"], &arguments[..]].concat());
         let said = String::from_utf8_lossy(&ended.stderr).into_owned();

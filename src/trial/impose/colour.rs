@@ -8,6 +8,9 @@ use crate::trial::kind::Kind;
 use serde_json::Value;
 use std::f64::consts::{PI, TAU};
 
+/// The shortest time constant of a Gauss–Markov process, s; a sample at least.
+const SHORTEST_S: f64 = 0.05;
+
 /// One channel's noise, U.
 #[derive(Debug, Clone, Copy)]
 enum Noise {
@@ -115,7 +118,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             making.sizes_u().into_iter().map(one).collect()
         }
         Kind::GaussMarkov => {
-            let tau = making.device.log_uniform(40.0, 4_000.0);
+            let tau = making.device.log_uniform((SHORTEST_S * rate_hz).max(1.0), 4_000.0);
             let one = |size: f64| {
                 (Noise::Markov(size, tau), object([("sigma", size.into()), ("tc_s", (tau / rate_hz).into())]))
             };
@@ -123,7 +126,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         }
         Kind::Resonance => {
             let cycles = making.device.uniform(0.03, 0.45);
-            let radius = 1.0 - making.device.log_uniform(0.001, 0.02);
+            let radius = 1.0 - making.device.log_uniform(0.0003, 0.05);
             let one = |size: f64| {
                 let entry = object([
                     ("frequency_hz", (cycles * rate_hz).into()),

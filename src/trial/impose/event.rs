@@ -4,10 +4,18 @@ use super::{Act, Made, Making, object, soft_window};
 use crate::trial::columns::Columns;
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
-use crate::trial::limit::burst_limit;
+use crate::trial::limit::{ABOVE, LEAST, LOUDEST, burst_limit};
 use serde_json::Value;
 use std::f64::consts::TAU;
 
+/// Typical sizes of spikes in σ, and the part of the cases with a single one.
+const TYPICAL: [f64; 2] = [6.0, 2_000.0];
+const ALONE: f64 = 0.15;
+/// The size from which on a single one counts, σ: its least is 0.6 of that.
+const FAR: f64 = 15.0;
+/// The longest bursts, s; the part of the cases whose last one goes on to the end.
+const LONG_S: [f64; 2] = [1.0, 60.0];
+const TO_THE_END: f64 = 0.15;
 /// Part of a burst's length over which it rises, and falls.
 const SOFT: f64 = 0.12;
 
@@ -93,20 +101,31 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     };
     match making.kind {
         Kind::Spikes => {
-            let (size, typical) = (making.size(), making.device.uniform(6.0, 15.0));
-            let probability = size.min(0.02);
+            // A single one is as sure as many where it stands far out.
+            let alone = making.device.chance(ALONE);
+            let size = if alone { 1.0 / making.samples() } else { making.size() };
+            let probability = size;
+            let typical = making.device.log_uniform(TYPICAL[0], TYPICAL[1]);
+            if alone {
+                // Among the noise of hundreds of thousands of samples one of a few standard deviations is nothing.
+                making.over = if typical > FAR { ABOVE } else { LEAST };
+            }
             let sizes: Vec<f64> = whites.iter().map(|white| typical * white).collect();
             let entry =
                 |size: &f64| object([("rate_hz", (probability * rate_hz).into()), ("amplitude", (*size).into())]);
             Made { size, parameters: sizes.iter().map(entry).collect(), act: Box::new(Spikes(probability, sizes)) }
         }
         Kind::Bursts => {
-            let longest = making.device.log_uniform(1.0, 6.0);
-            let count = making.events.whole(2, 12);
+            let longest =
+                making.device.log_uniform(LONG_S[0], LONG_S[1]).min(0.02 * making.setting.length_s().max(50.0));
+            let count = making.events.whole(1, 12);
             let lengths = [0.5 * rate_hz, longest * rate_hz];
-            let intervals = stretches(&mut making.events, samples, count, lengths);
+            let mut intervals = stretches(&mut making.events, samples, count, lengths);
+            if let Some((begin, length)) = intervals.last_mut().filter(|_| making.events.chance(TO_THE_END)) {
+                *length = samples - *begin;
+            }
             let shortest = intervals.iter().map(|(_, length)| *length).min().unwrap_or(1);
-            let size = making.over * burst_limit((1.0 - SOFT) * shortest as f64);
+            let size = (making.over * burst_limit((1.0 - SOFT) * shortest as f64)).min(LOUDEST);
             let sizes: Vec<f64> = whites.iter().map(|white| size * white * making.device.uniform(1.0, 1.25)).collect();
             let times = times(&intervals);
             let entry = |size: &f64| object([("intervals", times.clone()), ("sigma", (*size).into())]);

@@ -84,14 +84,14 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     let rate_hz = making.setting.rate_hz;
     let (filter, behind, size, entry) = match making.kind {
         Kind::LowPass => {
-            // The study found every corner it tried: sizes reach from its highest to a quarter of that.
-            let corner = making.device.log_uniform(0.10, CORNER);
+            // The study found every corner it tried: sizes reach from its highest to a fortieth of that.
+            let corner = making.device.log_uniform(0.01, CORNER);
             let order = making.device.whole(1, 2);
             let entry = object([("cutoff_hz", (corner * rate_hz).into()), ("order", order.into())]);
             (Filter::Butterworth(corner, order), BEHIND, ABOVE * CORNER / corner, entry)
         }
         Kind::MovingAverage => {
-            let window = making.device.whole(2, 9);
+            let window = making.device.log_uniform(2.0, 33.0) as usize;
             (Filter::Mean(window), BEHIND, window as f64, object([("window", window.into())]))
         }
         // echo
@@ -102,5 +102,13 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         }
     };
     let behind: Vec<f64> = whites.into_iter().map(|white| behind * white).collect();
-    Made { size, parameters: vec![entry; behind.len()], act: Box::new(Filtered { filter, behind }) }
+    let told = |behind: &f64| {
+        let mut entry = entry.clone();
+        if *behind > 0.0 {
+            entry["white_behind"] = (behind / rate_hz.sqrt()).into();
+        }
+        entry
+    };
+    let parameters = behind.iter().map(told).collect();
+    Made { size, parameters, act: Box::new(Filtered { filter, behind }) }
 }

@@ -11,6 +11,12 @@ const RISE: [f64; 2] = [1.0, 20.0];
 /// A warm-up's time constant in parts of the record, and how much slower the temperature follows.
 const TAU: [f64; 2] = [0.015, 0.15];
 const LAG: [f64; 2] = [1.3, 3.0];
+/// Steps on a channel: a few in most cases, many in the others.
+const FEW: usize = 3;
+const MANY: usize = 20;
+/// Part of the cases with a step as of an axis that is turned over, and its size in σ.
+const TURNED: f64 = 0.15;
+const TURN: [f64; 2] = [80.0, 2_000.0];
 
 /// One channel's course, U.
 #[derive(Debug, Clone)]
@@ -90,8 +96,17 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             made(making.signed_sizes_u().into_iter().map(|size| (Course::WarmUp(size, tau), entry(size))).collect())
         }
         Kind::BiasStep => {
-            let times: Vec<f64> =
-                (0..making.events.whole(1, 3)).map(|_| making.events.uniform(0.08, 0.92) * samples).collect();
+            if making.device.chance(TURNED) {
+                let turn = making.device.log_uniform(TURN[0], TURN[1]);
+                making.over = turn / crate::trial::limit::limit(making.kind, making.setting.samples);
+            }
+            let count = if making.device.chance(0.7) {
+                making.events.whole(1, FEW)
+            } else {
+                making.events.whole(FEW + 1, MANY)
+            };
+            let mut times: Vec<f64> = (0..count).map(|_| making.events.uniform(0.04, 0.96) * samples).collect();
+            times.sort_by(f64::total_cmp);
             let sizes = making.sizes_u();
             let mut steps = |size: f64| {
                 let step = |begin: &f64| {
@@ -105,7 +120,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
                 let entries: Value = steps.iter().map(entry).collect();
                 (Course::Steps(steps), entries)
             };
-            made(sizes.into_iter().map(&mut steps).collect())
+            let courses = sizes.into_iter().map(&mut steps).collect();
+            Made { size: making.size(), ..made(courses) }
         }
         Kind::Hysteresis => {
             let wander = making.setting.temperature.map_or(1.0, |course| course.wander_c);

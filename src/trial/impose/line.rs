@@ -7,6 +7,12 @@ use crate::trial::kind::Kind;
 use serde_json::Value;
 use std::f64::consts::TAU;
 
+/// Part of the lines that are slow cycles, as of a room's air; the fewest periods they have in the record, and the frequency, in
+/// cycles per sample, at which they end and the others begin.
+const SLOW: f64 = 0.25;
+const PERIODS: f64 = 3.0;
+const FAST: f64 = 0.004;
+
 /// The frequency of a line over the record, in cycles per sample.
 #[derive(Debug, Clone, Copy)]
 enum Course {
@@ -102,11 +108,16 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         }
         // tone
         _ => {
-            let cycles = making.device.uniform(0.004, 0.492);
-            // Near 0 a line has flicker noise to stand out of, besides white noise.
+            let cycles = if making.device.chance(SLOW) {
+                making.device.log_uniform(PERIODS / making.samples(), FAST)
+            } else {
+                making.device.uniform(FAST, 0.492)
+            };
+            // Near 0 a line has flicker noise and a walk to stand out of, besides white noise.
             let louder = |at: usize| {
-                let b = making.setting.parts[at].true_nbk[1] / making.white(at).max(f64::MIN_POSITIVE);
-                (1.0 + b * b / (TAU * cycles)).sqrt()
+                let (part, white) = (&making.setting.parts[at], making.white(at).max(f64::MIN_POSITIVE));
+                let (b, k) = (part.true_nbk[1] / white, part.walk(rate_hz) / white);
+                (1.0 + b * b / (TAU * cycles) + (k / (TAU * cycles)).powi(2)).sqrt()
             };
             let louder: Vec<f64> = making.at.iter().map(|at| louder(*at)).collect();
             let sizes = making.sizes_u().into_iter().zip(louder).map(|(size, louder)| size * louder);

@@ -4,6 +4,7 @@ use super::{Act, Made, Making, object, soft_window};
 use crate::trial::columns::Columns;
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
+use crate::trial::limit::LOUDEST;
 use serde_json::{Value, json};
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
@@ -11,11 +12,13 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 const POINTS: usize = 49;
 /// Part of an interval over which it sets in, and fades.
 const SOFT: f64 = 0.01;
+/// Part of the intervals that last to the end.
+const TO_THE_END: f64 = 0.25;
 
 /// A factor on the white part.
 #[derive(Debug, Clone, Copy)]
 enum Gain {
-    /// Begin and end in parts of the record, log of the factor.
+    /// Begin and end in parts of the record, log of the factor; one that ends with the record does not fade.
     Interval(f64, f64, f64),
     /// Half periods over the record, phase, half the log variance, triangular rather than sinusoidal.
     Wave(f64, f64, f64, bool),
@@ -67,7 +70,8 @@ impl Gain {
     fn factor(self, part: f64) -> f64 {
         match self {
             Self::Interval(from, to, log) if (from..to).contains(&part) => {
-                (log * soft_window((part - from) / (to - from), SOFT)).exp()
+                let at = (part - from) / (to - from);
+                (log * soft_window(if to < 1.0 { at } else { at.min(0.5) }, SOFT)).exp()
             }
             Self::Wave(halves, phase, log, triangular) => {
                 let turn = 0.5 * halves * part + phase;
@@ -90,9 +94,10 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         }
         Kind::VarianceInterval => {
             let (from, part) = (making.events.uniform(0.04, 0.64), making.device.log_uniform(0.04, 0.32));
+            let part = if making.device.chance(TO_THE_END) { 1.0 - from } else { part };
             // As much log variance over the record as a wave of this size.
             let log_variance = size * FRAC_1_SQRT_2 / (part * (1.0 - part)).sqrt();
-            let log = 0.5 * log_variance.min(4.0) * making.device.sign();
+            let log = (0.5 * log_variance).min(LOUDEST.ln()) * making.device.sign();
             let entry = object([
                 ("from_s", (from * length_s).into()),
                 ("to_s", ((from + part) * length_s).into()),
@@ -104,7 +109,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             let (halves, phase) = (making.device.uniform(2.5, 6.5), making.events.uniform(0.0, 1.0));
             let triangular = making.device.chance(0.5);
             // A triangle of the same height has two thirds of a sine's mean square.
-            let log = 0.5 * size * if triangular { 1.5_f64.sqrt() } else { 1.0 };
+            let log = (0.5 * size * if triangular { 1.5_f64.sqrt() } else { 1.0 }).min(LOUDEST.ln());
             let gain = Gain::Wave(halves, phase, log, triangular);
             let point = |index: usize| {
                 let part = index as f64 / (POINTS - 1) as f64;

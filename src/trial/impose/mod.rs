@@ -13,7 +13,8 @@
 //! | `event` | spikes, bursts; vibration_bursts |
 //! | `loudness` | heavy_tails, variance_…; periodic_gain, skewed_noise |
 //! | `sent` | resolution, saturation, held_samples, timing; dead_band |
-//! | `shared` | common_mode; delayed_crosstalk |
+//! | `shared` | common_mode; delayed_crosstalk, product_crosstalk |
+//! | `outside` | the other kinds outside the library, each a few lines: `wander` levels, `carrier` lines, `law` noise, `chain` what becomes of samples |
 
 mod colour;
 mod event;
@@ -21,6 +22,7 @@ mod filter;
 mod level;
 mod line;
 mod loudness;
+mod outside;
 mod sent;
 mod shared;
 
@@ -32,9 +34,6 @@ use super::setting::Setting;
 use crate::sample::{Channel, Triad};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
-
-/// Sizes lie between so many times the study's 90 % limit.
-const SIZES: [f64; 2] = [0.5, 10.0];
 
 /// Why an effect cannot be imposed on samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -87,7 +86,7 @@ struct Making<'a> {
     over: f64,
     /// For what belongs to the device.
     device: Draw,
-    /// For what belongs to the capture: times of events.
+    /// For times of events.
     events: Draw,
 }
 
@@ -149,18 +148,24 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Draws an effect: `device` decides what belongs to the device, `events` what belongs to one capture of it.
+    /// Draws an effect of `least` times the limit or above: `device` decides what belongs to the device, `events` when things happen.
     ///
     /// # Errors
     /// [`ImposeError`]: the setting has not what the kind takes.
-    pub fn draw(kind: Kind, setting: &Setting, mut device: Draw, events: Draw) -> Result<Self, ImposeError> {
+    pub fn draw(
+        kind: Kind,
+        setting: &Setting,
+        least: f64,
+        mut device: Draw,
+        events: Draw,
+    ) -> Result<Self, ImposeError> {
         if setting.samples < SAMPLES_MIN {
             return Err(ImposeError::TooShort { kind, needed: SAMPLES_MIN, found: setting.samples });
         }
         if kind.needs_temperature() && setting.temperature.is_none() {
             return Err(ImposeError::NoTemperature { kind });
         }
-        let over = device.log_uniform(SIZES[0], SIZES[1]);
+        let over = device.log_uniform(least, limit::most(kind, setting.samples).max(2.0 * least));
         let at = places(kind, setting, &mut device)?;
         let mut making = Making { kind, setting, at: &at, over, device, events };
         let made = match kind {
@@ -185,14 +190,15 @@ impl Effect {
             Kind::Resolution | Kind::Saturation | Kind::HeldSamples | Kind::Timing | Kind::DeadBand => {
                 sent::draw(&mut making)
             }
-            Kind::CommonMode | Kind::DelayedCrosstalk => shared::draw(&mut making),
+            Kind::CommonMode | Kind::DelayedCrosstalk | Kind::ProductCrosstalk => shared::draw(&mut making),
+            _ => outside::draw(&mut making),
         };
         let over_limit = match kind {
             // The filter's own size says how far it is from none.
             Kind::LowPass => made.size,
             Kind::MovingAverage => limit::ABOVE * made.size / 2.0,
             outside if outside.effect().is_none() => limit::ABOVE,
-            _ => over,
+            _ => making.over,
         };
         let channels: Vec<Channel> = at.iter().map(|at| setting.parts[*at].channel).collect();
         let named = channels.iter().map(|channel| channel.name().to_owned());
@@ -230,7 +236,7 @@ fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>
         return Err(ImposeError::TooFewChannels { kind, needed: least, found: count });
     }
     let chosen = match kind {
-        Kind::Timing => (0..count).collect(),
+        stamps if stamps.needs_stamps() => (0..count).collect(),
         Kind::HeldSamples => {
             let triad_of = |at: &usize| setting.parts[free[*at]].channel.triad();
             let mut triads: Vec<Option<Triad>> = (0..count).map(|at| triad_of(&at)).collect();
@@ -239,7 +245,7 @@ fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>
             (0..count).filter(|at| triad_of(at) == triad).collect()
         }
         // One that crosses over, the first, is heard on the others.
-        Kind::DelayedCrosstalk => device.some_of(count - 1, 1).into_iter().map(|at| at + 1).collect(),
+        source if source.has_source() => device.some_of(count - 1, 1).into_iter().map(|at| at + 1).collect(),
         _ => device.some_of(count, least),
     };
     Ok(chosen.into_iter().map(|at| free[at]).collect())

@@ -80,14 +80,9 @@ impl Act for Stamps {
         if self.1 == 0.0 {
             return;
         }
-        on.missing.resize(samples, false);
         // The first and the last are there: what is lost outside them is not known to be missing.
-        for i in draw.events(self.1, samples - 1) {
-            on.missing[i] = true;
-            for column in &mut on.columns {
-                column.values[i] = column.values[i - 1];
-            }
-        }
+        let places = draw.events(self.1, samples - 1);
+        on.lose(places);
     }
 }
 
@@ -126,13 +121,13 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             } else {
                 (false, true)
             };
-            let share = size.min(0.05);
+            let share = size;
             // The limits follow from the samples: a share of them is beyond.
             let entry = object([("share", share.into()), ("above", above.into()), ("below", below.into())]);
             Made { size, parameters: vec![entry; count], act: Box::new(Clip(share, above, below)) }
         }
         Kind::HeldSamples => {
-            let probability = size.min(0.2);
+            let probability = size;
             let entry = object([("probability", probability.into())]);
             Made { size, parameters: vec![entry; count], act: Box::new(Hold(probability)) }
         }

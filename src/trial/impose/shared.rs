@@ -35,11 +35,37 @@ impl Act for Crosstalk {
     }
 }
 
+/// Where the first column is loud, the others are: its course over so many samples multiplies their white parts.
+#[derive(Debug)]
+struct Product(f64, f64);
+
+impl Act for Product {
+    fn act(&self, on: &mut Columns, at: &[usize], _draw: &mut Draw) {
+        let Some(source) = on.columns.first() else { return };
+        let pole = (-1.0 / self.1).exp();
+        let fresh = (1.0 - pole * pole).sqrt() / source.scale;
+        let mut state = 0.0;
+        let gains = source.white.iter().map(|white| {
+            state = pole * state + fresh * white;
+            (self.0 * state).exp()
+        });
+        let gains: Vec<f64> = gains.collect();
+        for column in at {
+            on.columns[*column].amplify(|i, _| gains[i]);
+        }
+    }
+}
+
 pub(super) fn draw(making: &mut Making<'_>) -> Made {
     if making.kind == Kind::CommonMode {
         let shares = making.signed_sizes_u();
         let parameters = shares.iter().map(|share| object([("sigma", share.abs().into())])).collect();
         return Made { size: making.size(), parameters, act: Box::new(Common(shares)) };
+    }
+    if making.kind == Kind::ProductCrosstalk {
+        let (size, over) = (making.device.log_uniform(0.15, 0.6), making.device.log_uniform(1.0, 30.0));
+        let entry = object([("log_gain", size.into()), ("samples", over.into())]);
+        return Made { size, parameters: vec![entry; making.at.len()], act: Box::new(Product(size, over)) };
     }
     // delayed_crosstalk: the gain is in units of the two channels' noise, which may have different units of their own.
     let (delay, size) = (making.device.whole(3, 50), making.device.log_uniform(0.1, 0.5));

@@ -22,7 +22,7 @@ fn setting() -> Setting {
         samples: SAMPLES,
         parts: [Channel::AccelX, Channel::AccelY, Channel::GyroZ].map(part).to_vec(),
         temperature: Some(TemperatureCourse { start_c: 20.0, rise_c: 8.0, settles: 0.2, wander_c: 1.0 }),
-        first_stamp_s: Some(7.0),
+        stamps: Some(crate::trial::stamps::Stamps::exact(7.0)),
         own: Default::default(),
     }
 }
@@ -46,7 +46,7 @@ fn white() -> Columns {
 fn imposed(kind: Kind, seed: u64) -> (Effect, Columns, Vec<f64>) {
     let before = white();
     let draws = |purpose| Draw::device(seed, 5, purpose);
-    let effect = Effect::draw(kind, &setting(), draws("device"), draws("events")).unwrap();
+    let effect = Effect::draw(kind, &setting(), limit::LEAST, draws("device"), draws("events")).unwrap();
     let mut after = before.clone();
     effect.impose(&mut after, &mut draws("noise"));
     let place = before.columns.iter().position(|column| column.channel == effect.channels[0]).unwrap();
@@ -77,7 +77,7 @@ fn amplitude(values: &[f64], frequency_hz: f64) -> f64 {
 #[test]
 fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
     let before = white();
-    for kind in Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE) {
+    for kind in Kind::all() {
         for seed in 0..6 {
             let (effect, after, _) = imposed(kind, seed);
             for (then, now) in before.columns.iter().zip(&after.columns) {
@@ -87,7 +87,7 @@ fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
                 assert_eq!(changed, named, "{kind} with seed {seed} on {}", then.channel);
             }
             assert_eq!(effect.parameters.len(), effect.channels.len(), "{kind}");
-            assert!((0.1..40.0).contains(&effect.over_limit), "{kind} {}", effect.over_limit);
+            assert!((0.1..3_000.0).contains(&effect.over_limit), "{kind} {}", effect.over_limit);
         }
     }
 }
@@ -95,7 +95,7 @@ fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
 #[test]
 fn what_is_told_of_an_effect_is_read_by_the_library() {
     use crate::effects::registry;
-    for kind in Kind::LIBRARY {
+    for kind in Kind::LIBRARY.iter().copied() {
         // A saturation's limits follow from the samples.
         if kind == Kind::Saturation {
             continue;
@@ -112,16 +112,16 @@ fn what_is_told_of_an_effect_is_read_by_the_library() {
 }
 
 #[test]
-fn a_size_is_drawn_between_half_and_ten_times_the_limit() {
+fn a_size_is_drawn_between_half_and_a_hundred_times_the_limit() {
     let over: Vec<f64> = (0..200).map(|seed| imposed_size(seed).over_limit).collect();
-    assert!(over.iter().all(|over| (0.5..10.0).contains(over)));
-    let below = over.iter().filter(|over| **over < 5.0_f64.sqrt()).count();
+    assert!(over.iter().all(|over| (0.5..100.0).contains(over)));
+    let below = over.iter().filter(|over| **over < 50.0_f64.sqrt()).count();
     assert!((80..120).contains(&below), "{below} of 200 below the middle");
 }
 
 fn imposed_size(seed: u64) -> Effect {
     let draws = |purpose| Draw::device(seed, 5, purpose);
-    Effect::draw(Kind::RateRamp, &setting(), draws("device"), draws("events")).unwrap()
+    Effect::draw(Kind::RateRamp, &setting(), limit::LEAST, draws("device"), draws("events")).unwrap()
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn filters_leave_half_the_power_at_their_corner() {
         let setting = Setting { parts: setting().parts[..1].to_vec(), ..setting() };
         let find = |seed: u64| {
             let draws = |purpose| Draw::device(seed, 9, purpose);
-            Effect::draw(Kind::LowPass, &setting, draws("device"), draws("events")).unwrap()
+            Effect::draw(Kind::LowPass, &setting, limit::LEAST, draws("device"), draws("events")).unwrap()
         };
         let effect = (0..).map(find).find(|effect| told(effect, "order") == f64::from(order)).unwrap();
         let corner = told(&effect, "cutoff_hz");

@@ -352,7 +352,7 @@ fn entry(effect: &Imposed) -> Value {
 /// What the parcel says.
 pub fn pack(case: &Case, model: &SensorModel) -> Result<Vec<u8>, crate::trial::parcel::ParcelError> {
     let (recording, rows) = case.record();
-    let parcel = crate::trial::parcel::pack(&recording, model)?;
+    let parcel = crate::trial::parcel::pack(&recording, model, false)?;
     let mut bytes = (parcel.len() as u64).to_le_bytes().to_vec();
     bytes.extend(parcel);
     for (time_s, motion) in rows {
@@ -394,7 +394,7 @@ pub fn unpack(bytes: &[u8]) -> Result<(Recording, SensorModel, Reference), CaseE
     let Some((parcel, rest)) = end.and_then(|end| Some((bytes.get(8..end)?, bytes.get(end..)?))) else {
         return Err(CaseError::Short { found: bytes.len(), expected });
     };
-    let (recording, model) = crate::trial::parcel::unpack(parcel)?;
+    let crate::trial::parcel::Parcel { recording, model, .. } = crate::trial::parcel::unpack(parcel)?;
     let rows = rest.chunks_exact(ROW).map(|row| {
         let mut values = [0.0; 7];
         values.iter_mut().zip(row.chunks_exact(8)).for_each(|(value, of)| *value = number(of));

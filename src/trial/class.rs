@@ -1,0 +1,148 @@
+//! Classes: what a case is a test of, and in which sense an effect of it is one.
+
+use serde::{Deserialize, Serialize};
+
+/// What a case is a test of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(clippy::exhaustive_enums, reason = "each is counted in its own way")]
+pub enum Class {
+    /// Nothing but wrong parameters.
+    None,
+    /// One effect that the model has as the sensor has it.
+    Known,
+    /// One effect of the library that the model lacks.
+    Single,
+    /// Two of them.
+    Pair,
+    /// Three or four of them.
+    Several,
+    /// One effect that the model has and the sensor lacks.
+    Superfluous,
+    /// One effect that both have, at another size or at another place.
+    Size,
+    /// One effect that the library does not have, of those that may be tuned on.
+    Outside,
+    /// The same of those that are kept for the figure.
+    Kept,
+}
+
+impl Class {
+    /// All of them.
+    pub const ALL: [Self; 9] = [
+        Self::None,
+        Self::Known,
+        Self::Single,
+        Self::Pair,
+        Self::Several,
+        Self::Superfluous,
+        Self::Size,
+        Self::Outside,
+        Self::Kept,
+    ];
+
+    /// The word for it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Known => "known",
+            Self::Single => "single",
+            Self::Pair => "pair",
+            Self::Several => "several",
+            Self::Superfluous => "superfluous",
+            Self::Size => "size",
+            Self::Outside => "outside",
+            Self::Kept => "kept",
+        }
+    }
+
+    /// Whether its cases have a gap that effects of the library explain.
+    #[must_use]
+    pub fn in_library(self) -> bool {
+        matches!(self, Self::Single | Self::Pair | Self::Several | Self::Superfluous | Self::Size)
+    }
+
+    /// Whether the library lacks what its cases have.
+    #[must_use]
+    pub fn is_outside(self) -> bool {
+        matches!(self, Self::Outside | Self::Kept)
+    }
+
+    /// Whether nothing is to be named in its cases.
+    #[must_use]
+    pub fn is_silent(self) -> bool {
+        matches!(self, Self::None | Self::Known)
+    }
+}
+
+/// How sensor and model differ in an effect.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(clippy::exhaustive_enums, reason = "each is made and judged in its own way")]
+pub enum Sense {
+    /// The sensor has it, the model lacks it.
+    #[default]
+    Missing,
+    /// The model has it, the sensor lacks it.
+    Superfluous,
+    /// Both have it, at different sizes.
+    Size,
+    /// Both have it, at another frequency or time. Of a key alone.
+    Elsewhere,
+    /// Both have it alike. Of a key alone.
+    Known,
+}
+
+impl Sense {
+    /// The sense that a diagnosis states: the contract's words; none for another word.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        match name {
+            "missing" => Some(Self::Missing),
+            "superfluous" => Some(Self::Superfluous),
+            "size" => Some(Self::Size),
+            _ => None,
+        }
+    }
+
+    /// Whether a cause of sense `told` says of an effect of this sense what is so. Of an effect that both have at two places each
+    /// of three sentences is true: the model lacks the one, the sensor lacks the other, and the two differ.
+    #[must_use]
+    pub fn accepts(self, told: Self) -> bool {
+        match self {
+            Self::Elsewhere => true,
+            Self::Known => false,
+            own => own == told,
+        }
+    }
+
+    /// Whether the sensor has it.
+    #[must_use]
+    pub fn is_in_sensor(self) -> bool {
+        self != Self::Superfluous
+    }
+
+    /// Whether the model has it.
+    #[must_use]
+    pub fn is_in_model(self) -> bool {
+        self != Self::Missing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sense_accepts_its_own_word_alone() {
+        let told = ["missing", "superfluous", "size"].map(|name| Sense::from_name(name).unwrap());
+        let accepted = |truth: Sense| told.map(|one| truth.accepts(one));
+        assert_eq!(accepted(Sense::Missing), [true, false, false]);
+        assert_eq!(accepted(Sense::Superfluous), [false, true, false]);
+        assert_eq!(accepted(Sense::Size), [false, false, true]);
+        assert_eq!(accepted(Sense::Elsewhere), [true; 3]);
+        assert_eq!(accepted(Sense::Known), [false; 3]);
+        assert_eq!(Sense::from_name("more"), None);
+    }
+}

@@ -1,0 +1,120 @@
+//! Comparing: how far the numbers of a cause are off those of the effect that it is.
+
+use super::fit::{intervals_of, told_intervals};
+use super::key::{Key, TrueEffect};
+use super::kind::Kind;
+use super::report::{Cause, entries};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// The told number nearest to a true one, and how far off it is.
+fn nearest(truth: f64, told: impl IntoIterator<Item = f64>) -> Option<f64> {
+    told.into_iter().map(|told| (told - truth).abs()).min_by(f64::total_cmp)
+}
+
+/// The numbers of this name in a list of entries.
+fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64> + 'a {
+    entries.iter().filter_map(move |entry| entry[name].as_f64())
+}
+
+/// Errors of place of a cause that is an effect, by what they are: `frequency_bins`, `at_s`, `edge_s`.
+pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
+    let bins = key.samples as f64 / key.rate_hz;
+    for (channel, parameters) in &truth.parameters {
+        let (truths, told) = (entries(parameters), cause.entries(channel));
+        if told.is_empty() {
+            continue;
+        }
+        for (name, place, unit) in [
+            ("frequency_hz", "frequency_bins", bins),
+            ("fundamental_hz", "frequency_bins", bins),
+            ("at_s", "at_s", 1.0),
+        ] {
+            for one in numbers(truths, name) {
+                into.entry(place).or_default().extend(nearest(one, numbers(told, name)).map(|off| off * unit));
+            }
+        }
+    }
+    let (truths, told) = (intervals_of(truth), told_intervals(cause));
+    for [from, to] in truths {
+        // Each end against that of the interval that it lies nearest to.
+        let edges = [(from, 0), (to, 1)];
+        let off = edges.into_iter().filter_map(|(time, end)| nearest(time, told.iter().map(|interval| interval[end])));
+        into.entry("edge_s").or_default().extend(off);
+    }
+}
+
+/// Parameters that say where something is, or that are free: not compared as sizes.
+const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s", "to_s", "reference_c", "order"];
+
+/// Relative errors of a cause's parameters.
+pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
+    let relative = |told: f64, truth: f64| (truth != 0.0).then(|| (told.abs() / truth.abs() - 1.0).abs());
+    for (channel, parameters) in &truth.parameters {
+        for one in entries(parameters) {
+            let told = cause.entries(channel);
+            let Some(told) = alike(one, told, key).map(|at| &told[at]) else { continue };
+            let Some(one) = one.as_object() else { continue };
+            for (name, value) in one.iter().filter(|(name, _)| !NO_SIZES.contains(&name.as_str())) {
+                let pairs: Vec<(f64, f64)> = match (value.as_f64(), value.as_array()) {
+                    (Some(truth), _) => told[name].as_f64().map(|told| (told, truth)).into_iter().collect(),
+                    (None, Some(list)) if name == "amplitudes" => {
+                        let told = told[name].as_array().map_or(&[][..], Vec::as_slice);
+                        list.iter().zip(told).filter_map(|(truth, told)| told.as_f64().zip(truth.as_f64())).collect()
+                    }
+                    _ => Vec::new(),
+                };
+                let errors = pairs.into_iter().filter_map(|(told, truth)| relative(told, truth));
+                into.entry(name.clone()).or_default().extend(errors);
+            }
+        }
+    }
+    into.retain(|_, errors| !errors.is_empty());
+}
+
+/// Numbers whose intervals are not held against the truth, since the forms of cases are others: sizes of spikes are even over another
+/// range, bursts and louder intervals have soft ends, and where a temperature's effect is zero is free.
+fn is_of_another_form(kind: Kind, name: &str) -> bool {
+    match kind {
+        Kind::Spikes => name == "amplitude",
+        Kind::Bursts => name == "sigma",
+        Kind::VarianceInterval => name != "factor",
+        _ => name == "reference_c",
+    }
+}
+
+/// How many intervals of a cause's numbers hold the true ones, and how many there are. A told entry is held against the true one that
+/// lies nearest to it, and only if it is the nearest to that as well.
+pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [usize; 2] {
+    let mut held = [0; 2];
+    for (channel, parameters) in &truth.parameters {
+        let (truths, told, intervals) =
+            (entries(parameters), cause.entries(channel), entries(&cause.uncertainty[channel]));
+        for (at, (one, intervals)) in told.iter().zip(intervals).enumerate() {
+            let Some(truth_of) = alike(one, truths, key).map(|at| &truths[at]) else { continue };
+            if alike(truth_of, told, key) != Some(at) {
+                continue;
+            }
+            for (name, ends) in intervals.as_object().into_iter().flatten() {
+                let ends = ends[0].as_f64().zip(ends[1].as_f64()).filter(|_| !is_of_another_form(truth.kind, name));
+                if let (Some(value), Some((low, high))) = (truth_of[name].as_f64(), ends) {
+                    held[1] += 1;
+                    held[0] += usize::from((low..=high).contains(&value));
+                }
+            }
+        }
+    }
+    held
+}
+
+/// The place of the told entry that means this true one: the only one, or the one that is nearest in frequency or time.
+fn alike(truth: &Value, told: &[Value], key: &Key) -> Option<usize> {
+    let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
+    let Some(place) = place else { return (!told.is_empty()).then_some(0) };
+    let wanted = truth[place].as_f64()?;
+    let off = |(at, entry): (usize, &Value)| Some(((entry[place].as_f64()? - wanted).abs(), at));
+    let best = told.iter().enumerate().filter_map(off).min_by(|one, other| one.0.total_cmp(&other.0))?;
+    // A step that was not found is not compared with another one.
+    let near = if place == "at_s" { 0.02 * key.samples as f64 / key.rate_hz } else { f64::INFINITY };
+    (best.0 <= near).then_some(best.1)
+}
