@@ -3,8 +3,8 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
-use crate::diagnosis::report::{Cause, Driver, Place, Sense};
-use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference, Verdict};
+use crate::diagnosis::report::{Cause, Driver, Of, Place, Sense};
+use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference};
 use crate::jobs::{TwoThreads, gridded};
 use crate::motion::file::Rows;
 use crate::page;
@@ -128,18 +128,20 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         writeln!(out, "\n{rows}")?;
     }
     if !of.r#where.is_empty() {
-        let heading = match of.verdict {
-            Verdict::UnknownEffect => "where something remains",
-            _ => "where the gap lies",
-        };
-        let mut rows = table(&[heading, "band in Hz", "time in s", "share", "sign"]);
-        for Place { channel, band_hz, from_s, to_s, at, share, sign, .. } in &of.r#where {
+        let mut rows = table(&["where the gap lies", "channel", "band in Hz", "time in s", "share", "sign"]);
+        for Place { of: what, channel, band_hz, from_s, to_s, at, share, sign, .. } in &of.r#where {
+            let what = match what {
+                Of::Cause(index) => of.causes.get(*index).map_or("", |cause| cause.effect),
+                Of::Parameters => "a parameter",
+                Of::Remainder => "nothing known",
+            };
             let band = match at {
                 // What a motion drives lies at a rate or a pose rather than in a band.
                 Some(at) => driver(at),
                 None => format!("{:.3} … {:.3}", band_hz[0], band_hz[1]),
             };
             rows.add_row([
+                what.to_owned(),
                 channel.clone(),
                 band,
                 format!("{from_s:.0} … {to_s:.0}"),

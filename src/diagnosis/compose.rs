@@ -4,12 +4,13 @@ use super::augmented::augmented;
 use super::diagnose::{Findings, Found, Options, Outcome};
 use super::discrepancy::discrepancy;
 use super::evidence::Kind;
+use super::hints;
 use super::law::{Law, Shape};
 use super::named::{self, Named, is_fact, stamps};
 use super::omnibus::Statistic;
 use super::owned::{Known, Owned};
 use super::pairs;
-use super::places::places;
+use super::places::{Remnant, places};
 use super::prepare::Prepared;
 use super::recording::Recording;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Sense, Verdict};
@@ -54,7 +55,8 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, &remains.channels, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
-    let places = places(found, &named, real, verdict);
+    let remnants = if remains_something { remnants(found, &remains) } else { Vec::new() };
+    let places = places(found, &named, &causes, &parameters, &remnants, real);
     notes.extend(foreign);
     if let Some((channel, statistic)) = remains.worst {
         notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
@@ -69,6 +71,8 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         let gap = ChannelGap { before: gap(&of.scores.declared), after: gap(&of.scores.effects), floor };
         (of.prepared.channel.name().to_owned(), gap)
     });
+    let offsets = hints::offsets(found, sim);
+    let hints = hints::hints(found, sim, &parameters, &offsets);
     let mut diagnosis = Diagnosis {
         format: FORMAT,
         verdict,
@@ -76,6 +80,8 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         discrepancy,
         r#where: places,
         parameters,
+        offsets,
+        hints,
         causes,
         alternatives,
         per_channel: per_channel.collect(),
@@ -93,12 +99,37 @@ struct Remains {
     p_value: f64,
     /// Where.
     channels: BTreeSet<Channel>,
+    /// The rarest statistic of each channel where something does: its value and its chance.
+    rarest: BTreeMap<Channel, (f64, f64)>,
+}
+
+/// Where something remains, and how much of it.
+fn remnants(found: &Found, remains: &Remains) -> Vec<Remnant> {
+    let of_steps = foreign_steps(found).map(|(channel, step, _)| {
+        let own = found.channels.iter().find(|own| own.prepared.channel == channel);
+        let band = own.and_then(|own| own.bands.kinds.get(&step.kind)).copied();
+        Remnant { channel, nats: step.gain, p_value: (step.price - step.gain).exp().min(1.0), band }
+    });
+    let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
+        channel: *channel,
+        nats: *nats,
+        p_value: *p_value,
+        band: None,
+    });
+    let mut remnants: Vec<Remnant> = of_steps.collect();
+    for of in of_statistics {
+        if remnants.iter().all(|other| other.channel != of.channel) {
+            remnants.push(of);
+        }
+    }
+    remnants
 }
 
 fn remains(found: &Found, named: &[Named]) -> Remains {
     let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
     let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
     let mut channels: BTreeSet<Channel> = foreign_steps(found).map(|(channel, ..)| channel).collect();
+    let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
     for of in &found.channels {
         let own: Vec<&Named> = named.iter().filter(|one| one.channel == of.prepared.channel).collect();
         let marginal = own.iter().any(|one| {
@@ -126,13 +157,17 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             p_value = p_value.min(p);
             if p < level {
                 channels.insert(of.prepared.channel);
+                let own = rarest.entry(of.prepared.channel).or_insert((*value, p));
+                if p < own.1 {
+                    *own = (*value, p);
+                }
             }
             if p < level && p / level < worst_excess {
                 (worst, worst_excess) = (Some((of.prepared.channel, *statistic)), p / level);
             }
         }
     }
-    Remains { worst, p_value, channels }
+    Remains { worst, p_value, channels, rarest }
 }
 
 /// Steps of the search that no effect of the library is, with their channels and what they mean.
@@ -213,6 +248,8 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
                     Some((value / folded, ends.map(|end| end / folded)))
                 }
                 (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,
+                // The law shows none of it: it is below what the record could show.
+                (Some(Known { value: None, ends }), None) if level > 0 && !is_slow(of) => Some((0.0, ends)),
                 _ => by_law,
             };
             let Some((capture, [low, high])) = found else { continue };
@@ -221,10 +258,12 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             // Told with an interval or a limit that reaches the capture's, it is not off.
             let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
             let within = known.is_some_and(|[least, most]| low <= most && high >= least);
-            if !within && apart > OFF * spread {
-                let ratio = (told > 0.0).then(|| capture / told);
+            let is_off = if capture > 0.0 { apart > OFF * spread } else { told > high };
+            if !within && is_off {
+                let ratio = (told > 0.0 && capture > 0.0).then(|| capture / told);
                 let channel = of.prepared.channel.name().to_owned();
-                off.push(Parameter { channel, parameter, model: told, capture, ratio, ci95: Some([low, high]) });
+                let nats = of.held[level];
+                off.push(Parameter { channel, parameter, model: told, capture, ratio, nats, ci95: Some([low, high]) });
             }
         }
     }
@@ -236,6 +275,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             model: sim.rate_hz,
             capture: rate_hz,
             ratio: Some(rate_hz / sim.rate_hz),
+            nats: 0.0,
             ci95: None,
         });
     }

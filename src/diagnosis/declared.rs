@@ -59,7 +59,7 @@ pub(super) fn lines(
 }
 
 /// Lines of the model that a channel lacks or has with other amplitudes.
-pub(super) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+pub(super) fn of_lines(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
     let prepared = &of.prepared;
     let channel = prepared.channel;
     let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
@@ -97,6 +97,7 @@ pub(super) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
             declared: Some((place, effect.clone())),
             effect: if is_there { found } else { effect.clone() },
             gain: otherwise,
+            p_value: level * (-otherwise).exp(),
             confidence: 0.99,
             evidence: vec![evidence],
             ci95: if is_there { ci95 } else { Vec::new() },
@@ -122,7 +123,7 @@ pub(super) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelMo
 }
 
 /// The model's spectral effects that a channel lacks: left out, and nothing found stands for them.
-pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>]) -> Vec<Named> {
+pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>], level: f64) -> Vec<Named> {
     let channel = of.prepared.channel;
     let superfluous = of.steps.iter().filter_map(|step| {
         let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
@@ -141,6 +142,7 @@ pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
             declared: Some((place, effect.clone())),
             effect,
             gain: step.gain,
+            p_value: step.chance(level),
             confidence: super::named::confidence(margin),
             evidence: vec![evidence],
             ci95: Vec::new(),

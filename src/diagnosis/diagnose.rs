@@ -1,5 +1,6 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
+use super::bands::Bands;
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::Kind;
@@ -116,8 +117,8 @@ pub(super) struct Findings {
     pub(super) fitted: Fitted,
     /// Nats lost where N, B or K is held at the model's value and all else is fitted again.
     pub(super) held: [f64; 3],
-    /// Where the plain law fails.
-    pub(super) before: Tiles,
+    /// In which frequencies what was found is gained.
+    pub(super) bands: Bands,
     /// Where everything found still fails.
     pub(super) after: Tiles,
     pub(super) statistics: Vec<(Statistic, f64)>,
@@ -230,7 +231,6 @@ fn explain(
         data.beliefs = &FREE;
         series.explanation.law.fit(data)
     };
-    let before = Tiles::of(&series);
     let steps = search::explain(&mut series, prices);
     let fitted = free(&series);
     let changed = series.average_variance().ln();
@@ -244,8 +244,10 @@ fn explain(
         law.levels[level] = told;
         let mut data = series.data();
         data.beliefs = &beliefs;
-        fitted.log_likelihood - law.fit(data).log_likelihood
+        law.fit(data)
     });
+    let bands = Bands::of(&series, &steps, &fitted, &held);
+    let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let after = Tiles::of(&series);
     let lines = sim.channels.get(&prepared.channel).map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
@@ -287,7 +289,7 @@ fn explain(
             steps,
             fitted,
             held,
-            before,
+            bands,
             after,
             statistics,
             scores,

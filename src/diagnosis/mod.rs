@@ -9,6 +9,7 @@
 //! long as they are worth their price, which is what chance gives in simulated records of the same length.
 
 mod augmented;
+mod bands;
 #[cfg(test)]
 mod both_ways;
 pub mod calibration;
@@ -28,8 +29,11 @@ pub mod facts;
 pub mod field;
 mod filling;
 pub mod grid;
+mod hints;
 pub mod holdout;
 pub mod law;
+#[cfg(test)]
+mod located;
 pub mod motion;
 mod named;
 pub mod omnibus;

@@ -28,6 +28,8 @@ pub(super) struct Named {
     /// The sensor's; where the sensor lacks it the model's.
     pub(super) effect: Arc<dyn Effect>,
     pub(super) gain: f64,
+    /// Chance that noise alone makes as much of it anywhere in the record.
+    pub(super) p_value: f64,
     pub(super) confidence: f64,
     pub(super) evidence: Vec<String>,
     /// 95 % intervals of its parameters.
@@ -38,7 +40,17 @@ impl Named {
     /// An effect that the model lacks, as sure as what is read off values and stamps.
     fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
         let sense = Sense::Missing;
-        Self { channel, sense, declared: None, effect, gain, confidence: 0.99, evidence: Vec::new(), ci95: Vec::new() }
+        Self {
+            channel,
+            sense,
+            declared: None,
+            effect,
+            gain,
+            p_value: (-gain).exp().min(1.0),
+            confidence: 0.99,
+            evidence: Vec::new(),
+            ci95: Vec::new(),
+        }
     }
 }
 
@@ -47,8 +59,8 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
     let mut named: Vec<Named> = Vec::new();
     for of in &found.channels {
         if let Some(model) = sim.channels.get(&of.prepared.channel) {
-            named.extend(of_channel(of, found, sim, model));
-            named.extend(declared::of_lines(of, model));
+            named.extend(of_channel(of, found, sim, model, options.level));
+            named.extend(declared::of_lines(of, model, options.level));
         }
         named.extend(of_facts(of));
     }
@@ -64,7 +76,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 }
 
 /// What the search found on a channel.
-fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel) -> Vec<Named> {
+fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
         samples: found.samples,
@@ -75,7 +87,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
     let effects = translate::effects(&of.explanation, &of.spread, units);
     let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);
     let standing = declared::stands_for(&effects, &of.steps, model);
-    let superfluous = declared::left_out(of, model, &standing);
+    let superfluous = declared::left_out(of, model, &standing, level);
     let found_here = effects
         .iter()
         .zip(&standing)
@@ -107,6 +119,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
                 declared,
                 effect: effect.clone(),
                 gain,
+                p_value: same(*kind).map(|step| step.chance(level)).fold(1.0, f64::min),
                 confidence: confidence(margin),
                 evidence,
                 ci95: ci95.clone(),

@@ -46,10 +46,34 @@ pub struct Discrepancy {
     pub measured_on: String,
 }
 
+/// What lies in a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_enums, reason = "the contract's three")]
+pub enum Of {
+    /// The cause of this number in the list.
+    Cause(usize),
+    /// Parameters that are off.
+    Parameters,
+    /// What no known effect explains.
+    Remainder,
+}
+
+impl Serialize for Of {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Cause(index) => serializer.collect_str(&format_args!("cause:{index}")),
+            Self::Parameters => serializer.serialize_str("parameters"),
+            Self::Remainder => serializer.serialize_str("remainder"),
+        }
+    }
+}
+
 /// A place where real and simulated samples differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
 pub struct Place {
+    /// What lies in it.
+    pub of: Of,
     /// The channel.
     pub channel: String,
     /// Frequencies.
@@ -66,8 +90,12 @@ pub struct Place {
     /// What the motion does where it lies, where it is the motion's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Driver>,
-    /// Part of the whole discrepancy.
+    /// Part of the nats of all places.
     pub share: f64,
+    /// Nats that lie in it.
+    pub nats: f64,
+    /// Chance that noise alone makes one as heavy anywhere in the record.
+    pub p_value: f64,
     /// `real noisier` or `real quieter`; of what a motion drives `real higher` or `real lower`.
     pub sign: &'static str,
 }
@@ -99,13 +127,58 @@ pub struct Parameter {
     pub parameter: &'static str,
     /// The model's value.
     pub model: f64,
-    /// The capture's.
+    /// The capture's; 0 if it shows none of it, below the upper end of its interval.
     pub capture: f64,
-    /// The second over the first; none where the model has 0.
+    /// The second over the first; none if one of them is 0.
     pub ratio: Option<f64>,
+    /// Nats that the model's value loses against the best one; 0 where they are not measured.
+    pub nats: f64,
     /// 95 % interval of the capture's value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
+}
+
+/// A mean of the capture that is another than the model states, beyond turn-on bias and pose.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "keys of the report")]
+pub struct Offset {
+    /// The channel.
+    pub channel: String,
+    /// The model's `bias`, U.
+    pub model: f64,
+    /// The capture's mean without what is explained of it, U.
+    pub capture: f64,
+    /// What turn-on bias explains, U.
+    pub explained: f64,
+}
+
+/// What the size of a difference may mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(clippy::exhaustive_enums, reason = "the contract's five")]
+pub enum HintKind {
+    /// The root of the rate is in it once too often or too rarely.
+    SqrtRate,
+    /// Another unit.
+    Unit,
+    /// The other sign.
+    Sign,
+    /// Another axis.
+    Axes,
+    /// A prefix.
+    Scale,
+}
+
+/// A difference whose size has a meaning.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+pub struct Hint {
+    /// What differs, such as `accel_x N`.
+    pub about: String,
+    /// Which meaning.
+    pub kind: HintKind,
+    /// A sentence.
+    pub text: String,
 }
 
 /// On which side an effect is.
@@ -188,10 +261,14 @@ pub struct Diagnosis {
     pub summary: String,
     /// How much.
     pub discrepancy: Discrepancy,
-    /// Where, before effects; what remains, where that is unknown.
+    /// Where, heaviest first: each cause, the parameters that are off, what remains.
     pub r#where: Vec<Place>,
     /// What is merely off.
     pub parameters: Vec<Parameter>,
+    /// Means that differ where the model states them.
+    pub offsets: Vec<Offset>,
+    /// What the sizes of these differences may mean.
+    pub hints: Vec<Hint>,
     /// Effects in which sensor and model differ, strongest first.
     pub causes: Vec<Cause>,
     /// What was weighed.

@@ -24,6 +24,11 @@ pub struct Step {
 }
 
 impl Step {
+    /// The chance that noise alone gives as much somewhere in a record, where it gives the price with chance `level`.
+    pub(super) fn chance(&self, level: f64) -> f64 {
+        (level * (self.price - self.gain).exp()).min(1.0)
+    }
+
     /// Whether the law has a term of it.
     fn has_term(&self) -> bool {
         self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)

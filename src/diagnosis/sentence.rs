@@ -1,56 +1,99 @@
 //! Sentences: a diagnosis in one, for a person who has ten seconds.
 
-use super::report::{Cause, Diagnosis, Sense, Verdict};
+use super::report::{Cause, Diagnosis, Of, Parameter, Sense, Verdict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// The one sentence.
+/// The one sentence: what makes most of the gap first, be it an effect or a parameter.
 #[must_use]
 pub(super) fn summary(of: &Diagnosis) -> String {
-    let explained = |closed: Option<f64>| {
-        closed
-            .map_or_else(String::new, |closed| format!(" explains {:.0} % of the gap", 100.0 * closed.clamp(0.0, 1.0)))
-    };
-    match (of.verdict, of.causes.first()) {
-        (Verdict::NoGap, _) => "no gap: the recording is what the model says, as far as can be told".to_owned(),
-        (Verdict::Parameters, _) => {
-            let names: Vec<String> = of
-                .parameters
-                .iter()
-                .take(3)
-                .map(|of| match of.ratio {
-                    Some(ratio) => format!("{} {} is {ratio:.2} times the model's", of.channel, of.parameter),
-                    None => format!("{} {} is {:.3e} instead of 0", of.channel, of.parameter, of.capture),
-                })
-                .collect();
-            format!("no effect is missing, but parameters are off: {}", names.join("; "))
+    let nats =
+        |of_what: Of| -> f64 { of.r#where.iter().filter(|place| place.of == of_what).map(|place| place.nats).sum() };
+    let parts = parameters(of);
+    let (largest, weight) = parts.first().map_or((None, 0.0), |(clause, nats)| (Some(clause.as_str()), *nats));
+    // Among parts of the same rank a cause comes first.
+    let of_cause = (0..of.causes.len()).map(|index| nats(Of::Cause(index))).fold(0.0, f64::max);
+    let first = largest.filter(|_| weight > of_cause);
+    let sentence = match (of.verdict, of.causes.first(), first) {
+        (Verdict::NoGap, ..) => "no gap: the recording is what the model says, as far as the record shows".to_owned(),
+        (Verdict::Parameters, ..) => {
+            let clauses: Vec<&str> = parts.iter().take(3).map(|(clause, _)| clause.as_str()).collect();
+            format!("no effect is missing, but parameters are off: {}", clauses.join("; "))
         }
-        (Verdict::Effects, Some(cause)) => {
+        (Verdict::Effects, Some(cause), first) => {
             let further = match of.causes.len() {
                 1 => String::new(),
                 2 => ", beside another cause".to_owned(),
                 more => format!(", beside {} other causes", more - 1),
             };
-            let closed = of.discrepancy.closed;
-            let together = if of.causes.len() > 1 { "; together they" } else { "" };
-            match closed {
-                Some(_) if together.is_empty() => {
-                    format!("{}: {}{}", channels(cause), phrase(cause), explained(closed))
+            let explained = match of.discrepancy.closed.map(|closed| 100.0 * closed.clamp(0.0, 1.0)) {
+                Some(part) if of.causes.len() == 1 => format!(" explains {part:.0} % of the gap"),
+                Some(part) => format!("; together they explain {part:.0} % of the gap"),
+                None => String::new(),
+            };
+            let own = format!("{}: {}{further}{explained}", channels(cause), phrase(cause));
+            match first {
+                Some(clause) => {
+                    let rest = if explained.is_empty() { "" } else { " that is left" };
+                    format!("mostly a parameter: {clause}; then {own}{rest}")
                 }
-                Some(closed) => format!(
-                    "{}: {}{further}{together} explain {:.0} % of the gap",
-                    channels(cause),
-                    phrase(cause),
-                    100.0 * closed.clamp(0.0, 1.0)
-                ),
-                None => format!("{}: {}{further}", channels(cause), phrase(cause)),
+                None => own,
             }
         }
-        (Verdict::UnknownEffect, Some(cause)) => {
-            format!("{}: {}; something remains that no known effect explains", channels(cause), phrase(cause))
+        (Verdict::UnknownEffect, cause, first) => {
+            let cause = cause.map(|cause| format!("{}: {}", channels(cause), phrase(cause)));
+            let known: Vec<String> = first.map(str::to_owned).into_iter().chain(cause).collect();
+            match known.is_empty() {
+                true => "something is there that no known effect explains".to_owned(),
+                false => format!("{}; something remains that no known effect explains", known.join("; then ")),
+            }
         }
-        _ => "something is there that no known effect explains".to_owned(),
+        (Verdict::Effects, None, _) => "an effect is missing".to_owned(),
+    };
+    let hint = of.hints.first().map_or_else(String::new, |hint| format!(" ({}: {})", hint.about, hint.text));
+    match of.offsets.first() {
+        Some(of) => {
+            let (channel, capture, model) = (&of.channel, of.capture, of.model);
+            format!("the mean of {channel} is {capture:.4}, the model's {model:.4}{hint}; apart from that {sentence}")
+        }
+        None => sentence + &hint,
     }
+}
+
+/// What is off, each with its nats, the largest first; axes of which the same is off by about the same ratio are one.
+fn parameters(of: &Diagnosis) -> Vec<(String, f64)> {
+    /// Ratios that are one, ln.
+    const SAME: f64 = 0.1;
+    let mut groups: Vec<(Vec<&Parameter>, f64)> = Vec::new();
+    for one in &of.parameters {
+        let logarithm = |of: &Parameter| of.ratio.map(f64::ln);
+        let same = |group: &&mut (Vec<&Parameter>, f64)| {
+            let other = group.0[0];
+            let ratios = logarithm(one).zip(logarithm(other));
+            other.parameter == one.parameter && ratios.is_some_and(|(a, b)| (a - b).abs() < SAME)
+        };
+        match groups.iter_mut().find(same) {
+            Some(group) => {
+                group.0.push(one);
+                group.1 += one.nats;
+            }
+            None => groups.push((vec![one], one.nats)),
+        }
+    }
+    groups.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let clause = |group: &[&Parameter]| {
+        let of = group[0];
+        let names: Vec<&str> = group.iter().map(|of| of.channel.as_str()).collect();
+        let name = format!("{} {}", names.join(", "), of.parameter);
+        match (of.ratio, of.ci95) {
+            (Some(ratio), _) => format!("{name} is {ratio:.2} times the model's"),
+            (None, Some([_, high])) if of.capture == 0.0 => {
+                format!("{name} is below {high:.1e}, the model has {:.1e}", of.model)
+            }
+            _ => format!("{name} is {:.3e} instead of 0", of.capture),
+        }
+    };
+    groups.into_iter().map(|(group, nats)| (clause(&group), nats)).collect()
 }
 
 fn channels(cause: &Cause) -> String {

@@ -358,6 +358,14 @@ impl<'a> Series<'a> {
         bare
     }
 
+    /// ln of the spectrum in each bin if the model's effect at this place, which is left out, acted as well.
+    pub(super) fn logarithms_with_declared(&self, place: usize) -> Vec<f64> {
+        let mut without = self.explanation.without.clone();
+        without.remove(&place);
+        let base = (self.setting.base)(&self.grid, &without);
+        self.explanation.law.logarithms(Data { base: &base, ..self.data() })
+    }
+
     /// Fits the law again beside what is left of the model's own effects.
     pub(super) fn relaw(&mut self) {
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);

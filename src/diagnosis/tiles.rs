@@ -28,6 +28,9 @@ pub struct Rectangle {
     pub excess: f64,
     /// Mean ratio.
     pub ratio: f64,
+    /// A bound of the chance that noise alone makes one as heavy anywhere: that of its tiles' sum of squares, times how many
+    /// rectangles there are.
+    pub p_value: f64,
 }
 
 /// Calls with the mean square of each tile over what it should be, and its coefficients: `edges` in coefficients of a stretch,
@@ -131,7 +134,12 @@ impl Tiles {
                 weight += width;
             }
         }
+        let tiles = (times.len() * band.len()) as f64;
+        let rectangles = (stretches * (stretches + 1) / 2 * (bands * (bands + 1) / 2)) as f64;
+        // An excess is half of a square less its mean.
+        let surprise = super::omnibus::surprise(2.0 * excess + tiles, tiles);
         Some(Rectangle {
+            p_value: (rectangles * (-surprise).exp()).min(1.0),
             band_hz: [self.edges_hz[band.start], self.edges_hz[band.end]],
             time_s: [self.edges_s[times.start], self.edges_s[times.end]],
             excess,

@@ -2,6 +2,7 @@
 
 use super::motion::at_rest;
 use super::{JobError, Plan, SampleSource, direct, gridded};
+use crate::diagnosis::report::Of;
 use crate::diagnosis::{self, Diagnosis, Verdict, Workers};
 use crate::model_fit::{model_of, with_effects};
 use crate::noise::NoiseReport;
@@ -77,9 +78,10 @@ pub fn fitted(
 /// it against the record itself, unless it leaves something unexplained there. Nothing makes noise of a motion or of raw counts.
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
-    // Under this verdict the places are those of what remains.
     let remains = |channel: Channel| {
-        found.verdict == Verdict::UnknownEffect && found.r#where.iter().any(|place| place.channel == channel.name())
+        let mut places = found.r#where.iter();
+        found.verdict == Verdict::UnknownEffect
+            && places.any(|place| place.of == Of::Remainder && place.channel == channel.name())
     };
     let has_n = |channel| report.channels.get(&channel).is_some_and(|of| of.n.value.is_some());
     report.refusal(|channel| !has_n(channel) || effects(model, channel) == effects(plain, channel) || remains(channel))
@@ -163,9 +165,13 @@ mod tests {
             "m",
         );
         model.channels.clone_from(&tone.unwrap().channels);
+        // Even noise is not normal: that has a place.
+        assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
+        found.r#where.clear();
         assert_eq!(refusal(&report, &plain, &model, &found), None);
         found.verdict = Verdict::UnknownEffect;
         found.r#where = vec![Place {
+            of: Of::Remainder,
             channel: "gyro_x".to_owned(),
             band_hz: [1.0, 2.0],
             tau_s: [0.25, 0.5],
@@ -174,6 +180,8 @@ mod tests {
             temperature_c: None,
             at: None,
             share: 1.0,
+            nats: 30.0,
+            p_value: 1e-9,
             sign: "real noisier",
         }];
         assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");

@@ -50,7 +50,7 @@ pub(super) fn outcome(
     let samples = part.len() as f64;
     let mut driven: Vec<Driven> = Vec::new();
     let mut sums = Sums { whole: vec![0.0; BLOCKS], closed: vec![0.0; BLOCKS], numbers: 0 };
-    let mut located: Vec<(f64, Place)> = Vec::new();
+    let mut located: Vec<Place> = Vec::new();
     let mut alternatives: Vec<Alternative> = Vec::new();
     let mut outside = Vec::new();
     for of in &found.triads {

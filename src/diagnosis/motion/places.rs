@@ -1,7 +1,7 @@
 //! Places: at which rate, acceleration or pose a gap lies that a motion drives, and when.
 
 use super::settle::Settled;
-use crate::diagnosis::report::{Driver, Place};
+use crate::diagnosis::report::{Driver, Of, Place};
 use crate::diagnosis::response;
 use crate::effects::triad::Axes;
 use crate::simulator::Motion;
@@ -18,7 +18,7 @@ const TELLING: f64 = 0.2;
 const UPRIGHT: f64 = 0.97;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Where the gap of a triad lies, with its nats: one place per axis with a material part of it.
+/// Where the gap of a triad lies: one place per axis with a material part of it.
 pub(super) fn places(
     of: &Settled,
     level: Axes,
@@ -26,7 +26,7 @@ pub(super) fn places(
     motions: &[Motion],
     rate_hz: f64,
     from_s: f64,
-) -> Vec<(f64, Place)> {
+) -> Vec<Place> {
     let columns = of.weighing().columns(&of.choice.groups);
     let (_, numbers) = of.screen.gain(&columns);
     // A delay that is a latency is the first of the base.
@@ -50,21 +50,22 @@ pub(super) fn places(
         // What is cut off is missing.
         let is_cut = of.cut_off.as_ref().is_some_and(|nats| nats[axis].iter().sum::<f64>() > 0.5 * totals[axis]);
         let rising = if is_cut { -1.0 } else { mean_gap(&of.fit.response[axis], &model[axis], values) };
-        places.push((
-            totals[axis],
-            Place {
-                channel: channel.name().to_owned(),
-                // What a motion drives is as slow as the motion: from the record's length to its own changes.
-                band_hz: [0.0, rate_hz / 2.0],
-                tau_s: [1.0 / rate_hz, values.len() as f64 / rate_hz],
-                from_s: from_s + from as f64 / rate_hz,
-                to_s: from_s + to as f64 / rate_hz,
-                temperature_c: None,
-                at: driver(values, motions),
-                share: 0.0,
-                sign: if rising >= 0.0 { "real higher" } else { "real lower" },
-            },
-        ));
+        places.push(Place {
+            // Which cause's it is, is known when all are ranked.
+            of: Of::Remainder,
+            channel: channel.name().to_owned(),
+            // What a motion drives is as slow as the motion: from the record's length to its own changes.
+            band_hz: [0.0, rate_hz / 2.0],
+            tau_s: [1.0 / rate_hz, values.len() as f64 / rate_hz],
+            from_s: from_s + from as f64 / rate_hz,
+            to_s: from_s + to as f64 / rate_hz,
+            temperature_c: None,
+            at: driver(values, motions),
+            share: 0.0,
+            nats: totals[axis],
+            p_value: (-totals[axis]).exp(),
+            sign: if rising >= 0.0 { "real higher" } else { "real lower" },
+        });
     }
     places
 }

@@ -3,7 +3,7 @@
 //! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was compared at
 //! one rest alone is taken to be as large a sample throughout.
 
-use crate::diagnosis::report::{Cause, Diagnosis, Place, Sense, Verdict};
+use crate::diagnosis::report::{Cause, Diagnosis, Of, Place, Sense, Verdict};
 use crate::effects::{Stream, StreamId, TriadEffect};
 use crate::sample::Triad;
 use crate::simulator::{SensorModel, TriadModel};
@@ -80,19 +80,32 @@ pub(super) fn join(
     diagnosis: &mut Diagnosis,
     sums: &Sums,
     driven: &mut [Driven],
-    located: Vec<(f64, Place)>,
+    located: Vec<Place>,
     all: f64,
     measured: &str,
 ) {
     let rest_nats = rest_nats(diagnosis, all);
+    let ranked_alone = diagnosis.causes.clone();
     rank(diagnosis, driven, rest_nats, sums);
     shrink(diagnosis, sums, all, rest_nats, driven);
     let gap = &mut diagnosis.discrepancy;
     gap.measured_on = format!("{measured}; of the rest the {}", gap.measured_on);
     let total = (sums.whole.iter().sum::<f64>() + rest_nats).max(f64::MIN_POSITIVE);
     diagnosis.r#where.iter_mut().for_each(|place| place.share *= rest_nats / total);
-    diagnosis.r#where.extend(located.into_iter().map(|(nats, mut place)| {
-        place.share = (nats / total).min(1.0);
+    let causes = &diagnosis.causes;
+    let same = |one: &Cause, other: &Cause| {
+        (one.effect, one.sense, one.triad, &one.channels) == (other.effect, other.sense, other.triad, &other.channels)
+    };
+    for place in &mut diagnosis.r#where {
+        if let Of::Cause(index) = &mut place.of {
+            *index = causes.iter().position(|cause| same(cause, &ranked_alone[*index])).unwrap_or(*index);
+        }
+    }
+    diagnosis.r#where.extend(located.into_iter().map(|mut place| {
+        place.share = (place.nats / total).min(1.0);
+        // The strongest of the triad's causes is what a place of the motion is of.
+        let acts = |cause: &Cause| cause.triad.is_some() && cause.channels.contains(&place.channel);
+        place.of = causes.iter().position(acts).map_or(Of::Remainder, Of::Cause);
         place
     }));
     diagnosis.r#where.sort_by(|one, other| other.share.total_cmp(&one.share));

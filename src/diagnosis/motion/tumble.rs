@@ -14,7 +14,7 @@ use crate::diagnosis::diagnose::{Options, Outcome, diagnose};
 use crate::diagnosis::error::DiagnosisError;
 use crate::diagnosis::prepare;
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::{Driver, Place, Verdict};
+use crate::diagnosis::report::{Driver, Of, Place, Verdict};
 use crate::effects::TriadEffect;
 use crate::effects::triad::{Axes, Bias, CrossAxisSensitivity, ScaleFactor};
 use crate::sample::Triad;
@@ -186,7 +186,7 @@ fn tell(
             How::Windows => "half of the windows foretold by the other",
         };
         let at = place(of, poses.stands, real.rate_hz).filter(|_| !of.choice.groups.is_empty());
-        let located = at.map(|place| (place.share * of.choice.gain, place)).into_iter().collect();
+        let located = at.map(|place| Place { nats: place.share * of.choice.gain, ..place }).into_iter().collect();
         together::join(diagnosis, &sums, &mut named, located, all, held_out);
         diagnosis.discrepancy.p_value_after = diagnosis.discrepancy.p_value_after.min(of.p_value);
         if of.p_value < REMAINS {
@@ -312,6 +312,7 @@ fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
     let within = &rests[worst].within;
     let squares: f64 = of.before.iter().map(|value| value * value).sum();
     Some(Place {
+        of: Of::Remainder,
         channel: Triad::Accel.channels()[axis].name().to_owned(),
         band_hz: [0.0, rate_hz / 2.0],
         tau_s: [1.0 / rate_hz, within.len() as f64 / rate_hz],
@@ -326,6 +327,8 @@ fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
             pose: Some(pose),
         }),
         share: of.before[worst].powi(2) / squares.max(f64::MIN_POSITIVE),
+        nats: 0.0,
+        p_value: (-of.choice.gain).exp(),
         sign: if of.before[worst] > 0.0 { "real higher" } else { "real lower" },
     })
 }

@@ -2,7 +2,7 @@
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
-use super::{Cause, Driver, Parameter, Report, Sense};
+use super::{Cause, Driver, Parameter, Place, Report, Sense};
 use crate::sample::Channel;
 use serde::Deserialize as _;
 use serde_json::Value;
@@ -137,10 +137,9 @@ pub(super) fn places(out: &mut String, report: &Report) {
     if report.r#where.is_empty() {
         return;
     }
-    let heading = if report.verdict == "unknown_effect" { "Where something remains" } else { "Where the gap lies" };
     let _ = write!(
         out,
-        "<h2>{heading}</h2>{}<table><tr><th scope=\"col\">channel</th><th scope=\"col\">band in Hz, or motion</th><th scope=\"col\">time in s</th>\
+        "<h2>Where the gap lies</h2>{}<table><tr><th scope=\"col\">what</th><th scope=\"col\">channel</th><th scope=\"col\">band in Hz, or motion</th><th scope=\"col\">time in s</th>\
          <th scope=\"col\" class=\"number\">share</th><th scope=\"col\">the recording is</th></tr>",
         wide("where the gap lies")
     );
@@ -152,7 +151,8 @@ pub(super) fn places(out: &mut String, report: &Report) {
             .map_or_else(String::new, |[low, high]| format!(", at {} to {} °C", plain(low), plain(high)));
         let _ = write!(
             out,
-            "<tr><td>{}</td><td>{}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{} to {}{warm}</td><td class=\"number\">{}</td><td>{}</td></tr>",
+            escaped(what(report, of)),
             escaped(&of.channel),
             band,
             second(of.from_s),
@@ -187,5 +187,16 @@ pub(super) fn alternatives(out: &mut String, report: &Report) {
             );
         }
         *out += "</ul>";
+    }
+}
+
+/// What lies in a place: the name of its effect, or what it is else.
+fn what<'a>(report: &'a Report, place: &Place) -> &'a str {
+    let index = place.of.strip_prefix("cause:").and_then(|index| index.parse::<usize>().ok());
+    match (index.and_then(|index| report.causes.get(index)), place.of.as_str()) {
+        (Some(cause), _) => &cause.effect,
+        (None, "parameters") => "a parameter",
+        (None, "remainder") => "nothing known",
+        _ => "–",
     }
 }

@@ -60,6 +60,8 @@ struct Discrepancy {
 
 #[derive(Debug, Deserialize)]
 struct Place {
+    #[serde(default)]
+    of: String,
     channel: String,
     #[serde(deserialize_with = "crate::plot::json::pair")]
     band_hz: [f64; 2],

@@ -1,0 +1,154 @@
+//! Bands: in which frequencies the likelihood of what was found is gained.
+
+use super::course::Course;
+use super::evidence::Kind;
+use super::evidence::declared::kind_of;
+use super::law::Fitted;
+use super::report::Sense;
+use super::search::Step;
+use super::series::Series;
+use std::collections::BTreeMap;
+
+/// A band in which a series is likelier with something than without it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Band {
+    /// Its ends.
+    pub(super) hz: [f64; 2],
+    /// Nats gained in it.
+    pub(super) nats: f64,
+    /// Whether the series is louder there than without it.
+    pub(super) is_louder: bool,
+}
+
+/// The bands of what was found on a channel.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Bands {
+    /// Of spectral effects and of courses of the level.
+    pub(super) kinds: BTreeMap<Kind, Band>,
+    /// Of N, B and K against the model's values.
+    pub(super) levels: [Option<Band>; 3],
+}
+
+/// A band holds this part of what its effect gains.
+const HELD: f64 = 0.9;
+
+impl Bands {
+    /// Of an explained series; `held`: the law fitted with N, B or K held at the model's value, `free`: with none held.
+    pub(super) fn of(series: &Series<'_>, steps: &[Step], free: &Fitted, held: &[Fitted; 3]) -> Self {
+        let terms = &series.explanation.law.terms;
+        // Where an effect acts, all else as it is.
+        let whole = &series.fitted.logarithms;
+        let of_term = |place: usize| {
+            let mut law = series.explanation.law.clone();
+            let term = law.terms.remove(place);
+            Some((kind_of(term.shape), likelier(series, whole, &law.logarithms(series.data()))?))
+        };
+        // What is left out of the model: with it again.
+        let of_left_out = |step: &Step| {
+            let (place, _) = step.of_model.filter(|(_, sense)| *sense == Sense::Superfluous)?;
+            Some((step.kind, likelier(series, whole, &series.logarithms_with_declared(place))?))
+        };
+        let of_course = |kind: Kind, wanted: fn(&Course) -> bool| {
+            let own = series.explanation.courses.iter().filter(|(course, _)| wanted(course));
+            Some((kind, slowest(series, own)?))
+        };
+        let courses = [
+            of_course(Kind::RateRamp, |of| *of == Course::Ramp),
+            of_course(Kind::TemperatureBias, |of| *of == Course::Temperature),
+            of_course(Kind::TemperatureCurve, |of| matches!(of, Course::Follows(_))),
+            of_course(Kind::WarmUp, |of| matches!(of, Course::WarmUp(_))),
+            of_course(Kind::BiasStep, |of| matches!(of, Course::Step(_))),
+        ];
+        let kinds = (0..terms.len()).filter_map(of_term).chain(steps.iter().filter_map(of_left_out));
+        Self {
+            kinds: kinds.chain(courses.into_iter().flatten()).collect(),
+            levels: held.each_ref().map(|held| likelier(series, &free.logarithms, &held.logarithms)),
+        }
+    }
+}
+
+/// The shortest band with most of what one spectrum gains over another, their logarithms, of those in which it gains at all.
+fn likelier(series: &Series<'_>, with: &[f64], without: &[f64]) -> Option<Band> {
+    let counts = series.grid.counts();
+    let edges = series.grid.edges();
+    let logarithms = with.iter().zip(without);
+    let gains: Vec<f64> = logarithms
+        .clone()
+        .zip(counts.iter().zip(&series.power))
+        .map(|((one, other), (count, power))| 0.5 * count * ((other - one) + power * ((-other).exp() - (-one).exp())))
+        .collect();
+    let [from, to] = shortest_with(&gains, HELD)?;
+    let changes: Vec<f64> = logarithms.map(|(one, other)| one - other).collect();
+    let louder: f64 = changes[from..to].iter().zip(&gains[from..to]).map(|(change, gain)| change.signum() * gain).sum();
+    Some(Band {
+        hz: [hz(series, edges[from]), hz(series, edges[to])],
+        nats: gains[from..to].iter().sum(),
+        is_louder: louder > 0.0,
+    })
+}
+
+/// The band from 0 that holds most of the energy, over the law, of courses of the level.
+fn slowest<'a>(series: &Series<'_>, own: impl Iterator<Item = &'a (Course, f64)>) -> Option<Band> {
+    let mut sum = vec![0.0; super::course::Courses::KEPT.min(series.len())];
+    for (course, factor) in own {
+        let column = series.setting().courses.coefficients(*course);
+        sum.iter_mut().zip(column).for_each(|(all, one)| *all += factor * one);
+    }
+    let energies: Vec<f64> = sum.iter().zip(&series.spectrum).map(|(c, s)| 0.5 * c * c / s).collect();
+    let total: f64 = energies.iter().sum();
+    let mut held = 0.0;
+    let to = energies.iter().position(|energy| {
+        held += energy;
+        held > HELD * total
+    })?;
+    Some(Band { hz: [0.0, hz(series, to + 1)], nats: held, is_louder: true })
+}
+
+/// The frequency of a coefficient of the transform.
+fn hz(series: &Series<'_>, coefficient: usize) -> f64 {
+    coefficient as f64 * series.setting().rate_hz / (2.0 * series.len() as f64)
+}
+
+/// The fewest neighbours with a part of the largest sum that neighbours have; none where all lose.
+fn shortest_with(gains: &[f64], part: f64) -> Option<[usize; 2]> {
+    let (mut best, mut span) = (0.0, None);
+    let (mut sum, mut start) = (0.0, 0);
+    for (at, gain) in gains.iter().enumerate() {
+        if sum <= 0.0 {
+            (sum, start) = (0.0, at);
+        }
+        sum += gain;
+        if sum > best {
+            (best, span) = (sum, Some([start, at + 1]));
+        }
+    }
+    let [first, last] = span?;
+    // From the ends of the best run as long as enough is left.
+    let (mut from, mut to, mut left) = (first, last, best);
+    loop {
+        let (low, high) = (gains[from], gains[to - 1]);
+        let (cheaper, is_low) = if low <= high { (low, true) } else { (high, false) };
+        if to - from <= 1 || left - cheaper < part * best {
+            return Some([from, to]);
+        }
+        left -= cheaper;
+        if is_low {
+            from += 1;
+        } else {
+            to -= 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shortest_run_that_holds_most_is_found() {
+        assert_eq!(shortest_with(&[-1.0, 0.1, 5.0, 5.0, 0.2, -3.0, 2.0], 0.9), Some([2, 4]));
+        assert_eq!(shortest_with(&[0.0, 8.0, -1.0, 8.0], 0.9), Some([1, 4]));
+        assert_eq!(shortest_with(&[-1.0, -2.0], 0.9), None);
+        assert_eq!(shortest_with(&[], 0.9), None);
+    }
+}
