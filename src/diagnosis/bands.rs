@@ -69,7 +69,7 @@ impl Bands {
 
 /// The shortest band with most of what one spectrum gains over another, their logarithms, of those in which it gains at all.
 fn likelier(series: &Series<'_>, with: &[f64], without: &[f64]) -> Option<Band> {
-    let counts = series.grid.counts();
+    let counts = series.data().worth;
     let edges = series.grid.edges();
     let logarithms = with.iter().zip(without);
     let gains: Vec<f64> = logarithms

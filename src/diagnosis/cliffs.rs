@@ -317,3 +317,42 @@ fn a_tone_that_a_filter_hardly_lets_pass_has_no_interval() {
     assert_eq!(tone.uncertainty["accel_x"][own].get("amplitude"), None, "{tone:#?}");
     assert!(tone.uncertainty["accel_x"][own].get("frequency_hz").is_some());
 }
+
+/// F5: noise that is 1.6 to 50 times louder for a while, or from an instant on.
+fn louder(from_s: f64, to_s: f64, factor: f64, seed: u64) -> super::Diagnosis {
+    let effect = json!({"effect": "variance_change", "from_s": from_s, "to_s": to_s, "factor": factor});
+    let samples = 64_000;
+    diagnose(&recording(&model(Some(&effect)), seed, samples), &model(None), &Options::default()).unwrap().diagnosis
+}
+
+#[test]
+fn noise_that_is_louder_for_a_while_is_that_alone() {
+    let mut wrong = Vec::new();
+    let mut of = 0;
+    for (from_s, to_s) in [(400.0, 800.0), (300.0, 360.0), (900.0, 1600.0), (0.0, 500.0)] {
+        for factor in [1.6, 2.5, 5.0, 15.0, 50.0] {
+            of += 1;
+            let found = louder(from_s, to_s, factor, of);
+            let names: Vec<String> = found.causes.iter().map(|of| format!("{} {:?}", of.effect, of.channels)).collect();
+            let right = names == ["variance_change [\"accel_x\", \"accel_z\"]"] && found.verdict == Verdict::Effects;
+            let n_is_off = found.parameters.iter().any(|of| of.parameter == "N");
+            if !right || n_is_off {
+                let off: Vec<String> = found
+                    .parameters
+                    .iter()
+                    .map(|of| format!("{} {} {:.2}", of.channel, of.parameter, of.ratio.unwrap_or_default()))
+                    .collect();
+                wrong.push(format!(
+                    "{from_s} {to_s} x{factor}: {:?} {names:?} {off:?} {:?}",
+                    found.verdict,
+                    found
+                        .notes
+                        .iter()
+                        .filter(|note| note.contains("remains") || note.contains("outside"))
+                        .collect::<Vec<_>>()
+                ));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {of}: {wrong:#?}", wrong.len());
+}

@@ -196,8 +196,13 @@ fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
         plateau(&sim, channel, samples.len() as u64).powi(2)
     };
     let rounding = step.filter(|_| !has.contains(&"resolution")).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);
-    let own = (law.levels[0] - white_shift).exp();
+    let own = (law.levels[0] - white_shift).exp() / of.louder;
     ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
+}
+
+/// Whether the noise was louder or quieter for a while: the noise room's N is of all of it.
+fn changes(of: &Findings) -> bool {
+    of.louder != 1.0 || of.explanation.loud.len() > of.prepared.loud.len()
 }
 
 /// Whether something acts at low frequencies besides B and K, which the noise room has in B and K.
@@ -244,7 +249,7 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
                 owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
             let found = match (own[level], by_law) {
-                (Some(Known { value: Some(value), ends }), _) if level == 0 => {
+                (Some(Known { value: Some(value), ends }), _) if level == 0 && !changes(of) => {
                     Some((value / folded, ends.map(|end| end / folded)))
                 }
                 (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,

@@ -129,6 +129,8 @@ pub(super) struct Findings {
     pub(super) level: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub(super) average_variance: f64,
+    /// The same over what the model says of it.
+    pub(super) louder: f64,
     /// Standard errors of the explanation.
     pub(super) spread: Spread,
     /// The model's lines as the channel has them.
@@ -231,6 +233,7 @@ fn explain(
         data.beliefs = &FREE;
         series.explanation.law.fit(data)
     };
+    let declared_variance = series.average_variance();
     let steps = search::explain(&mut series, prices);
     let fitted = free(&series);
     let changed = series.average_variance().ln();
@@ -284,6 +287,7 @@ fn explain(
         Findings {
             spread,
             average_variance,
+            louder: average_variance / declared_variance,
             prepared,
             explanation,
             steps,

@@ -38,8 +38,10 @@ impl Series<'_> {
         /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
         const ENOUGH: f64 = 1e-3;
         const IN_A_ROW: usize = 4;
+        /// Of what a record is more, nothing is left that its noise would be known of.
+        const MOST: f64 = 0.9;
         let places = self.excluded();
-        if places.is_empty() || places.len() * 3 > self.len() {
+        if places.is_empty() || places.len() as f64 > MOST * self.len() as f64 {
             return;
         }
         let n = self.len();

@@ -155,6 +155,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         courses: &courses[half],
         base: whole.base,
         declared: whole.declared,
+        white: whole.known.law.levels[0],
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
         reach: whole.reach,

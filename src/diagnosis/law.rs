@@ -249,6 +249,8 @@ pub struct Data<'a> {
     pub grid: &'a Grid,
     /// Mean square of the coefficients in each.
     pub power: &'a [f64],
+    /// How many independent coefficients each is worth: as many as it has ([`Grid::counts`]), or fewer.
+    pub worth: &'a [f64],
     /// The shapes.
     pub base: &'a Base,
     /// Beliefs about the levels.
@@ -426,7 +428,7 @@ impl Law {
 
     /// ln of density and ln of density with beliefs of a spectrum's power.
     fn judged(&self, spectrum: &[f64], data: Data<'_>) -> (f64, f64) {
-        let bins = spectrum.iter().zip(data.power).zip(data.grid.counts());
+        let bins = spectrum.iter().zip(data.power).zip(data.worth);
         let likelihood = -0.5 * bins.map(|((s, power), count)| count * (s.ln() + power / s)).sum::<f64>();
         let beliefs = self.levels.iter().zip(data.beliefs);
         let misses = beliefs.filter_map(|(level, belief)| belief.map(|(centre, sd)| ((level - centre) / sd).powi(2)));
@@ -481,10 +483,10 @@ impl Law {
             let count = slopes.len();
             let mut gradient = DVector::zeros(count);
             for i in 0..count {
-                let bins = slopes[i].iter().zip(&pieces.spectrum).zip(data.power).zip(data.grid.counts());
+                let bins = slopes[i].iter().zip(&pieces.spectrum).zip(data.power).zip(data.worth);
                 gradient[i] = bins.map(|(((slope, s), power), n)| 0.5 * n * slope * (power / s - 1.0)).sum();
                 for j in 0..=i {
-                    let bins = slopes[i].iter().zip(&slopes[j]).zip(data.grid.counts());
+                    let bins = slopes[i].iter().zip(&slopes[j]).zip(data.worth);
                     let sum: f64 = bins.map(|((a, b), n)| 0.5 * n * a * b).sum();
                     fisher[(i, j)] = sum;
                     fisher[(j, i)] = sum;
@@ -625,7 +627,8 @@ mod tests {
             let mut values = drawn(&[&white, &flicker, &walk, &process], n, seed);
             transform.forward(&mut values);
             let power = grid.power(&values);
-            let data = Data { grid: &grid, power: &power, base: &base, beliefs: &[None, None, None] };
+            let data =
+                Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &[None, None, None] };
             let start = Law {
                 levels: [-3.0, -6.0, -12.0],
                 terms: vec![Term { shape: Shape::GaussMarkov, numbers: vec![-1.0, 0.5] }],
@@ -657,7 +660,7 @@ mod tests {
         Cosines::new(n).forward(&mut values);
         let grid = Grid::new(n, RATE_HZ, &[]);
         let (power, base) = (grid.power(&values), base(&grid));
-        let data = Data { grid: &grid, power: &power, base: &base, beliefs: &[None, None, None] };
+        let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &[None, None, None] };
         let start = Law {
             levels: [-3.0, -12.0, -20.0],
             terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -7.0] }],

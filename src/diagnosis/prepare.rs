@@ -90,6 +90,7 @@ impl Ready {
             courses: &self.courses,
             base,
             declared: &prepared.spectral,
+            white: prepared.declared.levels[0],
             beliefs: prepared.beliefs,
             rate_hz: self.rate_hz,
             reach: prepared.reach,

@@ -23,6 +23,8 @@ pub struct Setting<'a> {
     pub base: BaseOf<'a>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub declared: &'a [(usize, Term)],
+    /// ln of the power of the model's white noise.
+    pub white: f64,
     /// Beliefs about the levels, with which a search begins.
     pub beliefs: Beliefs,
     /// Samples per second.
@@ -62,6 +64,8 @@ pub struct Series<'a> {
     pub coefficients: Vec<f64>,
     /// Power in bins.
     pub power: Vec<f64>,
+    /// How many independent coefficients each bin is worth.
+    worth: Vec<f64>,
     /// The spectrum's fit.
     pub fitted: Fitted,
     /// The spectrum at each coefficient.
@@ -108,6 +112,7 @@ impl<'a> Series<'a> {
             censored: Vec::new(),
             samples,
             coefficients: Vec::new(),
+            worth: power.clone(),
             power,
             fitted,
             spectrum: Vec::new(),
@@ -151,7 +156,7 @@ impl<'a> Series<'a> {
     /// The same with another power in the bins.
     #[must_use]
     pub fn data_of<'b>(&'b self, power: &'b [f64]) -> Data<'b> {
-        Data { grid: &self.grid, power, base: &self.base, beliefs: &self.beliefs }
+        Data { grid: &self.grid, power, worth: &self.worth, base: &self.base, beliefs: &self.beliefs }
     }
 
     /// Standard deviation of the white part, per sample.
@@ -162,17 +167,28 @@ impl<'a> Series<'a> {
 
     /// Builds everything anew from samples and explanation; `several`: from several starts of the law.
     pub fn rebuild(&mut self, several: bool) {
+        /// From this part of a record on (one in so many) what is filled in counts in its law.
+        const MANY: usize = 50;
+        /// By how much ln N² may still move.
+        const AGREE: f64 = 1e-3;
         self.resolve_lines();
         self.fit_means();
         self.refit(several);
-        if !self.excluded().is_empty() {
-            // What stands for excluded samples depends on the law, and the law a little on that; behind a filter, whose
-            // spectrum may be next to nothing somewhere, much.
+        let excluded = self.excluded().len();
+        if excluded > 0 {
+            // What stands for excluded samples depends on the law, and the law on that: a little on a few samples; behind a filter,
+            // whose spectrum may be next to nothing somewhere, much; on a good part of the record until both agree.
             let filtered = self.explanation.law.terms.iter().any(Term::is_filter);
-            for _ in 0..if filtered { 5 } else { 2 } {
+            let least = if filtered { 5 } else { 2 };
+            let most = if excluded * MANY > self.len() { 12 } else { least };
+            for round in 1..=most {
+                let before = self.explanation.law.levels[0];
                 self.fit_means();
                 self.interpolate();
                 self.refit(false);
+                if round >= least && (self.explanation.law.levels[0] - before).abs() < AGREE {
+                    break;
+                }
             }
         }
         self.refine_means();
@@ -209,11 +225,36 @@ impl<'a> Series<'a> {
     /// Transforms the rest, fits the law to it and whitens it.
     fn refit(&mut self, several: bool) {
         self.transformed();
+        self.worth = self.worth_on(&self.grid, &self.base);
         let law = &self.explanation.law;
         let fitted = if several { law.fit_from_several(self.data()) } else { law.fit(self.data()) };
         self.explanation.law = fitted.law.clone();
         self.fitted = fitted;
         self.whiten();
+    }
+
+    /// How many independent coefficients the bins of a grid are worth.
+    ///
+    /// The mean square of n coefficients of white noise whose variance v changes over a record is that of n·⟨v⟩²/⟨v²⟩ of even
+    /// noise (the moments of its sum of squares); what is filled in for loud stretches is worth nothing.
+    pub(super) fn worth_on(&self, grid: &Grid, base: &Base) -> Vec<f64> {
+        let variance = self.variances();
+        let loud = self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD).map(|loud| self.spoilt(loud).len());
+        let there = 1.0 - (loud.sum::<usize>() as f64 / self.len().max(1) as f64).min(0.9);
+        if variance.is_empty() {
+            return grid.counts().iter().map(|count| there * count).collect();
+        }
+        let square = variance.iter().map(|v| v * v).sum::<f64>() / variance.len() as f64;
+        let data = Data { grid, power: &[], worth: &[], base, beliefs: &self.beliefs };
+        let white = self.white().powi(2);
+        let logarithms = self.explanation.law.logarithms(data);
+        let places = logarithms.iter().zip(base.gain.iter().zip(grid.counts()));
+        places
+            .map(|(s, (gain, count))| {
+                let share = (white * gain / s.exp()).min(1.0);
+                there * count / (1.0 + share * share * (square - 1.0))
+            })
+            .collect()
     }
 
     fn transformed(&mut self) {

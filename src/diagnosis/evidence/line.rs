@@ -138,7 +138,8 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let grid = series.resolving(&[Narrow { frequency_hz, width_hz: 0.5 * width_hz }]);
     let power = grid.power(&series.coefficients);
     let base = (series.setting().base)(&grid, &series.explanation.without);
-    let data = Data { grid: &grid, power: &power, base: &base, beliefs: &series.beliefs };
+    let worth = series.worth_on(&grid, &base);
+    let data = Data { grid: &grid, power: &power, worth: &worth, base: &base, beliefs: &series.beliefs };
     let without = series.explanation.law.fit(data);
     let level = {
         let k = ((cycles * 2.0 * n as f64) as usize).clamp(1, n - 1);

@@ -1,7 +1,7 @@
 //! Loudness: how the residual's variance changes with time or temperature.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::explanation::{Loud, Scedasticity};
+use crate::diagnosis::explanation::{LOUD, Loud, Scedasticity};
 use crate::diagnosis::series::Series;
 use nalgebra::{DMatrix, DVector};
 
@@ -18,8 +18,14 @@ fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
     let residual = series.scores();
-    let squares = residual.chunks_exact(size);
-    (squares.map(|block| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64).collect(), size)
+    let mean = |block: &[f64]| {
+        // Outliers are those of their own block, by the median of a normal's squares.
+        let mut squares: Vec<f64> = block.iter().map(|e| e * e).collect();
+        let (_, median, _) = squares.select_nth_unstable_by(size / 2, f64::total_cmp);
+        let most = LARGEST * *median / 0.4549;
+        squares.iter().map(|square| square.min(most)).sum::<f64>() / size as f64
+    };
+    (residual.chunks_exact(size).map(mean).collect(), size)
 }
 
 /// The gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
@@ -170,6 +176,25 @@ fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     if count > 0 && sum > 0.0 { sum / count as f64 } else { 1.0 }
 }
 
+/// The variance of the usual noise of values whose variance is 1 on average, where it is clearly another: of those that long
+/// blocks have, the nearest to the model's.
+///
+/// "Louder until here" and "quieter from here on" are two names of one change.
+fn usual(values: &[f64], declared: f64) -> f64 {
+    const BLOCKS: usize = 64;
+    const SHARES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
+    /// From this ratio of variances on it is another, ln.
+    const CLEARLY: f64 = 0.3;
+    let size = (values.len() / BLOCKS).max(64);
+    let mean = |block: &[f64]| block.iter().map(|e| e * e).sum::<f64>() / size as f64;
+    let mut means: Vec<f64> = values.chunks_exact(size).map(mean).filter(|mean| *mean > 0.0).collect();
+    means.sort_unstable_by(f64::total_cmp);
+    let own = SHARES.iter().filter_map(|share| means.get((share * means.len() as f64) as usize)).copied();
+    let apart = |variance: &f64| (variance / declared).ln().abs();
+    let nearest = own.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|own| own.ln().abs() > CLEARLY);
+    nearest.filter(|own| apart(own) < apart(&1.0)).unwrap_or(1.0)
+}
+
 /// Stretches of another variance: one after the other where they give most. Bursts and a long stretch are two effects.
 #[must_use]
 pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
@@ -183,6 +208,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         return Vec::new();
     }
     let residual = series.scores().into_owned();
+    let declared = (series.setting().white - series.explanation.law.levels[0]).exp();
     let mut gains: Vec<f64> = Vec::new();
     let mut found: Vec<Loud> = Vec::new();
     // Places that look loud by a few values: they do not keep others from being found.
@@ -199,8 +225,10 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         for (from, to) in &refused {
             even[*from..*to].fill(1.0);
         }
+        let usual = usual(&even, declared / level);
+        even.iter_mut().for_each(|e| *e /= usual.sqrt());
         let sums = Sums::of(&even);
-        let limited = sums.limited[n] / n as f64;
+        let limited = if usual == 1.0 { sums.limited[n] / n as f64 } else { 1.0 };
         let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };
         let (mut own, mut ratio, mut gain) = sums.split(from, to);
         let mut genuine = sums.genuine(from, to, own, ratio);
@@ -235,6 +263,11 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         let too_many = stretches.len() > 1 && share > MOST_OF_RECORD;
         let gain = own().map(|(_, gain)| gain).sum::<f64>();
         let mut explanation = series.explanation.clone();
+        // Without what is left out the noise is the rest's.
+        let left_out: Vec<Loud> = stretches.iter().filter(|loud| loud.ratio > LOUD).copied().collect();
+        if !left_out.is_empty() {
+            explanation.law.levels[0] += level(&residual, &left_out).ln();
+        }
         explanation.loud.extend(stretches);
         (gain > 0.0 && !too_many).then_some(Candidate::missing(kind, gain, explanation))
     };

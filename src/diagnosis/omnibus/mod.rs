@@ -245,10 +245,17 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
 }
 
 /// The finest bands of the whole record.
-fn bands(series: &Series<'_>, found: &mut Vec<(Statistic, f64)>) {
+fn bands(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     const WIDTH: usize = 64;
-    let rows: Vec<f64> = series
-        .whitened
+    // What is louder for a while would count for more.
+    let whitened = if series.variance.is_empty() {
+        series.whitened.clone()
+    } else {
+        let mut values = series.residual.clone();
+        series.transform().forward(&mut values);
+        values
+    };
+    let rows: Vec<f64> = whitened
         .get(1..)
         .unwrap_or_default()
         .chunks_exact(WIDTH)
