@@ -95,7 +95,7 @@ kinds! {
         AutoZero = "auto_zero",
         ThermalFringe = "thermal_fringe",
         TemperatureParabola = "temperature_parabola",
-        JumpWalk = "jump_walk",
+        CauchyPushes = "cauchy_pushes",
         JitteredPulses = "jittered_pulses",
         ProductCrosstalk = "product_crosstalk",
         FlippedRuns = "flipped_runs",
@@ -246,7 +246,7 @@ impl Kind {
             | Self::OddSlope
             | Self::ThreeLevels
             | Self::AutoZero
-            | Self::JumpWalk
+            | Self::CauchyPushes
             | Self::HighPass => &["gauss_markov", "power_law"],
             Self::Resolution | Self::DeadBand | Self::MissingCodes | Self::StuckBit | Self::RangeSwitch => {
                 &["resolution"]

@@ -5,12 +5,13 @@ use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
 use std::f64::consts::{PI, TAU};
 
-/// A level about which values differ: the first one.
+/// A level about which values differ: the mean of the first thousand.
 fn level(values: &[f64]) -> f64 {
-    values.first().copied().unwrap_or(0.0)
+    let first = &values[..values.len().min(1_000)];
+    first.iter().sum::<f64>() / first.len().max(1) as f64
 }
 
-/// y = b₀x + b₁x₁ + b₂x₂ − a₁y₁ − a₂y₂ about the first value, which stays.
+/// y = b₀x + b₁x₁ + b₂x₂ − a₁y₁ − a₂y₂ about the level, which stays.
 fn biquad(values: &mut [f64], [b0, b1, b2, a1, a2]: [f64; 5]) {
     let level = level(values);
     let (mut x1, mut x2, mut y1, mut y2) = (0.0, 0.0, 0.0, 0.0);

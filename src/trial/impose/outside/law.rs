@@ -4,7 +4,7 @@ use super::{Drawn, events};
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
 
-pub(super) fn draw(kind: Kind, _samples: usize, device: &mut Draw) -> Option<Drawn> {
+pub(super) fn draw(kind: Kind, device: &mut Draw) -> Option<Drawn> {
     Some(match kind {
         // Two humps: every sample lies to one side of the middle or the other. The variance is kept.
         Kind::BimodalNoise => {

@@ -73,7 +73,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     let samples = making.setting.samples;
     let drawn = wander::draw(making.kind, samples, &mut making.device)
         .or_else(|| carrier::draw(making.kind, samples, &mut making.device))
-        .or_else(|| law::draw(making.kind, samples, &mut making.device))
+        .or_else(|| law::draw(making.kind, &mut making.device))
         .unwrap_or_else(|| chain::draw(making.kind, samples, &mut making.device));
     let entry = object([(drawn.name, drawn.size.into())]);
     Made { size: drawn.size, parameters: vec![entry; count], act: Box::new(Each(drawn.change)) }

@@ -80,17 +80,18 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // A walk in jumps: many small ones, some very large (Student's t with 2.2 degrees of freedom).
-        Kind::JumpWalk => {
-            let (size, apart) = (device.log_uniform(0.3, 1.5), device.log_uniform(200.0, 1_500.0));
-            Drawn::new(size, "size", move |column, _, draw| {
-                let jumps = events(column.values.len(), apart, draw);
-                let (mut level, mut next) = (0.0, jumps.iter().peekable());
-                column.add(|i| {
-                    if next.next_if(|jump| **jump == i).is_some() {
-                        level += size * draw.normal() * draw.student_factor(2.2);
+        // It is pushed all the time, now and then very hard (Cauchy's law), and comes back.
+        Kind::CauchyPushes => {
+            let (size, tau) = (device.log_uniform(0.01, 0.06), device.log_uniform(50.0, 600.0));
+            let apart = device.log_uniform(3.0, 20.0);
+            Drawn::new(size, "scale", move |column, _, draw| {
+                let (mut state, pole) = (0.0, (-1.0 / tau).exp());
+                column.add(|_| {
+                    state *= pole;
+                    if draw.chance(1.0 / apart) {
+                        state += size * (PI * draw.uniform(-0.5, 0.5)).tan();
                     }
-                    level
+                    state
                 });
             })
         }
