@@ -4,10 +4,9 @@ use super::class::Sense;
 use super::columns::{Column, Columns};
 use super::draw::Draw;
 use super::ground::{as_read, flicker};
-use super::impose::{Effect, ImposeError};
+use super::impose::{Effect, ImposeError, Role};
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
-use super::limit::{ABOVE, LEAST};
 use super::recipe::Recipe;
 use super::recorded::Stretch;
 use super::report::entries;
@@ -83,11 +82,10 @@ impl Case {
         let case = number as u64;
         let mut recipe = recipe.clone();
         recipe.effects.sort_by_key(|(kind, _)| kind.place());
-        // A case counts where all its effects are above their limits: of three and four that would be few.
-        let least = if recipe.effects.len() > 2 { ABOVE } else { LEAST };
+        let of = recipe.effects.len();
         let has = |(index, (kind, sense)): (usize, &(Kind, Sense))| {
             let device = |purpose: &str| Draw::device(seed, case, &format!("{purpose} {index}"));
-            let effect = Effect::draw(*kind, &setting, least, device("effect"), device("events"))?;
+            let effect = Effect::draw(*kind, &setting, Role { sense: *sense, of }, device("effect"), device("events"))?;
             let told = told(&effect, *sense, &setting, &mut device("told"));
             let over_limit = match (&told, sense) {
                 (Some((_, factor)), Sense::Size) => over_limit(*kind, effect.over_limit, *factor),

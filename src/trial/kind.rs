@@ -335,11 +335,11 @@ impl Kind {
         )
     }
 
-    /// Whether two kinds may be in one case: not where they are one effect, or nearly.
+    /// Whether two kinds may be in one case: not where they are one effect, or nearly, nor where the one cuts the other off.
     #[must_use]
     pub fn goes_with(self, other: Self) -> bool {
-        let lines = [Self::Tone, Self::Comb];
-        self.effect() != other.effect() && !(lines.contains(&self) && lines.contains(&other))
+        let both = |two: [Self; 2]| two.contains(&self) && two.contains(&other);
+        self.effect() != other.effect() && !both([Self::Tone, Self::Comb]) && !both([Self::Spikes, Self::Saturation])
     }
 }
 

@@ -5,6 +5,8 @@
 //! counts of single samples as 1/n; slow courses of the level grow as n^½ beyond the study's length, because the random walk
 //! that hides them does.
 
+use super::class::Sense;
+use super::impose::Role;
 use super::kind::Kind;
 
 /// Samples of the study's cases: the length at which limits are told.
@@ -59,6 +61,33 @@ pub fn limit(kind: Kind, samples: usize) -> f64 {
     }
 }
 
+/// By how much the size on one channel is above that on another, at most.
+pub(super) const UNEVEN: f64 = 1.25;
+/// The coarsest step beside other effects, σ: a coarser one rounds them away.
+const FINE: f64 = 1.5;
+/// Events that a model expects at least of spikes that the sensor lacks: the absence of a few is no evidence.
+const EXPECTED: f64 = 12.0;
+
+/// From which to which size over the limit an effect is drawn in cases of `samples`.
+///
+/// An effect of three or four starts from 1.5 times the limit, since a case counts where all its effects are above. A bias that
+/// the model has as the sensor has it changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
+#[must_use]
+pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
+    let limit = limit(kind, samples);
+    let least = match kind {
+        Kind::Spikes if role.sense == Sense::Superfluous => EXPECTED / samples as f64 / limit,
+        _ if role.of > 2 => ABOVE,
+        _ => LEAST,
+    };
+    let largest = match kind {
+        Kind::Resolution if role.of > 1 => FINE,
+        Kind::TemperatureBias if role.sense == Sense::Known => 1.0,
+        _ => f64::INFINITY,
+    };
+    [least, most(kind, samples).min(largest / UNEVEN / limit).max(2.0 * least)]
+}
+
 /// Times the limit that sizes start from.
 pub const LEAST: f64 = 0.5;
 /// And that they reach, where nothing physical is in the way.
@@ -79,7 +108,7 @@ const MOST: f64 = 100.0;
 #[must_use]
 pub fn most(kind: Kind, samples: usize) -> f64 {
     let physical = match kind {
-        Kind::Resolution => 6.0,
+        Kind::Resolution => 6.0 / UNEVEN,
         Kind::HeavyTails => 0.4,
         Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.05,
         Kind::VarianceInterval | Kind::VarianceProfile => 2.0 * LOUDEST.ln(),
@@ -157,11 +186,21 @@ mod tests {
     #[test]
     fn sizes_reach_a_hundred_times_the_limit_or_what_is_physical() {
         assert_eq!(most(Kind::Tone, 65_536), 100.0);
-        assert!((most(Kind::Resolution, 65_536) - 40.0).abs() < 1e-9);
+        assert!((most(Kind::Resolution, 65_536) - 32.0).abs() < 1e-9);
         assert!((most(Kind::HeavyTails, 65_536) * limit(Kind::HeavyTails, 65_536) - 0.4).abs() < 1e-12);
         for kind in Kind::all() {
             assert!((1.0..=100.0).contains(&most(kind, 10_000)), "{kind}");
         }
+    }
+
+    #[test]
+    fn sizes_suit_what_an_effect_is_drawn_for() {
+        let of = |kind, sense, of| range(kind, 65_536, Role { sense, of });
+        assert_eq!(of(Kind::Tone, Sense::Missing, 2), [0.5, 100.0]);
+        assert_eq!(of(Kind::Tone, Sense::Missing, 3), [1.5, 100.0]);
+        assert!((of(Kind::Resolution, Sense::Missing, 2)[1] * 0.15 - 1.2).abs() < 1e-12);
+        assert!((of(Kind::TemperatureBias, Sense::Known, 1)[1] * 0.11 - 0.8).abs() < 1e-12);
+        assert!((of(Kind::Spikes, Sense::Superfluous, 1)[0] * 5e-5 * 65_536.0 - 12.0).abs() < 1e-9);
     }
 
     #[test]

@@ -28,9 +28,9 @@ mod course;
 mod density;
 
 use super::draw::Draw;
-use super::impose::Effect;
+use super::impose::{Effect, Role};
 use super::kind::Kind;
-use super::limit::{LEAST, STUDY, one};
+use super::limit::{STUDY, one};
 use super::setting::Setting;
 use crate::diagnosis::Options;
 use serde_json::Value;
@@ -118,7 +118,7 @@ fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
     let of = |purpose: &str| Draw::device(SEED, device, &format!("bound {purpose}"));
     let mut setting = Setting::draw(&[kind], &mut of("setting"));
     setting.samples = STUDY;
-    let effect = Effect::draw(kind, &setting, LEAST, of("effect"), of("events")).ok()?;
+    let effect = Effect::draw(kind, &setting, Role::ALONE, of("effect"), of("events")).ok()?;
     let temperature_c =
         setting.temperature.filter(|_| kind.needs_temperature()).map(|course| course.samples(STUDY, &mut of("course")));
     let parts = effect.channels.iter().map(|channel| {

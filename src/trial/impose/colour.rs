@@ -10,6 +10,9 @@ use std::f64::consts::{PI, TAU};
 
 /// The shortest time constant of a Gauss–Markov process, s; a sample at least.
 const SHORTEST_S: f64 = 0.05;
+/// The longest in samples, and in parts of the record: a longer one is a random walk.
+const LONGEST: f64 = 4_000.0;
+const LONGEST_PART: f64 = 1.0 / 60.0;
 
 /// One channel's noise, U.
 #[derive(Debug, Clone, Copy)]
@@ -118,7 +121,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             making.sizes_u().into_iter().map(one).collect()
         }
         Kind::GaussMarkov => {
-            let tau = making.device.log_uniform((SHORTEST_S * rate_hz).max(1.0), 4_000.0);
+            let longest = LONGEST.min(LONGEST_PART * making.samples());
+            let tau = making.device.log_uniform((SHORTEST_S * rate_hz).max(1.0), longest);
             let one = |size: f64| {
                 (Noise::Markov(size, tau), object([("sigma", size.into()), ("tc_s", (tau / rate_hz).into())]))
             };

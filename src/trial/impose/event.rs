@@ -42,10 +42,14 @@ impl Act for Bursts {
     fn act(&self, on: &mut Columns, at: &[usize], draw: &mut Draw) {
         for (size, column) in self.1.iter().zip(at) {
             let mut draw = draw.split();
+            let samples = on.columns[*column].values.len();
             for (begin, length) in &self.0 {
                 let values = on.columns[*column].values.iter_mut().skip(*begin).take(*length);
                 for (i, value) in values.enumerate() {
-                    *value += size * soft_window((i as f64 + 0.5) / *length as f64, SOFT) * draw.normal();
+                    let at = (i as f64 + 0.5) / *length as f64;
+                    *value += size
+                        * soft_window(if begin + length < samples { at } else { at.min(0.5) }, SOFT)
+                        * draw.normal();
                 }
             }
         }
@@ -102,7 +106,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     match making.kind {
         Kind::Spikes => {
             // A single one is as sure as many where it stands far out.
-            let alone = making.device.chance(ALONE);
+            let alone = making.device.chance(ALONE) && making.role.sense.is_in_sensor();
             let size = if alone { 1.0 / making.samples() } else { making.size() };
             let probability = size;
             let typical = making.device.log_uniform(TYPICAL[0], TYPICAL[1]);
@@ -122,6 +126,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             let lengths = [0.5 * rate_hz, longest * rate_hz];
             let mut intervals = stretches(&mut making.events, samples, count, lengths);
             if let Some((begin, length)) = intervals.last_mut().filter(|_| making.events.chance(TO_THE_END)) {
+                // In the second half: one that goes on through the whole record is N.
+                *begin = (*begin + samples) / 2;
                 *length = samples - *begin;
             }
             let shortest = intervals.iter().map(|(_, length)| *length).min().unwrap_or(1);

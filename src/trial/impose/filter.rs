@@ -82,16 +82,18 @@ impl Filter {
 pub(super) fn draw(making: &mut Making<'_>) -> Made {
     let whites: Vec<f64> = making.at.iter().map(|at| making.white(*at)).collect();
     let rate_hz = making.setting.rate_hz;
+    // A narrower one leaves nothing of another effect.
+    let alone = making.role.of == 1;
     let (filter, behind, size, entry) = match making.kind {
         Kind::LowPass => {
             // The study found every corner it tried: sizes reach from its highest to a fortieth of that.
-            let corner = making.device.log_uniform(0.01, CORNER);
+            let corner = making.device.log_uniform(if alone { 0.01 } else { 0.1 }, CORNER);
             let order = making.device.whole(1, 2);
             let entry = object([("cutoff_hz", (corner * rate_hz).into()), ("order", order.into())]);
             (Filter::Butterworth(corner, order), BEHIND, ABOVE * CORNER / corner, entry)
         }
         Kind::MovingAverage => {
-            let window = making.device.log_uniform(2.0, 33.0) as usize;
+            let window = making.device.log_uniform(2.0, if alone { 33.0 } else { 10.0 }) as usize;
             (Filter::Mean(window), BEHIND, window as f64, object([("window", window.into())]))
         }
         // echo

@@ -12,8 +12,9 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 const POINTS: usize = 49;
 /// Part of an interval over which it sets in, and fades.
 const SOFT: f64 = 0.01;
-/// Part of the intervals that last to the end.
+/// Part of the intervals that last to the end, and from which part of the record on they do.
 const TO_THE_END: f64 = 0.25;
+const LATE: [f64; 2] = [0.4, 0.9];
 
 /// A factor on the white part.
 #[derive(Debug, Clone, Copy)]
@@ -93,17 +94,22 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             (Gain::Student(degrees_of_freedom), object([("degrees_of_freedom", degrees_of_freedom.into())]))
         }
         Kind::VarianceInterval => {
-            let (from, part) = (making.events.uniform(0.04, 0.64), making.device.log_uniform(0.04, 0.32));
-            let part = if making.device.chance(TO_THE_END) { 1.0 - from } else { part };
+            let [from, to] = if making.device.chance(TO_THE_END) {
+                [making.events.uniform(LATE[0], LATE[1]), 1.0]
+            } else {
+                let from = making.events.uniform(0.04, 0.64);
+                [from, from + making.device.log_uniform(0.04, 0.32)]
+            };
+            let part = to - from;
             // As much log variance over the record as a wave of this size.
             let log_variance = size * FRAC_1_SQRT_2 / (part * (1.0 - part)).sqrt();
             let log = (0.5 * log_variance).min(LOUDEST.ln()) * making.device.sign();
             let entry = object([
                 ("from_s", (from * length_s).into()),
-                ("to_s", ((from + part) * length_s).into()),
+                ("to_s", (to * length_s).into()),
                 ("factor", log.exp().into()),
             ]);
-            (Gain::Interval(from, from + part, log), entry)
+            (Gain::Interval(from, to, log), entry)
         }
         Kind::VarianceProfile => {
             let (halves, phase) = (making.device.uniform(2.5, 6.5), making.events.uniform(0.0, 1.0));

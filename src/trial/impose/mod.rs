@@ -26,6 +26,7 @@ mod outside;
 mod sent;
 mod shared;
 
+use super::class::Sense;
 use super::columns::Columns;
 use super::draw::Draw;
 use super::kind::Kind;
@@ -76,9 +77,25 @@ trait Act: std::fmt::Debug + Send + Sync {
     fn act(&self, on: &mut Columns, at: &[usize], draw: &mut Draw);
 }
 
+/// What an effect is drawn for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Role {
+    /// How sensor and model differ in it.
+    pub sense: Sense,
+    /// How many effects its case has.
+    pub of: usize,
+}
+
+impl Role {
+    /// The only one, which the model lacks.
+    pub const ALONE: Self = Self { sense: Sense::Missing, of: 1 };
+}
+
 /// What a kind's draw starts from.
 struct Making<'a> {
     kind: Kind,
+    role: Role,
     setting: &'a Setting,
     /// The channels' places in the setting.
     at: &'a [usize],
@@ -102,7 +119,7 @@ impl Making<'_> {
         let rate_hz = self.setting.rate_hz;
         self.at
             .iter()
-            .map(|at| size * self.setting.parts[*at].white(rate_hz) * self.device.uniform(1.0, 1.25))
+            .map(|at| size * self.setting.parts[*at].white(rate_hz) * self.device.uniform(1.0, limit::UNEVEN))
             .collect()
     }
 
@@ -148,14 +165,14 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Draws an effect of `least` times the limit or above: `device` decides what belongs to the device, `events` when things happen.
+    /// Draws an effect for a role: `device` decides what belongs to the device, `events` when things happen.
     ///
     /// # Errors
     /// [`ImposeError`]: the setting has not what the kind takes.
     pub fn draw(
         kind: Kind,
         setting: &Setting,
-        least: f64,
+        role: Role,
         mut device: Draw,
         events: Draw,
     ) -> Result<Self, ImposeError> {
@@ -165,9 +182,10 @@ impl Effect {
         if kind.needs_temperature() && setting.temperature.is_none() {
             return Err(ImposeError::NoTemperature { kind });
         }
-        let over = device.log_uniform(least, limit::most(kind, setting.samples).max(2.0 * least));
+        let [least, most] = limit::range(kind, setting.samples, role);
+        let over = device.log_uniform(least, most);
         let at = places(kind, setting, &mut device)?;
-        let mut making = Making { kind, setting, at: &at, over, device, events };
+        let mut making = Making { kind, role, setting, at: &at, over, device, events };
         let made = match kind {
             Kind::RateRamp | Kind::TemperatureBias | Kind::WarmUp | Kind::BiasStep | Kind::Hysteresis => {
                 level::draw(&mut making)

@@ -1,6 +1,7 @@
 //! What happens to samples on their way out: limits, steps, repeats, stamps.
 
 use super::{Act, Made, Making, object};
+use crate::trial::class::Sense;
 use crate::trial::columns::Columns;
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
@@ -109,7 +110,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     match making.kind {
         Kind::Resolution => {
             let steps = making.sizes_u();
-            let down = making.device.chance(0.5);
+            // A model rounds to the nearest.
+            let down = making.device.chance(0.5) && making.role.sense != Sense::Known;
             let parameters = steps.iter().map(|step| object([("step", (*step).into())])).collect();
             Made { size, parameters, act: Box::new(Steps(steps, down)) }
         }

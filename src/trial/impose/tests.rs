@@ -46,7 +46,7 @@ fn white() -> Columns {
 fn imposed(kind: Kind, seed: u64) -> (Effect, Columns, Vec<f64>) {
     let before = white();
     let draws = |purpose| Draw::device(seed, 5, purpose);
-    let effect = Effect::draw(kind, &setting(), limit::LEAST, draws("device"), draws("events")).unwrap();
+    let effect = Effect::draw(kind, &setting(), Role::ALONE, draws("device"), draws("events")).unwrap();
     let mut after = before.clone();
     effect.impose(&mut after, &mut draws("noise"));
     let place = before.columns.iter().position(|column| column.channel == effect.channels[0]).unwrap();
@@ -87,7 +87,8 @@ fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
                 assert_eq!(changed, named, "{kind} with seed {seed} on {}", then.channel);
             }
             assert_eq!(effect.parameters.len(), effect.channels.len(), "{kind}");
-            assert!((0.1..3_000.0).contains(&effect.over_limit), "{kind} {}", effect.over_limit);
+            let most = if kind == Kind::BiasStep { 3_000.0 } else { 101.0 };
+            assert!((0.1..most).contains(&effect.over_limit), "{kind} {}", effect.over_limit);
         }
     }
 }
@@ -121,7 +122,7 @@ fn a_size_is_drawn_between_half_and_a_hundred_times_the_limit() {
 
 fn imposed_size(seed: u64) -> Effect {
     let draws = |purpose| Draw::device(seed, 5, purpose);
-    Effect::draw(Kind::RateRamp, &setting(), limit::LEAST, draws("device"), draws("events")).unwrap()
+    Effect::draw(Kind::RateRamp, &setting(), Role::ALONE, draws("device"), draws("events")).unwrap()
 }
 
 #[test]
@@ -211,7 +212,7 @@ fn filters_leave_half_the_power_at_their_corner() {
         let setting = Setting { parts: setting().parts[..1].to_vec(), ..setting() };
         let find = |seed: u64| {
             let draws = |purpose| Draw::device(seed, 9, purpose);
-            Effect::draw(Kind::LowPass, &setting, limit::LEAST, draws("device"), draws("events")).unwrap()
+            Effect::draw(Kind::LowPass, &setting, Role::ALONE, draws("device"), draws("events")).unwrap()
         };
         let effect = (0..).map(find).find(|effect| told(effect, "order") == f64::from(order)).unwrap();
         let corner = told(&effect, "cutoff_hz");
@@ -246,6 +247,50 @@ fn events_come_as_often_and_where_they_are_told() {
     let inside: Vec<f64> = (0..SAMPLES).filter(|i| within(*i)).map(|i| changed[i]).collect();
     let ratio = rms(&inside) / told(&effect, "sigma");
     assert!((0.75..1.05).contains(&ratio), "{ratio}");
+}
+
+/// The effects of a kind in a role, by many devices.
+fn drawn(kind: Kind, role: Role) -> impl Iterator<Item = Effect> {
+    (0..60).map(move |seed| {
+        let draws = |purpose| Draw::device(seed, 5, purpose);
+        Effect::draw(kind, &setting(), role, draws("device"), draws("events")).unwrap()
+    })
+}
+
+#[test]
+fn what_comes_after_other_effects_does_not_erase_them() {
+    let beside = Role { sense: Sense::Missing, of: 2 };
+    assert!(drawn(Kind::LowPass, beside).all(|effect| told(&effect, "cutoff_hz") >= 0.1 * RATE));
+    assert!(drawn(Kind::MovingAverage, beside).all(|effect| told(&effect, "window") <= 9.0));
+    assert!(drawn(Kind::Resolution, beside).all(|effect| told(&effect, "step") <= 1.5 * 2.0));
+    assert!(!Kind::Spikes.goes_with(Kind::Saturation) && Kind::Spikes.goes_with(Kind::Tone));
+}
+
+#[test]
+fn bursts_and_louder_intervals_leave_half_of_the_record_or_most_of_it() {
+    let length_s = SAMPLES as f64 / RATE;
+    let mut to_the_end = 0;
+    for effect in drawn(Kind::Bursts, Role::ALONE) {
+        let intervals = effect.parameters[effect.channels[0].name()]["intervals"].as_array().unwrap().clone();
+        for one in &intervals {
+            let (from, to) = (one[0].as_f64().unwrap(), one[1].as_f64().unwrap());
+            if (to - length_s).abs() < 1e-9 {
+                to_the_end += 1;
+                assert!(from > 0.5 * length_s - 1.0);
+            }
+        }
+    }
+    assert!((1..30).contains(&to_the_end), "{to_the_end}");
+    assert!(
+        drawn(Kind::VarianceInterval, Role::ALONE).all(|of| told(&of, "to_s") - told(&of, "from_s") < 0.61 * length_s)
+    );
+}
+
+#[test]
+fn spikes_that_the_sensor_lacks_are_expected_often() {
+    let superfluous = Role { sense: Sense::Superfluous, of: 1 };
+    let expected = |effect: Effect| told(&effect, "rate_hz") * SAMPLES as f64 / RATE;
+    assert!(drawn(Kind::Spikes, superfluous).map(expected).all(|events| events >= 11.9));
 }
 
 #[test]
