@@ -11,7 +11,7 @@ use super::recipe::Recipe;
 use super::recorded::Stretch;
 use super::report::entries;
 use super::setting::{Part, Setting};
-use super::told::{over_limit, told, with};
+use super::told::{self, told, with};
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -37,6 +37,8 @@ pub struct Case {
     recipe: Recipe,
     setting: Setting,
     has: Vec<Has>,
+    /// The model that the diagnosis is given.
+    model: SensorModel,
     /// What it is made of, where somebody recorded it.
     stretch: Option<Stretch>,
 }
@@ -54,7 +56,7 @@ impl Case {
     ///
     /// # Errors
     /// [`ImposeError`]: kinds that its device cannot have; a setting is drawn for the kinds, so that there is none but
-    /// [`ImposeError::TooShort`].
+    /// [`ImposeError::TooShort`], and [`ImposeError::Unstated`] of a sense that the kind cannot be in.
     pub fn make(seed: u64, number: usize, recipe: &Recipe, samples: Option<usize>) -> Result<Self, ImposeError> {
         let kinds: Vec<Kind> = recipe.kinds().collect();
         let mut setting = Setting::draw(&kinds, &mut Draw::device(seed, number as u64, "setting"));
@@ -86,15 +88,38 @@ impl Case {
         let has = |(index, (kind, sense)): (usize, &(Kind, Sense))| {
             let device = |purpose: &str| Draw::device(seed, case, &format!("{purpose} {index}"));
             let effect = Effect::draw(*kind, &setting, Role { sense: *sense, of }, device("effect"), device("events"))?;
-            let told = told(&effect, *sense, &setting, &mut device("told"));
-            let over_limit = match (&told, sense) {
-                (Some((_, factor)), Sense::Size) => over_limit(*kind, effect.over_limit, *factor),
-                _ => effect.over_limit,
-            };
-            Ok(Has { effect, sense: *sense, told: told.map(|(told, _)| told), over_limit })
+            let mut over_limit = effect.over_limit;
+            let mut stated = None;
+            if sense.is_in_model() {
+                let unstated = ImposeError::Unstated { kind: *kind };
+                let (told, factor) = told(&effect, *sense, &setting, &mut device("told")).ok_or(unstated)?;
+                if *sense == Sense::Size {
+                    over_limit = told::over_limit(*kind, over_limit, factor);
+                }
+                stated = Some(told);
+            }
+            Ok(Has { effect, sense: *sense, told: stated, over_limit })
         };
-        let has = recipe.effects.iter().enumerate().map(has).collect::<Result<_, _>>()?;
-        Ok(Self { seed, number, take: 1, recipe, setting, has, stretch })
+        let has: Vec<Has> = recipe.effects.iter().enumerate().map(has).collect::<Result<_, _>>()?;
+        let model = match &stretch {
+            Some(stretch) => stretch.model_of(&setting, true),
+            None => setting.model(),
+        };
+        let mut made = Self { seed, number, take: 1, recipe, setting, has, model, stretch };
+        made.model = made.model_with_effects()?;
+        Ok(made)
+    }
+
+    /// The model with what it has of the effects.
+    fn model_with_effects(&self) -> Result<SensorModel, ImposeError> {
+        let key = self.key();
+        let level = |channel: &str| {
+            self.setting.parts.iter().find(|part| part.channel.name() == channel).map(|part| part.level)
+        };
+        key.effects.iter().try_fold(self.model.clone(), |model, effect| {
+            let told = effect.told.as_ref().map(|told| (effect, told));
+            with(&model, told, level).ok_or(ImposeError::Unstated { kind: effect.kind })
+        })
     }
 
     /// The same device recorded once more: the same effects at the same times, other noise. `None` where somebody recorded it, and
@@ -119,16 +144,7 @@ impl Case {
     /// The model that the diagnosis is given.
     #[must_use]
     pub fn model(&self) -> SensorModel {
-        let plain = match &self.stretch {
-            Some(stretch) => stretch.model_of(&self.setting, true),
-            None => self.setting.model(),
-        };
-        let key = self.key();
-        let told = key.effects.iter().filter_map(|effect| Some((effect, effect.told.as_ref()?)));
-        let level = |channel: &str| {
-            self.setting.parts.iter().find(|part| part.channel.name() == channel).map(|part| part.level)
-        };
-        with(&plain, told, level).unwrap_or(plain)
+        self.model.clone()
     }
 
     /// Whether it is read as a table is, so that its rate follows from its stamps.
@@ -227,8 +243,7 @@ impl Case {
 }
 
 /// The model that has what the key says: true N, B and K, and the effects as the sensor has them; `None` where the model
-/// format cannot say it: what is outside the library, and limits that follow from the samples; filters neither, whose form the
-/// model's only resembles.
+/// format cannot say it: what is outside the library, and limits that follow from the samples.
 ///
 /// `told` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
 #[must_use]
@@ -256,7 +271,7 @@ pub fn true_model(key: &Key, told: &SensorModel) -> Option<SensorModel> {
 
 /// Whether a model has all that an effect of this kind does.
 fn can_be_said(kind: Kind) -> bool {
-    kind.effect().is_some() && !matches!(kind, Kind::Saturation | Kind::LowPass | Kind::MovingAverage)
+    kind.effect().is_some() && kind != Kind::Saturation
 }
 
 #[cfg(test)]

@@ -116,7 +116,7 @@ pub(super) fn told_intervals(cause: &Cause) -> Vec<[f64; 2]> {
     cause.channels.iter().map(of).find(|found| !found.is_empty()).unwrap_or_default()
 }
 
-fn intervals(entries: &[Value]) -> Vec<[f64; 2]> {
+pub(super) fn intervals(entries: &[Value]) -> Vec<[f64; 2]> {
     let pair = |value: &Value| Some([value[0].as_f64()?, value[1].as_f64()?]);
     let of = |entry: &Value| -> Vec<[f64; 2]> {
         if let Some(list) = entry["intervals"].as_array() {
@@ -129,6 +129,12 @@ fn intervals(entries: &[Value]) -> Vec<[f64; 2]> {
 
 /// Time that two sets of intervals have in common over the time that either covers.
 fn overlap(one: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
+    let [both, either] = covered(one, other);
+    if either > 0.0 { both / either } else { 0.0 }
+}
+
+/// Time that two sets of intervals have in common, and the time that either covers.
+pub(super) fn covered(one: &[[f64; 2]], other: &[[f64; 2]]) -> [f64; 2] {
     let mut cuts: Vec<f64> = one.iter().chain(other).flatten().copied().collect();
     cuts.sort_by(f64::total_cmp);
     let (mut both, mut either) = (0.0, 0.0);
@@ -141,7 +147,7 @@ fn overlap(one: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
             _ => either += cut[1] - cut[0],
         }
     }
-    if either > 0.0 { both / either } else { 0.0 }
+    [both, either]
 }
 
 #[cfg(test)]

@@ -2,22 +2,29 @@
 
 use super::class::Sense;
 use super::draw::Draw;
+use super::fit::{covered, intervals};
 use super::impose::Effect;
 use super::key::TrueEffect;
 use super::kind::Kind;
-use super::limit::LOUDEST;
+use super::limit::{LOUDEST, UNEVEN, limit, most};
 use super::report::entries;
-use super::setting::Setting;
+use super::setting::{Part, Setting};
 use crate::simulator::SensorModel;
 use serde_json::Value;
 use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
-/// Factors between a size that a model has and the sensor's, to either side.
+/// Factors between a size that a model has and the sensor's, to either side, and the least that is left of one where the size
+/// meets a bound.
 const OFF: [f64; 2] = [1.5, 30.0];
+const LEFT: f64 = 1.3;
+/// How far off another place is, in parts of the band or of the record, to which it belongs as a circle.
+const SHIFT: [f64; 2] = [0.15, 0.85];
+/// Draws of a size or a place before there is none.
+const TRIES: usize = 400;
 
-/// By channel, in the contract's form, what a model says, and the factor between the model's size and the sensor's; `None` of what is not
-/// in the model, or what no model can say.
+/// By channel, in the contract's form, what a model that has the effect states of it, and by which factor it is larger there than in the
+/// sensor; `None` where no model can state it.
 #[must_use]
 pub fn told(
     effect: &Effect,
@@ -25,25 +32,13 @@ pub fn told(
     setting: &Setting,
     draw: &mut Draw,
 ) -> Option<(BTreeMap<String, Value>, f64)> {
-    if !sense.is_in_model() || effect.kind.effect().is_none() {
-        return None;
-    }
-    let length_s = setting.length_s();
-    let (mut factor, shift) = (draw.log_uniform(OFF[0], OFF[1]), draw.uniform(0.15, 0.4));
-    if draw.chance(0.5) {
-        factor = 1.0 / factor;
-    }
-    let change = |entry: &Value, factor: f64| match sense {
-        Sense::Size => each(entry, |one| resized(effect.kind, one, factor, setting.rate_hz)),
-        Sense::Elsewhere => each(entry, |one| moved(one, shift, setting.rate_hz, length_s)),
-        _ => entry.clone(),
-    };
-    // Where a size cannot grow any more, it shrinks.
-    if sense == Sense::Size && effect.parameters.values().any(|entry| change(entry, factor) == *entry) {
-        factor = 1.0 / factor;
-    }
-    let of = |(channel, entry): (&String, &Value)| (channel.clone(), change(entry, factor));
-    let mut told: BTreeMap<String, Value> = effect.parameters.iter().map(of).collect();
+    effect.kind.effect()?;
+    let mut tries = (0..TRIES).map(|_| drawn(effect, sense, setting, draw));
+    let (mut told, factor) = tries.find(|(told, factor)| match sense {
+        Sense::Size => factor.ln().abs() >= LEFT.ln(),
+        Sense::Elsewhere => are_apart(&effect.parameters, told),
+        _ => true,
+    })?;
     if effect.kind == Kind::Saturation {
         for part in &setting.parts {
             if let Some(entry) = told.get_mut(part.channel.name()) {
@@ -54,6 +49,46 @@ pub fn told(
     Some((told, factor))
 }
 
+/// One draw of what a model states, and by which factor the size that came of it is larger than the sensor's.
+fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (BTreeMap<String, Value>, f64) {
+    let (kind, larger, shift) = (effect.kind, draw.log_uniform(OFF[0], OFF[1]), draw.uniform(SHIFT[0], SHIFT[1]));
+    let factor = if draw.chance(0.5) { larger } else { 1.0 / larger };
+    let change = |channel: &str, one: &Value| match sense {
+        Sense::Size => {
+            let part = setting.parts.iter().find(|part| part.channel.name() == channel);
+            part.map_or_else(|| one.clone(), |part| resized(kind, one, factor, setting, part))
+        }
+        Sense::Elsewhere => moved(one, shift, setting.rate_hz, setting.length_s()),
+        _ => one.clone(),
+    };
+    let of = |(channel, entry): (&String, &Value)| (channel.clone(), each(entry, |one| change(channel, one)));
+    let told: BTreeMap<String, Value> = effect.parameters.iter().map(of).collect();
+    let factors = effect.parameters.iter().map(|(channel, entry)| grown(kind, entry, &told[channel]));
+    let least = factors.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs()));
+    (told, least.unwrap_or(1.0))
+}
+
+/// By which factor the size of an entry is larger in what was made of it: of several numbers that which changed least.
+fn grown(kind: Kind, before: &Value, made: &Value) -> f64 {
+    let size = |number: f64| match kind {
+        Kind::HeavyTails | Kind::LowPass => 1.0 / number,
+        Kind::VarianceInterval | Kind::VarianceProfile => number.ln(),
+        _ => number,
+    };
+    let changed = numbers(before).into_iter().zip(numbers(made)).filter(|(before, made)| before != made);
+    let factors = changed.map(|(before, made)| size(made) / size(before));
+    factors.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap_or(1.0)
+}
+
+/// Whether the stretches of two statements have less than half of the shorter in common; true of what has none.
+fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> bool {
+    one.iter().all(|(channel, entry)| {
+        let (own, its) = (intervals(entries(entry)), intervals(entries(&other[channel])));
+        let long = |set: &[[f64; 2]]| covered(set, set)[0];
+        own.is_empty() || covered(&own, &its)[0] < 0.5 * long(&own).min(long(&its))
+    })
+}
+
 /// How far above its limit the difference of two sizes is, of an effect that is itself so far above: in what adds up it is the
 /// difference, in what is counted the nats of two rates.
 #[must_use]
@@ -61,7 +96,6 @@ pub fn over_limit(kind: Kind, over: f64, factor: f64) -> f64 {
     match kind {
         // Poisson's divergence per event, of which the limit has about three; eight nats a limit.
         Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.4 * over * (factor - 1.0 - factor.ln()),
-        Kind::LowPass | Kind::MovingAverage => over,
         _ => over * (factor - 1.0).abs(),
     }
 }
@@ -74,21 +108,32 @@ fn each(entry: &Value, change: impl Fn(&Value) -> Value) -> Value {
     }
 }
 
-fn resized(kind: Kind, entry: &Value, factor: f64, rate_hz: f64) -> Value {
-    let mut made = entry.clone();
+fn resized(kind: Kind, entry: &Value, factor: f64, setting: &Setting, part: &Part) -> Value {
+    let (mut made, rate_hz) = (entry.clone(), setting.rate_hz);
     let mut change = |name: &str, by: &dyn Fn(f64) -> f64| {
         if let Some(value) = entry[name].as_f64() {
             made[name] = by(value).into();
         }
     };
     let times = |value: f64| factor * value;
+    // No larger than a sensor has it.
+    let largest = match kind {
+        Kind::Bursts => LOUDEST,
+        Kind::VariancePerC => {
+            0.5 * most(kind, setting.samples) * limit(kind, setting.samples)
+                / setting.temperature.map_or(1.0, |of| of.spread_c())
+        }
+        _ => most(kind, setting.samples) * limit(kind, setting.samples),
+    };
+    let unit = if kind == Kind::VariancePerC { 1.0 } else { part.white(rate_hz) };
+    let bounded = |value: f64| times(value).clamp(-UNEVEN * largest * unit, UNEVEN * largest * unit);
     match kind {
-        Kind::Resolution => change("step", &|step| times(step)),
+        Kind::Resolution => change("step", &bounded),
         Kind::QuantizationNoise => change("Q", &times),
         Kind::RateRamp => change("R", &times),
-        Kind::GaussMarkov | Kind::Resonance | Kind::Bursts => change("sigma", &times),
+        Kind::GaussMarkov | Kind::Resonance | Kind::Bursts => change("sigma", &bounded),
         Kind::Tone | Kind::WarmUp => change("amplitude", &times),
-        Kind::TemperatureBias | Kind::VariancePerC => change("per_c", &times),
+        Kind::TemperatureBias | Kind::VariancePerC => change("per_c", &bounded),
         Kind::Spikes => change("rate_hz", &|rate| times(rate).min(0.05 * rate_hz)),
         Kind::HeavyTails => change("degrees_of_freedom", &|degrees| (degrees / factor).max(2.5)),
         Kind::BiasStep => change("size", &times),
@@ -102,19 +147,15 @@ fn resized(kind: Kind, entry: &Value, factor: f64, rate_hz: f64) -> Value {
         }
         Kind::MovingAverage => {
             let window = entry["window"].as_u64().unwrap_or(2) as f64;
-            made["window"] = ((window * factor).round().clamp(1.0, 200.0) as u64).into();
+            made["window"] = (times(window).round().clamp(2.0, 200.0) as u64).into();
         }
         Kind::Comb => made["amplitudes"] = numbers(&entry["amplitudes"]).into_iter().map(times).collect(),
         Kind::VarianceProfile => {
-            let point = |point: &Value| -> Value {
-                let of = numbers(point);
-                match of.as_slice() {
-                    [time, of] => vec![*time, power(*of, factor)].into(),
-                    _ => point.clone(),
-                }
-            };
-            made["profile"] =
-                entry["profile"].as_array().map(|list| list.iter().map(point).collect()).unwrap_or_default();
+            let points = numbers(&entry["profile"]);
+            let loudest = points.chunks_exact(2).map(|point| point[1].ln().abs()).fold(0.0, f64::max);
+            let factor = factor.min(LOUDEST.ln() / loudest);
+            let point = |point: &[f64]| Value::from(vec![point[0], power(point[1], factor)]);
+            made["profile"] = points.chunks_exact(2).map(point).collect();
         }
         _ => {}
     }
@@ -182,12 +223,17 @@ fn limits(entry: &Value, level: f64, white: f64) -> Value {
         .collect()
 }
 
+/// All numbers of a value, in order.
 fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().into_iter().flatten().filter_map(Value::as_f64).collect()
+    match value {
+        Value::Array(list) => list.iter().flat_map(numbers).collect(),
+        Value::Object(map) => map.values().flat_map(numbers).collect(),
+        other => other.as_f64().into_iter().collect(),
+    }
 }
 
-/// A model with what is told of these effects besides what it has; levels are stated where limits or steps are absolute.
-/// `None` where the model's format cannot say it.
+/// A model with what is told of these effects besides what it has. Where limits or steps are absolute, its bias is the level: from
+/// another one no noise would reach them. `None` where the model's format cannot say it.
 #[must_use]
 pub fn with<'a>(
     model: &SensorModel,
@@ -200,7 +246,6 @@ pub fn with<'a>(
         for (channel, told) in told {
             let of = value.get_mut("channels")?.get_mut(channel)?.as_object_mut()?;
             if matches!(effect.kind, Kind::Saturation | Kind::Resolution)
-                && !of.get("bias").is_some_and(Value::is_number)
                 && let Some(level) = level(channel)
             {
                 of.insert("bias".to_owned(), level.into());
@@ -245,6 +290,68 @@ mod tests {
                     let said: usize = model.channels.values().map(|of| of.effects.len()).sum();
                     assert!(said >= effect.channels.len(), "{kind} {sense:?}");
                 }
+            }
+        }
+    }
+
+    fn made(kind: Kind, sense: Sense, seed: u64) -> Case {
+        Case::make(seed, 1, &Recipe::of_model(kind, sense), Some(20_000)).unwrap()
+    }
+
+    #[test]
+    fn another_size_is_that_of_the_model_and_no_larger_than_a_sensors() {
+        for seed in 0..40 {
+            let of = |kind: Kind| {
+                let case = made(kind, Sense::Size, seed);
+                let white = case.setting().parts[0].white(case.setting().rate_hz);
+                let effect = case.key().effects[0].clone();
+                let told = effect.told.clone().unwrap();
+                let factor = told.iter().map(|(channel, told)| grown(kind, &effect.parameters[channel], told));
+                let factor = factor.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap();
+                let own = case.effects().next().unwrap().over_limit;
+                assert!(factor.ln().abs() >= LEFT.ln(), "{kind} {effect:?}");
+                assert!((effect.over_limit / over_limit(kind, own, factor) - 1.0).abs() < 1e-9, "{kind} {effect:?}");
+                let first = case.setting().parts[0].channel.name();
+                (told.get(first).map(numbers), white)
+            };
+            if let (Some(window), _) = of(Kind::MovingAverage) {
+                assert!(window[0] >= 2.0);
+            }
+            if let (Some(step), white) = of(Kind::Resolution) {
+                assert!(step[0] <= 6.001 * white);
+            }
+            for kind in
+                [Kind::HeavyTails, Kind::LowPass, Kind::Timing, Kind::VarianceProfile, Kind::VariancePerC, Kind::Bursts]
+            {
+                of(kind);
+            }
+        }
+    }
+
+    #[test]
+    fn another_place_is_not_the_same() {
+        for seed in 0..40 {
+            for kind in [Kind::Bursts, Kind::VarianceInterval] {
+                let key = made(kind, Sense::Elsewhere, seed).key();
+                let effect = &key.effects[0];
+                assert!(are_apart(&effect.parameters, effect.told.as_ref().unwrap()), "{effect:?}");
+            }
+        }
+        let of = |from: f64| [("gyro_x".to_owned(), serde_json::json!({"from_s": from, "to_s": from + 10.0}))].into();
+        assert!(are_apart(&of(0.0), &of(6.0)) && !are_apart(&of(0.0), &of(4.0)));
+    }
+
+    #[test]
+    fn a_limit_in_the_model_is_about_its_bias() {
+        for seed in 0..10 {
+            let case = made(Kind::Saturation, Sense::Superfluous, seed);
+            for part in case
+                .setting()
+                .parts
+                .iter()
+                .filter(|part| case.key().effects[0].channels.contains(&part.channel.name().to_owned()))
+            {
+                assert_eq!(case.model().channels[&part.channel].bias, Some(part.level));
             }
         }
     }

@@ -66,6 +66,12 @@ pub enum ImposeError {
         /// How many there are.
         found: usize,
     },
+    /// The model has it, and its format cannot state it.
+    #[error("no model can state what it has of {kind}")]
+    Unstated {
+        /// The effect.
+        kind: Kind,
+    },
 }
 
 /// Samples below which no effect is drawn: events and bursts would not fit.
