@@ -3,6 +3,8 @@
 //! Of a case with a gap the same device is recorded once more and diagnosed under the model that was given and under the corrected one;
 //! the corrected model is simulated with a fresh seed, and that is diagnosed under itself and under the model that was given.
 
+use super::judge::is_of_delivery;
+use super::key::Key;
 use super::report::{Cause, Report};
 use crate::diagnosis::Recording;
 use crate::simulator::{SensorModel, Simulator, SimulatorError};
@@ -36,15 +38,15 @@ pub struct Again {
     pub second_clean: Option<bool>,
     /// Whether the corrected model explains its own simulation.
     pub itself_clean: bool,
-    /// Whether the cause that was named first is named of the corrected model's simulation under the model that was given; none
+    /// Whether the cause that was named first, beside the delivery's, is named of the corrected model's simulation under the model that was given; none
     /// where none was.
     pub returns: Option<bool>,
 }
 
 impl Again {
-    /// Of a case's diagnosis and the four that followed.
+    /// Of the diagnosis of a case with this key and the four that followed.
     #[must_use]
-    pub fn of(said: &Report, then: &Diagnoses) -> Self {
+    pub fn of(said: &Report, then: &Diagnoses, key: &Key) -> Self {
         let report = |of: &Result<Value, String>| of.as_ref().ok().and_then(|value| Report::of(value).ok());
         let clean = |of: &Result<Value, String>| {
             report(of).is_some_and(|report| matches!(report.verdict.as_str(), "no_gap" | "parameters"))
@@ -64,7 +66,7 @@ impl Again {
             closed: second.zip(corrected).and_then(|(second, corrected)| closed_under(second, corrected)),
             second_clean: then.second_corrected.as_ref().map(clean),
             itself_clean: clean(&then.itself),
-            returns: said.causes.first().map(same),
+            returns: said.causes.iter().find(|cause| !is_of_delivery(cause, key)).map(same),
         }
     }
 }
@@ -114,6 +116,8 @@ mod tests {
     use super::*;
     use crate::trial::case::Case;
     use crate::trial::kind::Kind;
+    use crate::trial::recipe::Recipe;
+    use crate::trial::stamps::Stamps;
     use serde_json::json;
 
     fn report(verdict: &str, effects: &[&str], before: f64) -> Value {
@@ -130,18 +134,23 @@ mod tests {
             itself: Ok(report("parameters", &[], 0.1)),
             returns: Ok(report("effects", &["spikes", "tone"], 1.0)),
         };
-        let said = Report::of(&report("effects", &["tone"], 1.0)).unwrap();
-        let again = Again::of(&said, &then);
+        let key = |late_s| Key {
+            stamps: Some(Stamps { late_s, ..Stamps::exact(0.0) }),
+            ..Case::make(5, 1, &Recipe::lacking(&[Kind::Tone]), Some(10_000)).unwrap().key()
+        };
+        let said = Report::of(&report("effects", &["timing", "tone"], 1.0)).unwrap();
+        assert_eq!(Again::of(&said, &then, &key(0.0)).returns, Some(false));
+        let again = Again::of(&said, &then, &key(0.01));
         assert!((again.closed.unwrap() - 0.9).abs() < 1e-12);
         assert_eq!((again.second_clean, again.itself_clean, again.returns), (Some(true), true, Some(true)));
         let refused = Diagnoses { second: None, second_corrected: None, itself: Err("constant".to_owned()), ..then };
-        let again = Again::of(&Report::of(&report("effects", &["comb"], 1.0)).unwrap(), &refused);
+        let again = Again::of(&Report::of(&report("effects", &["comb"], 1.0)).unwrap(), &refused, &key(0.0));
         assert_eq!(again, Again { returns: Some(false), ..Again::default() });
     }
 
     #[test]
     fn a_simulation_is_as_long_as_its_recording_and_has_its_channels() {
-        let case = Case::make(5, 1, &crate::trial::Recipe::lacking(&[Kind::TemperatureBias]), Some(10_000)).unwrap();
+        let case = Case::make(5, 1, &Recipe::lacking(&[Kind::TemperatureBias]), Some(10_000)).unwrap();
         let (record, model) = (case.record(), case.model());
         let made = simulated(&model, &record, 3).unwrap();
         assert_eq!((made.len(), made.channels.len()), (record.len(), record.channels.len()));

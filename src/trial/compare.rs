@@ -20,7 +20,7 @@ fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64>
 /// Errors of place of a cause that is an effect, by what they are: `frequency_bins`, `at_s`, `edge_s`.
 pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
     let bins = key.samples as f64 / key.rate_hz;
-    for (channel, parameters) in &truth.parameters {
+    for (channel, parameters) in truth.meant(cause.sense) {
         let (truths, told) = (entries(parameters), cause.entries(channel));
         if told.is_empty() {
             continue;
@@ -35,7 +35,7 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
             }
         }
     }
-    let (truths, told) = (intervals_of(truth), told_intervals(cause));
+    let (truths, told) = (intervals_of(truth, cause), told_intervals(cause));
     for [from, to] in truths {
         // Each end against that of the interval that it lies nearest to.
         let edges = [(from, 0), (to, 1)];
@@ -50,7 +50,7 @@ const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s",
 /// Relative errors of a cause's parameters.
 pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
     let relative = |told: f64, truth: f64| (truth != 0.0).then(|| (told.abs() / truth.abs() - 1.0).abs());
-    for (channel, parameters) in &truth.parameters {
+    for (channel, parameters) in truth.meant(cause.sense) {
         for one in entries(parameters) {
             let told = cause.entries(channel);
             let Some(told) = alike(one, told, key).map(|at| &told[at]) else { continue };
@@ -87,7 +87,7 @@ fn is_of_another_form(kind: Kind, name: &str) -> bool {
 /// lies nearest to it, and only if it is the nearest to that as well.
 pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [usize; 2] {
     let mut held = [0; 2];
-    for (channel, parameters) in &truth.parameters {
+    for (channel, parameters) in truth.meant(cause.sense) {
         let (truths, told, intervals) =
             (entries(parameters), cause.entries(channel), entries(&cause.uncertainty[channel]));
         for (at, (one, intervals)) in told.iter().zip(intervals).enumerate() {
@@ -107,14 +107,25 @@ pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [u
     held
 }
 
-/// The place of the told entry that means this true one: the only one, or the one that is nearest in frequency or time.
+/// Widths of a Fourier bin within which two frequencies mean one line; of a resonance its own width besides.
+const BINS: f64 = 4.0;
+/// Part of the record within which two times mean one step.
+const STEP_PART: f64 = 0.02;
+
+/// The place of the told entry that means this true one: the first one of what has no place, or the one that is nearest in frequency or
+/// time.
 fn alike(truth: &Value, told: &[Value], key: &Key) -> Option<usize> {
     let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
     let Some(place) = place else { return (!told.is_empty()).then_some(0) };
     let wanted = truth[place].as_f64()?;
     let off = |(at, entry): (usize, &Value)| Some(((entry[place].as_f64()? - wanted).abs(), at));
     let best = told.iter().enumerate().filter_map(off).min_by(|one, other| one.0.total_cmp(&other.0))?;
-    // A step that was not found is not compared with another one.
-    let near = if place == "at_s" { 0.02 * key.samples as f64 / key.rate_hz } else { f64::INFINITY };
+    // A line or a step that was not found is not compared with another one.
+    let length_s = key.samples as f64 / key.rate_hz;
+    let near = match place {
+        "at_s" => STEP_PART * length_s,
+        "from_s" => f64::INFINITY,
+        _ => BINS / length_s + truth["bandwidth_hz"].as_f64().unwrap_or(0.0),
+    };
     (best.0 <= near).then_some(best.1)
 }

@@ -7,8 +7,8 @@
 //!      have in common are at least half of all they cover: more white noise in a stretch has one law, whatever its name;
 //!    * a `profile` for an interval or for a dependence on temperature, and two or more intervals for a profile: a profile can
 //!      follow either. The other way round it is the wrong form, and no fit.
-//! 3. Its sense has to be the true one: an effect that the model lacks, one that it has too much, one that both have differently. Of one
-//!    that both have, at two places, each of the three says what is so. A report that tells no sense says that it is lacking.
+//! 3. Its sense has to be the true one: an effect that the model lacks, one that it has and the sensor does not, one that both have differently. Of one
+//!    that both have, at two places, each of the three says what is so. A report that states no sense says that it is lacking.
 //! 4. Of what is outside the library the effects of the contract's section 8 that describe it are right, where they have the
 //!    parameters that do.
 //! 5. Everything else is spurious: also the right effect on none of its channels, a comb for a single tone, a single interval for
@@ -56,11 +56,12 @@ pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
         (Kind::Comb, "tone") => when(every_harmonic(truth, cause, key)),
         (Kind::Bursts, "variance_change") => {
             let louder = cause.all_entries().all(|entry| entry["factor"].as_f64().is_some_and(|factor| factor > 1.0));
-            when(louder && overlap(&intervals_of(truth), &told_intervals(cause)) >= OVERLAP)
+            when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
         }
         (Kind::VarianceInterval, "bursts") => {
-            let louder = truth.parameters.values().any(|entry| entry["factor"].as_f64().is_some_and(|one| one > 1.0));
-            when(louder && overlap(&intervals_of(truth), &told_intervals(cause)) >= OVERLAP)
+            let louder =
+                truth.meant(cause.sense).values().any(|entry| entry["factor"].as_f64().is_some_and(|one| one > 1.0));
+            when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
         }
         (kind, named) if kind.effect() == Some(named) => Fit::Exact,
         (kind, named) if kind.described().contains(&named) => {
@@ -95,7 +96,7 @@ fn every_harmonic(truth: &TrueEffect, cause: &Cause, key: &Key) -> bool {
     let width_hz = BINS * key.rate_hz / key.samples as f64;
     let shared = truth.channels.iter().filter(|channel| cause.channels.contains(channel));
     shared.into_iter().all(|channel| {
-        let entry = &truth.parameters[channel];
+        let entry = &truth.meant(cause.sense)[channel];
         let fundamental_hz = entry["fundamental_hz"].as_f64().unwrap_or(f64::NAN);
         let count = entry["amplitudes"].as_array().map_or(0, Vec::len);
         let told: Vec<f64> = cause.entries(channel).iter().filter_map(|entry| entry["frequency_hz"].as_f64()).collect();
@@ -105,9 +106,9 @@ fn every_harmonic(truth: &TrueEffect, cause: &Cause, key: &Key) -> bool {
     })
 }
 
-/// The true intervals, s.
-pub(super) fn intervals_of(truth: &TrueEffect) -> Vec<[f64; 2]> {
-    truth.parameters.values().next().map_or_else(Vec::new, |entry| intervals(entries(entry)))
+/// The true intervals that a cause is about, s.
+pub(super) fn intervals_of(truth: &TrueEffect, cause: &Cause) -> Vec<[f64; 2]> {
+    truth.meant(cause.sense).values().next().map_or_else(Vec::new, |entry| intervals(entries(entry)))
 }
 
 /// Those of a cause on its first channel that has any, s.

@@ -8,7 +8,7 @@ use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::limit::ABOVE;
 use super::place::{false_places, is_placed};
-use super::report::{Cause, Place, Report};
+use super::report::{Cause, Of, Place, Report};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -98,10 +98,6 @@ pub struct Judgement {
     pub false_places: Option<usize>,
     /// The part of the gap that is reproduced without a name.
     pub remainder: Option<f64>,
-    /// Hints that were given, by what they are of, and channels with an offset.
-    pub hints: Vec<String>,
-    /// Channels of which an offset is told.
-    pub offsets: Vec<String>,
     /// Part of the gap that was closed.
     pub closed: Option<f64>,
     /// Its interval.
@@ -118,6 +114,12 @@ impl Judgement {
     #[must_use]
     pub fn right_first(&self) -> bool {
         self.causes.first().is_some_and(|cause| cause.right)
+    }
+
+    /// Whether its causes are of account in what is counted over all classes: its effects are large enough, or nothing is to be named.
+    #[must_use]
+    pub fn is_of_account(&self) -> bool {
+        self.counts || self.class.is_silent()
     }
 
     /// Whether a cause was named that the case does not have.
@@ -169,17 +171,16 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         Ok(report) => (report.causes.clone(), report.verdict.clone(), None),
         Err(refusal) => (Vec::new(), "refused".to_owned(), Some(refusal.clone())),
     };
-    let late = key.stamps.is_some_and(|stamps| stamps.deliver_late())
-        && !key.effects.iter().any(|effect| effect.kind.needs_stamps());
-    // Whether the sensor's clock or the delivery scatters nobody can tell from stamps of arrival.
-    let all: Vec<Cause> = all.into_iter().filter(|cause| !(late && cause.effect == "timing")).collect();
+    let (aside, all): (Vec<Cause>, Vec<Cause>) = all.into_iter().partition(|cause| is_of_delivery(cause, key));
     let named_in_all = all.len();
     let causes: Vec<Cause> = match &answer.own {
         Some(own) => all.into_iter().filter_map(|cause| beyond(own, cause, key)).collect(),
         None => all,
     };
     let report = answer.report.as_ref().ok();
-    let places = report.map_or(&[][..], |report| &report.places);
+    let is_aside = |place: &&Place| aside.iter().any(|cause| place.of == Of::Cause(cause.index));
+    let places: Vec<Place> =
+        report.iter().flat_map(|report| &report.places).filter(|place| !is_aside(place)).cloned().collect();
     let named = |cause: &Cause| Named {
         effect: cause.effect.clone(),
         channels: cause.channels.clone(),
@@ -197,17 +198,22 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         own_unknown: answer.own.as_ref().is_some_and(|own| own.verdict == "unknown_effect"),
         control: answer.own.as_ref().map(|own| (own.verdict.clone(), own.causes.len())),
         causes: causes.iter().map(named).collect(),
-        effects: key.effects.iter().map(|truth| found(truth, &causes, places, key)).collect(),
+        effects: key.effects.iter().map(|truth| found(truth, &causes, &places, key)).collect(),
         // Of what a recording has of itself nobody knows where it lies.
-        false_places: report.filter(|_| answer.own.is_none()).map(|_| false_places(places, key).count()),
+        false_places: report.filter(|_| answer.own.is_none()).map(|_| false_places(&places, key).count()),
         remainder: report.and_then(|report| report.remainder),
-        hints: report.map(|report| report.hints.clone()).unwrap_or_default(),
-        offsets: report.map(|report| report.offsets.clone()).unwrap_or_default(),
         closed: report.and_then(|report| report.closed),
         closed_ci95: report.and_then(|report| report.closed_ci95),
         closed_by_truth: answer.closed_by_truth,
         again: answer.again,
     }
+}
+
+/// Whether a cause is set aside: whether the sensor's clock or the delivery scatters nobody can say from stamps of arrival.
+pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
+    cause.effect == "timing"
+        && key.stamps.is_some_and(|stamps| stamps.deliver_late())
+        && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
 }
 
 /// A cause without the channels on which the recording has it of itself; none where no channel is left.
@@ -351,11 +357,28 @@ mod tests {
     }
 
     #[test]
+    fn a_cause_that_the_sensor_lacks_is_compared_with_the_models_own() {
+        let key = Case::make(3, 1, &Recipe::of_model(Kind::Tone, Sense::Elsewhere), Some(20_000)).unwrap().key();
+        let mut cause = truth(&key, 0);
+        cause["sense"] = json!("superfluous");
+        let wrong = judge(&key, &report("effects", json!([cause.clone()]))).effects.remove(0);
+        assert!(wrong.location["frequency_bins"][0] > 4.0 && wrong.parameters.is_empty());
+        cause["parameters"] = json!(key.effects[0].told);
+        let right = judge(&key, &report("effects", json!([cause]))).effects.remove(0);
+        assert!(right.location["frequency_bins"][0] < 1e-9 && right.parameters["amplitude"][0] < 1e-9);
+    }
+
+    #[test]
     fn a_timing_that_is_the_deliverys_is_set_aside() {
         let keys = (0..).map(|case| Case::make(17, case, &Recipe::lacking(&[Kind::Tone]), Some(20_000)).unwrap().key());
         let key = keys.into_iter().find(|key| key.stamps.is_some_and(|stamps| stamps.deliver_late())).unwrap();
         let timing = json!({"effect": "timing", "channels": [], "confidence": 0.9, "parameters": {}});
-        assert!(judge(&key, &report("effects", json!([timing, truth(&key, 0)]))).exactly());
+        let mut answer = report("effects", json!([timing, truth(&key, 0)]));
+        let place = |of| Place { channel: "temperature".to_owned(), of, band_hz: None, time_s: None };
+        answer.report.as_mut().unwrap().places = vec![place(Of::Cause(0)), place(Of::Cause(1))];
+        let judged = judge(&key, &answer);
+        assert!(judged.exactly());
+        assert_eq!(judged.false_places, Some(1));
     }
 
     #[test]

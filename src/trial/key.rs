@@ -37,6 +37,17 @@ pub struct TrueEffect {
     pub told: Option<BTreeMap<String, Value>>,
 }
 
+impl TrueEffect {
+    /// The parameters that a cause of this sense is about. Of what both have at two places, one that the sensor lacks is the model's.
+    #[must_use]
+    pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
+        match &self.told {
+            Some(told) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => told,
+            _ => &self.parameters,
+        }
+    }
+}
+
 /// What a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]

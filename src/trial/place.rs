@@ -1,10 +1,13 @@
 //! Places: where the effects of a case lie, and whether a diagnosis says so.
 //!
 //! A cause is placed where each channel that it shares with the effect has a place of it that overlaps the effect's band and
-//! time there, and no place of it lies on a channel without the effect. A place is false where nothing of the case is: of a
-//! cause or of a remainder, on a channel without an effect; places of parameters are never false. A report that does not tell what its places are
-//! of is held to what it says: all of them may be of any cause.
+//! time there, and no place of it lies on a channel without the effect. Of a line, a resonance, a step, a burst or a louder interval the
+//! place has to state the band or the time, and may not be much wider. A place is false where nothing of the case is: of a
+//! cause or of a remainder, on a channel without an effect that sensor and model differ in; places of parameters are never false. A
+//! report that does not state what its places are of is held to what it says: all of them may be of any cause.
 
+use super::class::Sense;
+use super::fit::intervals;
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::report::{Cause, Of, Place, entries};
@@ -13,68 +16,82 @@ use serde_json::Value;
 /// Frequencies, Hz, or times, s, from and to.
 type Stretch = [f64; 2];
 
+/// A stretch with an effect in it, and the width of the widest place that says so.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Reach(Stretch, f64);
+
 /// Where an effect lies on a channel; none is anywhere.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Lies {
-    bands_hz: Option<Vec<Stretch>>,
-    times_s: Option<Vec<Stretch>>,
+    bands_hz: Vec<Reach>,
+    times_s: Vec<Reach>,
 }
 
-/// Widths of a Fourier bin by which a line's place may be off.
+/// Widths of a Fourier bin by which a line's place may be off, and by which it may reach to either side.
 const BINS: f64 = 2.0;
+const BINS_WIDE: f64 = 4.0;
+/// How many times wider than what is there a place may be.
+const WIDER: f64 = 4.0;
 /// Widths of a resonance, to either side, that are its own.
 const WIDTHS: f64 = 2.0;
 /// Samples, and parts of the record, by which a step's time may be off: it takes up to 20 samples to rise.
 const RISE_SAMPLES: f64 = 20.0;
 const RISE_PART: f64 = 2e-3;
+/// Part of the record by which a step's place may reach to either side.
+const STEP_PART: f64 = 0.01;
+/// Corners of a Gauss–Markov process below which 95 % of its power is: (2/π) atan 12.7.
+const CORNERS: f64 = 12.7;
 /// Slow courses of the level lie below this part of the rate.
 const SLOW: f64 = 0.02;
 
 impl Lies {
     fn of(kind: Kind, entry: &Value, key: &Key) -> Self {
         let number = |name: &str| entry[name].as_f64();
-        let bin_hz = BINS * key.rate_hz / key.samples as f64;
-        let line = |hz: f64| [hz - bin_hz, hz + bin_hz];
+        let length_s = key.samples as f64 / key.rate_hz;
+        let about = |middle: f64, off: f64, widest: f64| Reach([middle - off, middle + off], widest);
+        let (bin_hz, line_hz) = (BINS / length_s, 2.0 * BINS_WIDE / length_s);
         let mut lies = Self::default();
         match kind {
-            Kind::Tone => lies.bands_hz = number("frequency_hz").map(|hz| vec![line(hz)]),
+            Kind::Tone => lies.bands_hz.extend(number("frequency_hz").map(|hz| about(hz, bin_hz, line_hz))),
             Kind::Comb => {
                 let count = entry["amplitudes"].as_array().map_or(0, Vec::len);
-                lies.bands_hz =
-                    number("fundamental_hz").map(|hz| (1..=count).map(|times| line(times as f64 * hz)).collect());
+                let fundamental_hz = number("fundamental_hz").unwrap_or(f64::NAN);
+                let line = |times: usize| about(times as f64 * fundamental_hz, bin_hz, line_hz);
+                lies.bands_hz.extend((1..=count).map(line));
             }
             Kind::Resonance => {
-                let off = WIDTHS * number("bandwidth_hz").unwrap_or(0.0);
-                lies.bands_hz = number("frequency_hz").map(|hz| vec![[hz - off - bin_hz, hz + off + bin_hz]]);
+                let wide_hz = number("bandwidth_hz").unwrap_or(0.0);
+                let band = |hz| about(hz, WIDTHS * wide_hz + bin_hz, line_hz.max(WIDER * wide_hz));
+                lies.bands_hz.extend(number("frequency_hz").map(band));
             }
             Kind::GaussMarkov => {
-                // All but a twentieth of its power is below four times its corner.
-                lies.bands_hz = number("tc_s").map(|tc| vec![[0.0, 4.0 / (std::f64::consts::TAU * tc) + bin_hz]]);
+                let below = |tc: f64| Reach([0.0, CORNERS / (std::f64::consts::TAU * tc) + bin_hz], f64::INFINITY);
+                lies.bands_hz.extend(number("tc_s").map(below));
             }
             Kind::RateRamp | Kind::WarmUp | Kind::TemperatureBias => {
-                lies.bands_hz = Some(vec![[0.0, SLOW * key.rate_hz]]);
+                lies.bands_hz.push(Reach([0.0, SLOW * key.rate_hz], f64::INFINITY));
             }
             Kind::BiasStep => {
-                let off = (RISE_SAMPLES / key.rate_hz).max(RISE_PART * key.samples as f64 / key.rate_hz);
-                lies.times_s = number("at_s").map(|at| vec![[at - off, at + off]]);
+                let rise_s = RISE_SAMPLES / key.rate_hz;
+                let (off, reach) = (rise_s.max(RISE_PART * length_s), rise_s.max(STEP_PART * length_s));
+                lies.times_s.extend(number("at_s").map(|at| about(at, off, 2.0 * reach)));
             }
-            Kind::VarianceInterval => {
-                lies.times_s = number("from_s").zip(number("to_s")).map(|(from, to)| vec![[from, to]]);
-            }
-            Kind::Bursts => {
-                let list = entry["intervals"].as_array();
-                lies.times_s =
-                    list.map(|list| list.iter().filter_map(|one| Some([one[0].as_f64()?, one[1].as_f64()?])).collect());
+            Kind::VarianceInterval | Kind::Bursts => {
+                let of = |[from, to]: Stretch| Reach([from, to], WIDER * (to - from));
+                lies.times_s.extend(intervals(std::slice::from_ref(entry)).into_iter().map(of));
             }
             _ => {}
         }
         lies
     }
 
-    fn overlaps(&self, place: &Place) -> bool {
-        let meets = |own: &Option<Vec<Stretch>>, told: Option<Stretch>| match (own, told) {
-            (Some(own), Some([from, to])) => own.iter().any(|[begin, end]| from <= *end && to >= *begin),
-            _ => true,
+    fn is_at(&self, place: &Place) -> bool {
+        let meets = |own: &[Reach], stated: Option<Stretch>| {
+            let meets = |Reach([begin, end], widest): &Reach| match stated {
+                Some([from, to]) => from <= *end && to >= *begin && to - from <= *widest,
+                None => widest.is_infinite(),
+            };
+            own.is_empty() || own.iter().any(meets)
         };
         meets(&self.bands_hz, place.band_hz) && meets(&self.times_s, place.time_s)
     }
@@ -84,7 +101,7 @@ impl Lies {
 fn lies_at(truth: &TrueEffect, place: &Place, key: &Key) -> bool {
     let told = truth.told.iter().flatten();
     let mut on = truth.parameters.iter().chain(told).filter(|(channel, _)| **channel == place.channel);
-    on.any(|(_, entry)| entries(entry).iter().any(|one| Lies::of(truth.kind, one, key).overlaps(place)))
+    on.any(|(_, entry)| entries(entry).iter().any(|one| Lies::of(truth.kind, one, key).is_at(place)))
 }
 
 /// Whether a cause that is this effect is placed. None of what has no channel of its own, and where no channel is told.
@@ -103,10 +120,11 @@ pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key)
     Some(here && told.into_iter().all(|place| truth.channels.contains(&place.channel)))
 }
 
-/// Places on channels on which no effect of the case is.
+/// Places on channels on which sensor and model do not differ in an effect.
 pub fn false_places<'a>(places: &'a [Place], key: &'a Key) -> impl Iterator<Item = &'a Place> {
     let touched = |channel: &String| {
-        key.effects.iter().any(|effect| effect.kind.needs_stamps() || effect.channels.contains(channel))
+        let mut differing = key.effects.iter().filter(|effect| effect.sense != Sense::Known);
+        differing.any(|effect| effect.kind.needs_stamps() || effect.channels.contains(channel))
     };
     places.iter().filter(move |place| place.of != Of::Parameters && !touched(&place.channel))
 }
@@ -135,7 +153,7 @@ mod tests {
         (key, cause)
     }
     fn place(channel: &str, of: Of, band_hz: Option<Stretch>, time_s: Option<Stretch>) -> Place {
-        Place { channel: channel.to_owned(), of, band_hz, time_s, nats: None, p_value: None }
+        Place { channel: channel.to_owned(), of, band_hz, time_s }
     }
 
     #[test]
@@ -155,7 +173,7 @@ mod tests {
 
     #[test]
     fn a_place_on_a_clean_channel_is_false() {
-        let (key, cause) = case(Kind::BiasStep);
+        let (key, cause) = case(Kind::Spikes);
         let truth = &key.effects[0];
         let clean = key.channels.iter().find(|channel| !truth.channels.contains(channel)).unwrap();
         let of = |of| place(clean, of, None, None);
@@ -164,6 +182,56 @@ mod tests {
         assert_eq!((is_placed(truth, &cause, &places, &key), false_places(&places, &key).count()), (Some(true), 0));
         places.extend([of(Of::Cause(0)), of(Of::Parameters), of(Of::Remainder)]);
         assert_eq!((is_placed(truth, &cause, &places, &key), false_places(&places, &key).count()), (Some(false), 2));
+    }
+
+    #[test]
+    fn a_place_on_what_the_model_has_as_the_sensor_is_false() {
+        let recipe = Recipe::of_model(Kind::Tone, Sense::Known);
+        let key = Case::make(21, 1, &recipe, Some(20_000)).unwrap().key();
+        let places = [place(&key.effects[0].channels[0], Of::Remainder, None, None)];
+        assert_eq!(false_places(&places, &key).count(), 1);
+    }
+
+    #[test]
+    fn the_truth_is_placed_and_what_is_much_wider_is_not() {
+        for kind in Kind::LIBRARY.iter().copied().filter(|kind| !kind.needs_stamps()) {
+            let (key, cause) = case(kind);
+            let truth = &key.effects[0];
+            let length_s = key.samples as f64 / key.rate_hz;
+            let bin_hz = 1.0 / length_s;
+            let near = |value: &Value, wide: f64| value.as_f64().map(|at| [at - 0.5 * wide, at + 0.5 * wide]);
+            let of = |entry: &Value| {
+                let harmonics = entry["amplitudes"].as_array().map_or(0, Vec::len);
+                let wide_hz = entry["bandwidth_hz"].as_f64().unwrap_or(bin_hz);
+                let mut bands: Vec<Stretch> = near(&entry["frequency_hz"], wide_hz).into_iter().collect();
+                bands.extend(
+                    (1..=harmonics)
+                        .filter_map(|times| near(&(times as f64 * entry["fundamental_hz"].as_f64()?).into(), bin_hz)),
+                );
+                let mut times = intervals(std::slice::from_ref(entry));
+                times.extend(near(&entry["at_s"], 10.0 / key.rate_hz));
+                (bands, times)
+            };
+            let (mut right, mut wide) = (Vec::new(), Vec::new());
+            for (channel, entry) in &truth.parameters {
+                for (bands, times) in entries(entry).iter().map(of) {
+                    right.extend(bands.into_iter().map(|band| place(channel, Of::Cause(0), Some(band), None)));
+                    right.extend(times.into_iter().map(|time| place(channel, Of::Cause(0), None, Some(time))));
+                }
+                wide.push(place(channel, Of::Cause(0), Some([0.0, 0.5 * key.rate_hz]), Some([0.0, length_s])));
+            }
+            // What has neither a band nor a time is anywhere.
+            let has_place = !right.is_empty();
+            let right = if has_place { right } else { wide.clone() };
+            assert_eq!(is_placed(truth, &cause, &right, &key), Some(true), "{kind}");
+            let longest = entries(&truth.parameters[&truth.channels[0]]).iter().flat_map(|one| of(one).1);
+            if longest.map(|[from, to]| to - from).fold(0.0, f64::max) < 0.25 * length_s {
+                assert_eq!(is_placed(truth, &cause, &wide, &key), Some(!has_place), "{kind}");
+            }
+            let unstated: Vec<Place> =
+                wide.iter().map(|one| Place { band_hz: None, time_s: None, ..one.clone() }).collect();
+            assert_eq!(is_placed(truth, &cause, &unstated, &key), Some(!has_place), "{kind}");
+        }
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub struct NamedRate {
 }
 
 /// All of them, in order. Only cases with effects of 1.5 times the limit or above count, but for those in which nothing is to be
-/// named and those outside the library.
+/// named and those outside the library. False places and refusals are counted of all.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Rates(pub Vec<NamedRate>);
@@ -56,7 +56,11 @@ impl Rates {
         let unknown = |class: Class| Rate::of(of(class).filter(telling).map(Judgement::unknown));
 
         add("right_first", "one effect that the model lacks: named first", first(Class::Single));
-        add("superfluous_first", "one that the model has too much: named first, and so", first(Class::Superfluous));
+        add(
+            "superfluous_first",
+            "one that the model has and the sensor does not: named first, and so",
+            first(Class::Superfluous),
+        );
         add("size_first", "one that both have differently: named first, and so", first(Class::Size));
         add(
             "cause_and_sense_first",
@@ -173,7 +177,7 @@ impl Rates {
             Rate::of(halves.iter().map(|(verdict, _)| verdict == "unknown_effect")),
         );
         // On other data.
-        let again = || all.iter().filter_map(|one| Some((one, one.again?)));
+        let again = || all.iter().filter(|one| one.counts).filter_map(|one| Some((one, one.again?)));
         let near =
             |(one, again): (&Judgement, super::again::Again)| Some((again.closed? - one.closed?).abs() <= WITHIN);
         add(
@@ -233,5 +237,6 @@ fn intervals<'a>(found: impl Iterator<Item = &'a Found>) -> Rate {
 
 fn sure<'a>(all: impl Iterator<Item = &'a Judgement>) -> Rate {
     let is_sure = |cause: &&Named| cause.confidence.is_some_and(|confidence| confidence >= SURE);
-    Rate::of(all.flat_map(|one| &one.causes).filter(is_sure).map(|cause| cause.right))
+    let named = all.filter(|one| one.is_of_account()).flat_map(|one| &one.causes);
+    Rate::of(named.filter(is_sure).map(|cause| cause.right))
 }

@@ -61,10 +61,6 @@ pub struct Place {
     pub band_hz: Option<[f64; 2]>,
     /// Its time, s after the record's begin; none is any.
     pub time_s: Option<[f64; 2]>,
-    /// What it weighs, nats per sample, where it is told.
-    pub nats: Option<f64>,
-    /// How often noise alone makes one as heavy, where it is told.
-    pub p_value: Option<f64>,
 }
 
 /// What a diagnosis says.
@@ -83,10 +79,6 @@ pub struct Report {
     pub places: Vec<Place>,
     /// The part of the gap that is reproduced without a name, where that is told.
     pub remainder: Option<f64>,
-    /// Hints, by what they are of.
-    pub hints: Vec<String>,
-    /// The channels of which an offset is told.
-    pub offsets: Vec<String>,
 }
 
 impl Report {
@@ -119,8 +111,6 @@ impl Report {
             closed_ci95: pair(interval),
             places: value["where"].as_array().into_iter().flatten().filter_map(place).collect(),
             remainder: value["remainder"]["share"].as_f64(),
-            hints: words(&value["hints"], "kind"),
-            offsets: words(&value["offsets"], "channel"),
         })
     }
 }
@@ -152,19 +142,7 @@ fn place(value: &Value) -> Option<Place> {
         None => Of::Untold,
     };
     let time_s = value["from_s"].as_f64().zip(value["to_s"].as_f64()).map(|(from, to)| [from, to]);
-    Some(Place {
-        channel: value["channel"].as_str()?.to_owned(),
-        of,
-        band_hz: pair(&value["band_hz"]),
-        time_s,
-        nats: value["nats"].as_f64(),
-        p_value: value["p_value"].as_f64(),
-    })
-}
-
-/// The texts of this name in a list of objects.
-fn words(value: &Value, name: &str) -> Vec<String> {
-    value.as_array().into_iter().flatten().filter_map(|one| one[name].as_str().map(str::to_owned)).collect()
+    Some(Place { channel: value["channel"].as_str()?.to_owned(), of, band_hz: pair(&value["band_hz"]), time_s })
 }
 
 /// One entry, or several of a list.
@@ -183,22 +161,18 @@ mod tests {
 
     #[test]
     fn what_the_contract_adds_is_read_where_it_is_there() {
-        let place = |of: Value| json!({"channel": "gyro_x", "of": of, "band_hz": [1.0, 2.0], "from_s": 0, "to_s": 9.5, "nats": 0.1, "p_value": 1e-9});
+        let place = |of: Value| json!({"channel": "gyro_x", "of": of, "band_hz": [1.0, 2.0], "from_s": 0, "to_s": 9.5});
         let cause = json!({"effect": "tone", "channels": ["gyro_x"], "sense": "size", "parameters": {},
             "uncertainty": {"gyro_x": [{"amplitude": [1.0, 2.0]}]}});
         let report = Report::of(&json!({"verdict": "effects", "causes": [cause], "discrepancy": {},
             "where": [place(json!("cause:0")), place(json!("parameters")), place(json!("remainder")), place(Value::Null)],
-            "remainder": {"share": 0.021, "channels": ["gyro_x"]}, "hints": [{"about": "gyro_x N", "kind": "unit"}],
-            "offsets": [{"channel": "gyro_x"}]}))
+            "remainder": {"share": 0.021, "channels": ["gyro_x"]}}))
         .unwrap();
         assert_eq!((report.causes[0].sense, report.causes[0].index), (Sense::Size, 0));
         let of: Vec<Of> = report.places.iter().map(|place| place.of).collect();
         assert_eq!(of, [Of::Cause(0), Of::Parameters, Of::Remainder, Of::Untold]);
         assert_eq!(report.places[0].time_s, Some([0.0, 9.5]));
-        assert_eq!(
-            (report.remainder, &report.hints[..], &report.offsets[..]),
-            (Some(0.021), &["unit".to_owned()][..], &["gyro_x".to_owned()][..])
-        );
+        assert_eq!(report.remainder, Some(0.021));
     }
 
     #[test]
@@ -206,7 +180,7 @@ mod tests {
         let report =
             Report::of(&json!({"verdict": "effects", "causes": [{"effect": "tone", "channels": ["gyro_x"]}]})).unwrap();
         assert_eq!(report.causes[0].sense, Sense::Missing);
-        assert!(report.places.is_empty() && report.remainder.is_none() && report.hints.is_empty());
+        assert!(report.places.is_empty() && report.remainder.is_none());
         assert!(Report::of(&json!({"causes": []})).is_err());
     }
 }

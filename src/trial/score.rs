@@ -110,8 +110,8 @@ pub struct Score {
     pub kinds: Vec<OfKind>,
     /// Single effects, none and outside: true kind, then the first cause named (or the verdict where none was), how often.
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
-    /// Stated confidence of the causes named and how many were right; without the cases outside the library, where what is
-    /// named is a look-alike.
+    /// Stated confidence of the causes named and how many were right; without the cases too small to count, and those
+    /// outside the library, where what is named is a look-alike.
     pub reliability: Vec<Bin>,
     /// The same in short.
     pub calibration: Calibration,
@@ -217,7 +217,7 @@ fn confusion(all: &[Judgement]) -> BTreeMap<String, BTreeMap<String, usize>> {
 }
 
 fn reliability(all: &[Judgement]) -> Vec<Bin> {
-    let named = all.iter().filter(|one| !one.class.is_outside()).flat_map(|one| &one.causes);
+    let named = all.iter().filter(|one| !one.class.is_outside() && one.is_of_account()).flat_map(|one| &one.causes);
     let stated: Vec<(f64, bool)> = named.filter_map(|cause| Some((cause.confidence?, cause.right))).collect();
     bins(&CONFIDENCE, &stated)
 }
@@ -265,8 +265,6 @@ mod tests {
             effects: kinds.iter().map(found).collect(),
             false_places: Some(1),
             remainder: None,
-            hints: Vec::new(),
-            offsets: Vec::new(),
             closed: Some(0.9),
             closed_ci95: Some([0.85, 0.95]),
             closed_by_truth: Some(0.92),
@@ -289,6 +287,8 @@ mod tests {
             judgement(8, Class::Pair, pair, "effects", &[("tone", true)]),
             judgement(9, Class::Outside, &[Kind::Echo], "unknown_effect", &[("resonance", false)]),
             judgement(10, Class::Outside, &[Kind::Echo], "effects", &[("resonance", false)]),
+            // Too small to count: it is in no rate of causes and in no reliability.
+            Judgement { counts: false, ..judgement(11, Class::Single, tone, "effects", &[("comb", false)]) },
         ];
         Score::of("test", 1, "", &all, &[])
     }
@@ -311,7 +311,7 @@ mod tests {
             ("outside_answered", (1, 2)),
             ("kept_unknown", (0, 0)),
             ("placed", (0, 6)),
-            ("false_place", (11, 11)),
+            ("false_place", (12, 12)),
             ("intervals_hold", (6, 12)),
             ("closed_covers", (5, 5)),
             ("first_new", (0, 0)),
