@@ -65,7 +65,7 @@ pub(super) fn show(score: &Score) -> std::io::Result<()> {
 fn missed(miss: &Miss) -> String {
     let has = |(kind, sense): (&crate::trial::Kind, &Sense)| match sense {
         Sense::Missing => kind.name().to_owned(),
-        Sense::Superfluous => format!("{kind} too much"),
+        Sense::Superfluous => format!("{kind} superfluous"),
         Sense::Size => format!("{kind} of another size"),
         Sense::Elsewhere => format!("{kind} elsewhere"),
         Sense::Known => format!("{kind}, as the model says"),
@@ -85,7 +85,7 @@ fn show_detection(out: &mut impl std::io::Write, score: &Score) -> std::io::Resu
     let library = || score.kinds.iter().filter_map(|of| Some((of, of.detection.as_ref()?)));
     let Some((first, _)) = library().next() else { return Ok(()) };
     let mut head = vec!["size over limit".to_owned()];
-    head.extend(first.curve.iter().map(|bin| format!("to {}", bin.to)));
+    head.extend(first.curve.iter().map(|bin| bin.label()));
     let mut rows = table(&head.iter().map(String::as_str).collect::<Vec<_>>());
     for (of, _) in library() {
         let mut row = vec![of.kind.name().to_owned()];
@@ -109,7 +109,7 @@ fn show_confidence(out: &mut impl std::io::Write, score: &Score) -> std::io::Res
     let mut rows = table(&["stated confidence", "mean", "causes", "right (95 %)"]);
     for bin in score.reliability.iter().filter(|bin| bin.right.of > 0) {
         let mean = bin.mean.map_or_else(|| "–".to_owned(), |mean| format!("{mean:.3}"));
-        rows.add_row([format!("{} to {}", bin.from, bin.to), mean, bin.right.of.to_string(), percent(bin.right)]);
+        rows.add_row([bin.label(), mean, bin.right.of.to_string(), percent(bin.right)]);
     }
     let of = &score.calibration;
     let (Some(stated), Some(error)) = (of.mean_confidence, of.expected_error) else { return Ok(()) };

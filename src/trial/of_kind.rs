@@ -8,8 +8,8 @@ use super::kind::Kind;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Edges of the sizes over the limit by which detection is told.
-const CURVE: [f64; 11] = [0.5, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 10.0, 20.0, 50.0, 100.0];
+/// Edges of the sizes over the limit by which detection is shown; the last bin is open.
+const CURVE: [f64; 11] = [0.5, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 10.0, 20.0, 50.0, f64::INFINITY];
 
 /// A stretch of a curve or a class of confidences.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -17,12 +17,20 @@ const CURVE: [f64; 11] = [0.5, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 10.0, 20.0, 50.0, 1
 pub struct Bin {
     /// From.
     pub from: f64,
-    /// To; the last one includes it.
+    /// To; the last one includes it. Infinite, in JSON null, where it is open.
     pub to: f64,
     /// Mean of what it holds.
     pub mean: Option<f64>,
     /// How many were right.
     pub right: Rate,
+}
+
+impl Bin {
+    /// Its edges in words.
+    #[must_use]
+    pub fn label(&self) -> String {
+        if self.to.is_finite() { format!("{}–{}", self.from, self.to) } else { format!("above {}", self.from) }
+    }
 }
 
 /// The middle of some errors, and how many there are.

@@ -114,10 +114,7 @@ fn kinds(out: &mut String, score: &Score) {
 fn curves(out: &mut String, score: &Score) {
     *out += "<h2>Detection by size over the limit</h2>";
     let library = || score.kinds.iter().filter(|of| of.library);
-    let edges: Vec<String> = library()
-        .next()
-        .map(|of| of.curve.iter().map(|bin| format!("{}–{}", bin.from, bin.to)).collect())
-        .unwrap_or_default();
+    let edges: Vec<String> = library().next().map(|of| of.curve.iter().map(Bin::label).collect()).unwrap_or_default();
     let mut head = vec!["effect"];
     head.extend(edges.iter().map(String::as_str));
     let rows = library().map(|of| {
@@ -186,7 +183,7 @@ fn confusion(out: &mut String, score: &Score) {
 }
 
 fn bin(bin: &Bin) -> Vec<String> {
-    vec![format!("{}–{}", bin.from, bin.to), number(bin.mean), bin.right.of.to_string(), percent(bin.right)]
+    vec![bin.label(), number(bin.mean), bin.right.of.to_string(), percent(bin.right)]
 }
 
 fn miss(miss: &Miss) -> Vec<String> {
