@@ -2,7 +2,7 @@
 //!
 //! A recording has lines, knocks and drifts of its own, and nobody knows all of them. So it is first asked for them: a stretch of
 //! it is diagnosed as it is, what is found goes into a model, and that again, until nothing is named any more or it has been done
-//! often enough. Cases are told that model, with N, B and K made wrong as in made-up cases. An effect is imposed only on
+//! often enough. A case has that model, with N, B and K a little wrong or far off as in made-up cases. An effect is imposed only on
 //! channels on which the stretch has none like it, since nobody could tell the two apart. What is named of the same channels
 //! as they are, under the model as it was fitted, is the recording's own and is neither right nor spurious ([`super::judge`]).
 //!
@@ -175,7 +175,7 @@ impl Stretch {
         (spread >= SPREAD_C).then_some(TemperatureCourse { start_c: mean, rise_c: 0.0, settles: 0.2, wander_c: spread })
     }
 
-    /// Some of its channels, enough for these kinds, and a model that has their N, B and K a little wrong.
+    /// Some of its channels, enough for these kinds, and N, B and K as a model has them that is a little wrong or far off.
     #[must_use]
     pub fn setting(&self, kinds: &[Kind], device: &mut Draw) -> Setting {
         let (rate_hz, samples) = (self.recording.rate_hz, self.recording.len());
@@ -407,20 +407,30 @@ mod tests {
     }
 
     #[test]
-    fn a_case_without_effects_is_the_recording_under_a_model_that_is_a_little_wrong() {
+    fn a_case_without_effects_is_the_recording_under_a_model_that_is_a_little_wrong_or_far_off() {
         let stretch = stretch();
-        let case = Case::draw_on(9, 3, &Recipe::lacking(&[]), stretch.clone()).unwrap();
-        let (recording, model) = (case.record(), case.model());
-        assert_eq!(recording.len(), stretch.recording.len());
-        for (channel, of) in &model.channels {
-            let fitted = &stretch.model.channels[channel];
-            assert_eq!(of.effects.len(), fitted.effects.len());
-            assert!(of.n != fitted.n && (of.n / fitted.n - 1.0).abs() <= 0.05);
-            assert!((of.k / fitted.k - 1.0).abs() <= 0.4);
+        let mut far_off = 0;
+        for number in 0..40 {
+            let case = Case::draw_on(9, number, &Recipe::lacking(&[]), stretch.clone()).unwrap();
+            assert_eq!(case.record().len(), stretch.recording.len());
+            let off = |(channel, of): (&Channel, &ChannelModel)| {
+                let fitted = &stretch.model.channels[channel];
+                assert_eq!(of.effects.len(), fitted.effects.len());
+                assert!(of.n != fitted.n);
+                [of.n / fitted.n, of.b / fitted.b, of.k / fitted.k]
+            };
+            let off: Vec<[f64; 3]> = case.model().channels.iter().map(off).collect();
+            let a_little = off
+                .iter()
+                .all(|[n, b, k]| (n - 1.0).abs() <= 0.05 && (b - 1.0).abs() <= 0.25 && (k - 1.0).abs() <= 0.4);
+            far_off += usize::from(!a_little);
+            let within = |factor: f64, most: f64| (1.0 / most..=most).contains(&factor);
+            assert!(off.iter().all(|[n, b, k]| within(*n, 3.0) && within(*b, 30.0) && within(*k, 30.0)), "{off:?}");
+            assert_eq!(case.as_it_is().unwrap().1, stretch.model);
+            let channel = stretch.recording.channels[0].0;
+            assert_eq!(case.key().true_nbk[channel.name()][0], stretch.model.channels[&channel].n);
         }
-        assert_eq!(case.as_it_is().unwrap().1, stretch.model);
-        let true_nbk = &case.key().true_nbk[recording.channels[0].0.name()];
-        assert_eq!(true_nbk[0], stretch.model.channels[&recording.channels[0].0].n);
+        assert!((6..=22).contains(&far_off), "{far_off} of 40");
     }
 
     #[test]

@@ -145,7 +145,7 @@ impl Setting {
         self.samples as f64 / self.rate_hz
     }
 
-    /// The model as somebody wrote it: N, B and K a little wrong, no effects.
+    /// The model as somebody wrote it: N, B and K a little wrong or far off, no effects.
     #[must_use]
     pub fn model(&self) -> SensorModel {
         self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)

@@ -301,29 +301,23 @@ mod tests {
     #[test]
     fn another_size_is_that_of_the_model_and_no_larger_than_a_sensors() {
         for seed in 0..40 {
-            let of = |kind: Kind| {
-                let case = made(kind, Sense::Size, seed);
-                let white = case.setting().parts[0].white(case.setting().rate_hz);
-                let effect = case.key().effects[0].clone();
-                let told = effect.told.clone().unwrap();
-                let factor = told.iter().map(|(channel, told)| grown(kind, &effect.parameters[channel], told));
-                let factor = factor.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap();
-                let own = case.effects().next().unwrap().over_limit;
-                assert!(factor.ln().abs() >= LEFT.ln(), "{kind} {effect:?}");
-                assert!((effect.over_limit / over_limit(kind, own, factor) - 1.0).abs() < 1e-9, "{kind} {effect:?}");
-                let first = case.setting().parts[0].channel.name();
-                (told.get(first).map(numbers), white)
-            };
-            if let (Some(window), _) = of(Kind::MovingAverage) {
-                assert!(window[0] >= 2.0);
-            }
-            if let (Some(step), white) = of(Kind::Resolution) {
-                assert!(step[0] <= 6.001 * white);
-            }
-            for kind in
-                [Kind::HeavyTails, Kind::LowPass, Kind::Timing, Kind::VarianceProfile, Kind::VariancePerC, Kind::Bursts]
+            for kind in Kind::LIBRARY.iter().copied().filter(|kind| kind.can_be_resized() && *kind != Kind::Saturation)
             {
-                of(kind);
+                let case = made(kind, Sense::Size, seed);
+                let (key, own) = (case.key(), case.effects().next().unwrap());
+                let stated = key.effects[0].told.clone().unwrap();
+                let factor = stated.iter().map(|(channel, stated)| grown(kind, &own.parameters[channel], stated));
+                let factor = factor.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap();
+                assert!(factor.ln().abs() >= LEFT.ln(), "{kind} {stated:?}");
+                let over = over_limit(kind, own.over_limit, factor);
+                assert!((key.effects[0].over_limit / over - 1.0).abs() < 1e-9, "{kind} {stated:?}");
+                for part in &case.setting().parts {
+                    let white = part.white(case.setting().rate_hz);
+                    let number = |name: &str| stated.get(part.channel.name()).and_then(|entry| entry[name].as_f64());
+                    assert!(number("window").is_none_or(|window| window >= 2.0), "{stated:?}");
+                    assert!(number("step").is_none_or(|step| step <= 6.001 * white), "{stated:?}");
+                    assert!(number("sigma").is_none_or(|sigma| sigma <= 62.51 * white), "{kind} {stated:?}");
+                }
             }
         }
     }
