@@ -63,7 +63,8 @@ fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
             "{of}"
         );
     }
-    assert!(score["calibration"]["expected_error"].as_f64() < Some(0.35), "{}", score["calibration"]);
+    let error = score["calibration"]["expected_error"].as_f64();
+    assert!(error.is_some_and(|error| error < 0.35), "{}", score["calibration"]);
 }
 
 /// A recording of two channels that has a line and a resolution of its own.
