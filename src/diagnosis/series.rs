@@ -174,13 +174,12 @@ impl<'a> Series<'a> {
         self.resolve_lines();
         self.fit_means();
         self.refit(several);
-        let excluded = self.excluded().len();
-        if excluded > 0 {
+        if !self.excluded().is_empty() {
             // What stands for excluded samples depends on the law, and the law on that: a little on a few samples; behind a filter,
             // whose spectrum may be next to nothing somewhere, much; on a good part of the record until both agree.
             let filtered = self.explanation.law.terms.iter().any(Term::is_filter);
             let least = if filtered { 5 } else { 2 };
-            let most = if excluded * MANY > self.len() { 12 } else { least };
+            let most = if self.loud_samples() * MANY > self.len() { 12 } else { least };
             for round in 1..=most {
                 let before = self.explanation.law.levels[0];
                 self.fit_means();
@@ -239,8 +238,7 @@ impl<'a> Series<'a> {
     /// noise (the moments of its sum of squares); what is filled in for loud stretches is worth nothing.
     pub(super) fn worth_on(&self, grid: &Grid, base: &Base) -> Vec<f64> {
         let variance = self.variances();
-        let loud = self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD).map(|loud| self.spoilt(loud).len());
-        let there = 1.0 - (loud.sum::<usize>() as f64 / self.len().max(1) as f64).min(0.9);
+        let there = 1.0 - (self.loud_samples() as f64 / self.len().max(1) as f64).min(0.9);
         if variance.is_empty() {
             return grid.counts().iter().map(|count| there * count).collect();
         }
@@ -495,6 +493,12 @@ impl<'a> Series<'a> {
         let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
         // Of a filter that is slower than that there is not enough left to say anything.
         found.max().unwrap_or(0).max(self.setting.reach).min(self.len() / 32)
+    }
+
+    /// Samples in stretches that are so loud that they are left out.
+    fn loud_samples(&self) -> usize {
+        let loud = self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD);
+        loud.map(|loud| self.spoilt(loud).len()).sum()
     }
 
     /// The samples that a stretch spoils: behind filters it lasts longer.
