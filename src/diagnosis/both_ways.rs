@@ -18,8 +18,12 @@ fn brief(causes: &[Cause]) -> Vec<(&'static str, Sense, String)> {
 /// The corrected model explains the record: nothing is missing in it and nothing too much.
 fn is_mended(outcome: &Outcome, sensor: Option<&Value>, seed: u64) -> bool {
     let again = recording(&model(sensor), seed, SAMPLES);
-    let verdict = diagnose(&again, &outcome.augmented, &Options::default()).unwrap().diagnosis.verdict;
-    matches!(verdict, Verdict::NoGap | Verdict::Parameters)
+    let found = diagnose(&again, &outcome.augmented, &Options::default()).unwrap().diagnosis;
+    let is_mended = matches!(found.verdict, Verdict::NoGap | Verdict::Parameters);
+    if !is_mended {
+        println!("{:?} {:?} {:?}", found.verdict, brief(&found.causes), found.notes);
+    }
+    is_mended
 }
 
 /// Effects at sizes that a record shows.
@@ -111,4 +115,84 @@ fn a_tone_at_another_frequency_is_the_models_elsewhere() {
         assert!((cause.parameters["accel_x"]["frequency_hz"].as_f64().unwrap() - own).abs() < 1e-3);
         assert_eq!(cause.model["accel_x"]["frequency_hz"], declared);
     }
+}
+
+/// Effects of the level, of the variance, of single samples and of stamps, and one parameter with another value of it.
+fn further() -> Vec<(Value, &'static str, Value)> {
+    vec![
+        (json!({"effect": "rate_ramp", "R": 3e-5}), "R", json!(9e-5)),
+        (json!({"effect": "temperature_bias", "per_c": 0.004, "reference_c": 25.0}), "per_c", json!(0.012)),
+        (json!({"effect": "warm_up", "amplitude": 0.05, "tau_s": 100.0}), "amplitude", json!(0.15)),
+        (json!({"effect": "warm_up", "amplitude": 0.05, "tau_s": 100.0}), "tau_s", json!(30.0)),
+        (json!({"effect": "bias_step", "at_s": 300.0, "size": 0.03}), "size", json!(0.06)),
+        (json!({"effect": "bias_step", "at_s": 300.0, "size": 0.03}), "at_s", json!(500.0)),
+        (json!({"effect": "variance_change", "from_s": 200, "to_s": 500, "factor": 1.5}), "factor", json!(3.0)),
+        (json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 25.0}), "per_c", json!(0.3)),
+        (
+            json!({"effect": "bursts", "intervals": [[200.0, 203.0], [500.0, 504.0]], "sigma": 0.05}),
+            "sigma",
+            json!(0.2),
+        ),
+        (json!({"effect": "spikes", "rate_hz": 0.05, "amplitude": 0.2}), "amplitude", json!(0.6)),
+        (json!({"effect": "heavy_tails", "degrees_of_freedom": 4.0}), "degrees_of_freedom", json!(9.0)),
+        (json!({"effect": "resolution", "step": 0.005}), "step", json!(0.01)),
+        (json!({"effect": "held_samples", "probability": 0.02}), "probability", json!(0.1)),
+        (json!({"effect": "common_mode", "sigma": 0.006}), "sigma", json!(0.003)),
+        (json!({"effect": "timing", "jitter_s": 0.002, "drop_probability": 0.01}), "drop_probability", json!(0.05)),
+    ]
+}
+
+#[test]
+fn what_else_the_sensor_has_as_the_model_says_is_no_gap() {
+    let mut wrong = Vec::new();
+    for ((effect, ..), seed) in further().into_iter().zip(101..) {
+        let found = compared(Some(&effect), Some(&effect), seed).diagnosis;
+        if !matches!(found.verdict, Verdict::NoGap | Verdict::Parameters) {
+            wrong.push(format!("{effect}: {:?} {:?} {:?}", found.verdict, brief(&found.causes), found.notes));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn what_else_the_sensor_lacks_is_superfluous() {
+    let mut wrong = Vec::new();
+    for ((effect, ..), seed) in further().into_iter().zip(131..) {
+        let name = effect["effect"].as_str().unwrap();
+        let outcome = compared(None, Some(&effect), seed);
+        let found = &outcome.diagnosis;
+        let own = found.causes.iter().all(|of| of.effect == name && of.sense == Sense::Superfluous);
+        let right = own && found.causes.len() == 1 && found.verdict == Verdict::Effects;
+        let mended = is_mended(&outcome, None, seed + 1000);
+        if !right || !mended {
+            wrong.push(format!("{effect}: {mended} {:?} {:?} {:?}", found.verdict, brief(&found.causes), found.notes));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn what_else_the_sensor_has_otherwise_is_a_size() {
+    let mut wrong = Vec::new();
+    for ((declared, parameter, value), seed) in further().into_iter().zip(161..) {
+        let mut effect = declared.clone();
+        effect[parameter] = value.clone();
+        let name = effect["effect"].as_str().unwrap();
+        // More than the model says, and less.
+        for (own, told) in [(&effect, &declared), (&declared, &effect)] {
+            let outcome = compared(Some(own), Some(told), seed);
+            let found = &outcome.diagnosis;
+            let one = found.causes.len() == 1 && found.causes[0].effect == name && found.causes[0].sense == Sense::Size;
+            if !one || found.verdict != Verdict::Effects || !is_mended(&outcome, Some(own), seed + 100) {
+                let numbers: Vec<_> = found.causes.iter().map(|of| &of.parameters).collect();
+                wrong.push(format!(
+                    "{own} for {told}: {:?} {:?} {numbers:?} {:?}",
+                    found.verdict,
+                    brief(&found.causes),
+                    found.notes
+                ));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }

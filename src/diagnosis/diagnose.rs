@@ -1,6 +1,7 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
 use super::bands::Bands;
+use super::declared::doses::{self, Dose};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::Kind;
@@ -135,6 +136,8 @@ pub(super) struct Findings {
     pub(super) spread: Spread,
     /// The model's lines as the channel has them.
     pub(super) lines: Vec<MeasuredLine>,
+    /// The model's drifts, steps and changes of variance that it has otherwise.
+    pub(super) off: Vec<Dose>,
 }
 
 /// What was found in a record.
@@ -205,16 +208,15 @@ fn explain(
     if !believed {
         prepared.beliefs = FREE;
     }
+    let as_declared = doses::as_declared(&prepared);
+    let off = {
+        let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
+        doses::off(&ready.setting(&prepared, &base), &ready.transform, &prepared, prices)
+    };
+    doses::strip(&mut prepared, &off);
     let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
     let setting = ready.setting(&prepared, &base);
-    let known = Explanation {
-        sines: prepared.sines.clone(),
-        outliers: prepared.outliers.clone(),
-        loud: prepared.loud.clone(),
-        scedasticity: prepared.scedasticity.clone(),
-        limits: prepared.limits,
-        ..Explanation::noise(prepared.declared.clone())
-    };
+    let known = doses::as_declared(&prepared);
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
     for (name, evidence) in [
         ("spikes", super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
@@ -227,7 +229,9 @@ fn explain(
             series.rebuild(false);
         }
     }
-    let known = Explanation { law: prepared.declared.clone(), ..series.explanation.clone() };
+    let Explanation { courses, loud, scedasticity, .. } = as_declared;
+    let law = prepared.declared.clone();
+    let known = Explanation { law, courses, loud, scedasticity, ..series.explanation.clone() };
     let free = |series: &Series<'_>| {
         let mut data = series.data();
         data.beliefs = &FREE;
@@ -260,6 +264,9 @@ fn explain(
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
     known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
     let mut found = series.explanation.clone();
+    for (course, (_, _, factor)) in found.courses.iter_mut().zip(&prepared.shifts) {
+        course.1 = *factor;
+    }
     for place in (0..lines.len()).filter(|place| !lines[*place].is_off) {
         found.sines[place] = known.sines[place];
     }
@@ -300,6 +307,7 @@ fn explain(
             white,
             level,
             lines,
+            off,
         },
         whitened,
     )

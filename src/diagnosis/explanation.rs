@@ -135,7 +135,10 @@ impl Explanation {
     #[must_use]
     pub fn adds_nothing_to(&self, other: &Self) -> bool {
         let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
+        let variance = |of: &Self| of.loud.iter().map(|loud| (loud.from, loud.to)).collect::<Vec<_>>();
         counts(self) == counts(other)
+            && self.courses == other.courses
+            && variance(self) == variance(other)
             && self.without == other.without
             && self.sines == other.sines
             && self.outliers == other.outliers

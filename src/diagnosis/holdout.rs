@@ -122,8 +122,8 @@ fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
     let explanation = &series.explanation;
     let n = series.len() as f64;
     let mut sum = -PHASE * explanation.sines.len().saturating_sub(known.sines.len()) as f64;
-    let steps = explanation.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
-    sum -= (n.ln() + 3.0) * steps as f64;
+    let steps = |of: &Explanation| of.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
+    sum -= (n.ln() + 3.0) * steps(explanation).saturating_sub(steps(known)) as f64;
     sum -= (2.0 * n.ln() + 3.0) * explanation.loud.len().saturating_sub(known.loud.len()) as f64;
     // Loud stretches were replaced by noise of the law: each of their samples is as much rarer as the stretch is louder.
     let known_loud = known.loud.len().min(explanation.loud.len());

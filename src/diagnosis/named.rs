@@ -1,7 +1,7 @@
 //! Named: effects on channels, with what they give and how that is known: of the search, the values, the stamps.
 
 use super::censored;
-use super::declared;
+use super::declared::{self, values};
 use super::diagnose::{Findings, Found, Options};
 use super::evidence::Kind;
 use super::facts;
@@ -38,7 +38,7 @@ pub(super) struct Named {
 
 impl Named {
     /// An effect that the model lacks, as sure as what is read off values and stamps.
-    fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
+    pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
         let sense = Sense::Missing;
         Self {
             channel,
@@ -61,12 +61,16 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
         if let Some(model) = sim.channels.get(&of.prepared.channel) {
             named.extend(of_channel(of, found, sim, model, options.level));
             named.extend(declared::of_lines(of, model, options.level));
+            named.extend(declared::of_doses(of, model, options.level));
+            named.extend(values::of_samples(of, model, sim.rate_hz));
         }
         named.extend(of_facts(of));
     }
     declared::elsewhere(&mut named);
     named.extend(of_repeats(found, sim));
+    named.extend(values::of_repeats(found, sim));
     named.extend(of_shared(found, sim));
+    named.extend(values::of_shared(found, sim));
     named.extend(of_stamps(real, sim));
     named.retain(|of| options.wants(of.effect.name()));
     for of in &mut named {
@@ -247,8 +251,6 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     const LONGEST: usize = 3;
     /// A jitter is worth naming from this part of a period on.
     const JITTER: f64 = 0.01;
-    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.name() == "timing"));
-    let Some(first) = sim.channels.keys().next().filter(|_| !has) else { return Vec::new() };
     let (mut runs, mut dropped, mut run) = (0, 0, 0);
     for missing in real.missing.iter().copied().chain([false]) {
         if missing {
@@ -261,7 +263,13 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
             run = 0;
         }
     }
-    let scatter_s = stamps(real).map_or(0.0, |stamps| stamps.jitter_s);
+    let stamps = stamps(real);
+    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.name() == "timing"));
+    if has {
+        return values::of_stamps(stamps, dropped, real.len(), sim);
+    }
+    let Some(first) = sim.channels.keys().next() else { return Vec::new() };
+    let scatter_s = stamps.map_or(0.0, |stamps| stamps.jitter_s);
     let scatter_s = if scatter_s * real.rate_hz > JITTER { scatter_s } else { 0.0 };
     // A model's stamps keep their order.
     let most_s = JITTER_MAX / sim.rate_hz;

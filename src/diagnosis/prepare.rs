@@ -1,6 +1,7 @@
 //! Preparation: a recording and a model become series of samples of which the model's own effects are explained already.
 
-use super::course::Courses;
+use super::course::{Course, Courses};
+use super::declared::doses::shifts_of;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
@@ -9,7 +10,7 @@ use super::law::{Base, Beliefs, Law, Term, reach};
 use super::recording::Recording;
 use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
-use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
+use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -32,7 +33,7 @@ pub struct Prepared {
     pub scale: f64,
     /// What was subtracted as its level, U.
     pub level: f64,
-    /// The samples less what the model says of their level, in the series' scale.
+    /// The samples less their level, in the series' scale.
     pub samples: Vec<f64>,
     /// What the values show.
     pub facts: Facts,
@@ -52,10 +53,12 @@ pub struct Prepared {
     pub sines: Vec<Sine>,
     /// Of each the place of its effect in the model's list, and its amplitude over what the effect alone has.
     pub lines: Vec<(usize, f64)>,
-    /// Stretches of another variance that it has.
-    pub loud: Vec<Loud>,
-    /// Its variance by temperature or time.
-    pub scedasticity: Option<Scedasticity>,
+    /// Its drifts and steps: of each the place of its effect, and its factor.
+    pub shifts: Vec<(usize, Course, f64)>,
+    /// Stretches of another variance that it has, with the places of their effects.
+    pub loud: Vec<(usize, Loud)>,
+    /// Its variance by temperature or time, and the place of the effect.
+    pub scedasticity: Option<(usize, Scedasticity)>,
     /// Samples that its filters reach.
     pub reach: usize,
     /// Names of the effects that it has.
@@ -315,17 +318,8 @@ fn channel_of(
             return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
         }
     }
-    // What the model says of the level.
     let mut samples = values.to_vec();
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
-    let shifts: Vec<&Arc<dyn Effect>> = model.effects.iter().filter(|effect| effect.stage() == Stage::Bias).collect();
-    if !shifts.is_empty() {
-        for (t, sample) in samples.iter_mut().enumerate() {
-            let temperature_c = temperature.map_or(USUAL_TEMPERATURE_C, |values| values[t]);
-            let at = At { time_s: t as f64 / sim.rate_hz, temperature_c };
-            *sample -= shifts.iter().map(|effect| effect.mean_response(0.0, at)).sum::<f64>();
-        }
-    }
     let mut middle = there.clone();
     let half = middle.len() / 2;
     let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
@@ -349,6 +343,7 @@ fn channel_of(
     let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
     let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
     let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
+    let shifts = shifts_of(model, values.len(), sim.rate_hz, scale, temperature.is_some());
     Ok(Prepared {
         channel,
         scale,
@@ -363,6 +358,7 @@ fn channel_of(
         spectral: terms_of(model, scale),
         sines,
         lines,
+        shifts,
         loud,
         scedasticity,
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
@@ -443,13 +439,13 @@ fn variance_of(
     rate_hz: f64,
     scale: f64,
     internal_hz: f64,
-) -> (Vec<Loud>, Option<Scedasticity>) {
+) -> (Vec<(usize, Loud)>, Option<(usize, Scedasticity)>) {
     const INSTANTS: usize = 241;
     let mut loud = Vec::new();
     let mut scedasticity = None;
     let white = (model.n / scale).powi(2) * internal_hz;
     let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
-    for effect in &model.effects {
+    for (place, effect) in model.effects.iter().enumerate() {
         let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
         let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
         match effect.name() {
@@ -460,17 +456,17 @@ fn variance_of(
                     let end = |at: usize| pair.get(at).and_then(serde_json::Value::as_f64).unwrap_or_default();
                     let (from, to) = (index(end(0)), index(end(1)));
                     if from < to {
-                        loud.push(Loud { from, to, ratio });
+                        loud.push((place, Loud { from, to, ratio }));
                     }
                 }
             }
             "variance_change" => match (number("per_c"), number("factor")) {
-                (Some(per_c), _) => scedasticity = Some(Scedasticity::PerDegree(2.0 * per_c)),
+                (Some(per_c), _) => scedasticity = Some((place, Scedasticity::PerDegree(2.0 * per_c))),
                 (_, Some(factor)) => {
                     let (from, to) =
                         (index(number("from_s").unwrap_or_default()), index(number("to_s").unwrap_or_default()));
                     if from < to {
-                        loud.push(Loud { from, to, ratio: (factor * factor).max(1e-6) });
+                        loud.push((place, Loud { from, to, ratio: (factor * factor).max(1e-6) }));
                     }
                 }
                 _ => {
@@ -485,7 +481,7 @@ fn variance_of(
                         let time_s = instant as f64 / (INSTANTS - 1) as f64 * samples as f64 / rate_hz;
                         2.0 * interpolated(&pairs, time_s).max(1e-6).ln()
                     };
-                    scedasticity = Some(Scedasticity::Profile((0..INSTANTS).map(at).collect()));
+                    scedasticity = Some((place, Scedasticity::Profile((0..INSTANTS).map(at).collect())));
                 }
             },
             _ => {}

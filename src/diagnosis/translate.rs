@@ -89,7 +89,8 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         ci95.retain(|(_, [low, high])| low < high && low.is_finite() && high.is_finite());
         found.push(Translated { kind, effect, ci95 });
     };
-    for ((course, factor), (error, second)) in explanation.courses.iter().zip(&spread.courses) {
+    let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
+    for ((course, factor), (error, second)) in courses {
         let (size, error) = (factor * scale, error * scale);
         match course {
             Course::Ramp => {

@@ -61,6 +61,20 @@ fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, 
     Some((0.5 * size as f64 * (likelihood - reference), beta.iter().copied().skip(1).collect()))
 }
 
+/// Nats more with the best multiple of a course of ln variance, one value a sample, than with the course itself.
+#[must_use]
+pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
+    let (means, size) = blocks(series);
+    let column: Vec<f64> = shape.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect();
+    let Some((best, _)) = regression(&means, std::slice::from_ref(&column), size) else { return 0.0 };
+    let rows = means.len() as f64;
+    let level = means.iter().sum::<f64>() / rows;
+    let own = means.iter().zip(&column).map(|(mean, x)| mean / x.exp()).sum::<f64>() / rows;
+    // Each with its likeliest constant.
+    let as_it_is = 0.5 * size as f64 * (rows * (level.ln() - own.ln()) - column.iter().sum::<f64>());
+    best - as_it_is
+}
+
 /// Variance by temperature.
 #[must_use]
 pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
@@ -278,6 +292,8 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
 
 /// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.
 fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f64) -> Option<(usize, usize)> {
+    /// How far about an end that was found another is looked for, samples.
+    const NEAR: usize = 64;
     let mut best: (f64, usize, usize) = (0.0, 0, 0);
     let (first, end) = (within.start, within.end);
     let mut length = SHORTEST;
@@ -322,6 +338,19 @@ fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f
                 break;
             }
             step = (step / 2).max(1);
+        }
+    }
+    // A few small values beside an end keep it from moving sample by sample.
+    for _ in 0..2 {
+        let (_, from, to) = best;
+        let near = |end: usize| end.saturating_sub(NEAR).max(first)..=(end + NEAR).min(within.end);
+        let begins = near(from).map(|from| (from, to));
+        let all = begins.chain(near(to).map(|to| (from, to)));
+        for (from, to) in all.filter(|(from, to)| *to >= from + SHORTEST && to - from <= longest) {
+            let gain = sums.gain(from, to, level);
+            if gain > best.0 {
+                best = (gain, from, to);
+            }
         }
     }
     Some((best.1, best.2))

@@ -1,14 +1,18 @@
 //! Declared: the effects that a model has and its sensor has not, or has otherwise.
 
-use super::diagnose::Findings;
-use super::evidence::Kind;
-use super::named::Named;
-use super::prices::Prices;
-use super::report::Sense;
-use super::search::Step;
-use super::series::Series;
-use super::spread::Spread;
-use super::translate::Translated;
+pub(in crate::diagnosis) mod doses;
+pub(in crate::diagnosis) mod values;
+
+use crate::diagnosis::diagnose::Findings;
+use crate::diagnosis::evidence::Kind;
+use crate::diagnosis::named::Named;
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::prices::Prices;
+use crate::diagnosis::report::Sense;
+use crate::diagnosis::search::Step;
+use crate::diagnosis::series::Series;
+use crate::diagnosis::spread::Spread;
+use crate::diagnosis::translate::Translated;
 use crate::effects::{Comb, Effect, Tone};
 use crate::simulator::ChannelModel;
 use std::sync::Arc;
@@ -18,23 +22,23 @@ const THERE: f64 = 6.0;
 
 /// One of the model's lines as a channel has it, in the series' scale.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct MeasuredLine {
+pub(in crate::diagnosis) struct MeasuredLine {
     /// Peak, and its standard error.
-    pub(super) amplitude: f64,
-    pub(super) error: f64,
+    pub(in crate::diagnosis) amplitude: f64,
+    pub(in crate::diagnosis) error: f64,
     /// Nats more than with the model's amplitude, and than without the line.
-    pub(super) otherwise: f64,
-    pub(super) there: f64,
+    pub(in crate::diagnosis) otherwise: f64,
+    pub(in crate::diagnosis) there: f64,
     /// Whether the channel has it otherwise than the model says.
-    pub(super) is_off: bool,
+    pub(in crate::diagnosis) is_off: bool,
 }
 
 /// The model's lines as a channel has them: normal amplitudes about the true ones.
 ///
 /// One whose stated interval reaches the channel's is as the model says.
-pub(super) fn lines(
+pub(in crate::diagnosis) fn lines(
     series: &Series<'_>,
-    of: &super::prepare::Prepared,
+    of: &Prepared,
     model: &ChannelModel,
     prices: &Prices,
 ) -> Vec<MeasuredLine> {
@@ -59,7 +63,7 @@ pub(super) fn lines(
 }
 
 /// Lines of the model that a channel lacks or has with other amplitudes.
-pub(super) fn of_lines(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
+pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
     let prepared = &of.prepared;
     let channel = prepared.channel;
     let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
@@ -107,7 +111,11 @@ pub(super) fn of_lines(of: &Findings, model: &ChannelModel, level: f64) -> Vec<N
 }
 
 /// Which of the model's effects each found one stands for, by its place in the list.
-pub(super) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelModel) -> Vec<Option<usize>> {
+pub(in crate::diagnosis) fn stands_for(
+    found: &[Translated],
+    steps: &[Step],
+    model: &ChannelModel,
+) -> Vec<Option<usize>> {
     let mut places = vec![None; found.len()];
     let changed = steps.iter().filter_map(|step| step.of_model.filter(|(_, sense)| *sense == Sense::Size));
     for (place, _) in changed {
@@ -123,7 +131,12 @@ pub(super) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelMo
 }
 
 /// The model's spectral effects that a channel lacks: left out, and nothing found stands for them.
-pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>], level: f64) -> Vec<Named> {
+pub(in crate::diagnosis) fn left_out(
+    of: &Findings,
+    model: &ChannelModel,
+    standing: &[Option<usize>],
+    level: f64,
+) -> Vec<Named> {
     let channel = of.prepared.channel;
     let superfluous = of.steps.iter().filter_map(|step| {
         let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
@@ -143,7 +156,7 @@ pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
             effect,
             gain: step.gain,
             p_value: step.chance(level),
-            confidence: super::named::confidence(margin),
+            confidence: crate::diagnosis::named::confidence(margin),
             evidence: vec![evidence],
             ci95: Vec::new(),
         })
@@ -151,8 +164,39 @@ pub(super) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
     superfluous.collect()
 }
 
+/// The model's drifts, steps and changes of variance that a channel has not, or has otherwise: what it has is found besides.
+pub(in crate::diagnosis) fn of_doses(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
+    let channel = of.prepared.channel;
+    let named = |dose: &doses::Dose| {
+        let effect = model.effects.get(dose.place)?.clone();
+        let name = effect.name();
+        let evidence = format!("{channel}: {:.0} nats more with another {name} than the model's", dose.otherwise);
+        Some(Named {
+            channel,
+            sense: Sense::Superfluous,
+            declared: Some((dose.place, effect.clone())),
+            effect,
+            gain: dose.otherwise,
+            p_value: level * (-dose.otherwise).exp(),
+            confidence: 0.99,
+            evidence: vec![evidence],
+            ci95: Vec::new(),
+        })
+    };
+    of.off.iter().filter_map(named).collect()
+}
+
+/// Whether what was found is what the model says: its numbers are inside intervals that are half as wide again.
+fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
+    let inside = |(name, [low, high]): &(&str, [f64; 2])| {
+        let more = 0.25 * (high - low);
+        declared.number(name).is_some_and(|value| (low - more..=high + more).contains(&value))
+    };
+    !found.ci95.is_empty() && found.ci95.iter().all(inside)
+}
+
 /// What the model has at one place and the sensor at another is one effect of other numbers.
-pub(super) fn elsewhere(named: &mut Vec<Named>) {
+pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
     let mut at = 0;
     while at < named.len() {
         let same = |one: &Named| {
@@ -164,6 +208,11 @@ pub(super) fn elsewhere(named: &mut Vec<Named>) {
             continue;
         };
         let lacked = named[at].clone();
+        if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
+            let both = [at, other];
+            both.into_iter().max().into_iter().chain(both.into_iter().min()).for_each(|one| drop(named.remove(one)));
+            continue;
+        }
         let found = &mut named[other];
         (found.sense, found.declared) = (Sense::Size, lacked.declared);
         found.gain += lacked.gain;

@@ -1,0 +1,146 @@
+//! Doses: how much of a model's drifts, steps and changes of variance a channel has, the model's own being 1.
+
+use crate::diagnosis::course::Course;
+use crate::diagnosis::evidence::Kind;
+use crate::diagnosis::evidence::loudness;
+use crate::diagnosis::explanation::{Explanation, Scedasticity};
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::prices::Prices;
+use crate::diagnosis::series::{Series, Setting};
+use crate::diagnosis::spread::Spread;
+use crate::diagnosis::transform::Cosines;
+use crate::effects::Effect;
+use crate::simulator::ChannelModel;
+use std::collections::BTreeMap;
+
+/// An effect of the model that the channel does not have as the model says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::diagnosis) struct Dose {
+    /// Its place in the model's list.
+    pub(in crate::diagnosis) place: usize,
+    /// Nats more with the channel's own size of it than with the model's.
+    pub(in crate::diagnosis) otherwise: f64,
+}
+
+/// What is explained where the model is right.
+pub(in crate::diagnosis) fn as_declared(of: &Prepared) -> Explanation {
+    Explanation {
+        courses: of.shifts.iter().map(|(_, course, factor)| (*course, *factor)).collect(),
+        sines: of.sines.clone(),
+        outliers: of.outliers.clone(),
+        loud: of.loud.iter().map(|(_, loud)| *loud).collect(),
+        scedasticity: of.scedasticity.as_ref().map(|(_, of)| of.clone()),
+        limits: of.limits,
+        ..Explanation::noise(of.declared.clone())
+    }
+}
+
+/// The model's effects that are off by more than their price: normal sizes about the true ones.
+pub(in crate::diagnosis) fn off(
+    setting: &Setting<'_>,
+    transform: &Cosines,
+    of: &Prepared,
+    prices: &Prices,
+) -> Vec<Dose> {
+    let mut nats: BTreeMap<usize, f64> = BTreeMap::new();
+    let mut add = |place: usize, kind: Kind, otherwise: f64| {
+        if otherwise > prices.of(kind) {
+            *nats.entry(place).or_default() += otherwise;
+        }
+    };
+    let series = |start| Series::new(setting, transform.clone(), of.samples.clone(), start);
+    if !of.shifts.is_empty() {
+        let fitted = series(as_declared(of));
+        let errors = Spread::of(&fitted).courses;
+        let own = fitted.explanation.courses.iter().zip(&of.shifts).zip(&errors);
+        for (((_, factor), (place, course, declared)), (error, _)) in own {
+            let kind = match course {
+                Course::Ramp => Kind::RateRamp,
+                Course::WarmUp(_) => Kind::WarmUp,
+                Course::Step(_) => Kind::BiasStep,
+                Course::Temperature | Course::Follows(_) => Kind::TemperatureBias,
+            };
+            add(*place, kind, 0.5 * ((factor - declared) / error.max(f64::MIN_POSITIVE)).powi(2));
+            if let Course::WarmUp(tau) = course {
+                add(*place, kind, of_another_time(setting, transform, of, *place, *tau));
+            }
+        }
+    }
+    if of.loud.is_empty() && of.scedasticity.is_none() {
+        return nats.into_iter().map(|(place, otherwise)| Dose { place, otherwise }).collect();
+    }
+    let even = series(Explanation { loud: Vec::new(), scedasticity: None, ..as_declared(of) });
+    if let Some((place, declared)) = &of.scedasticity {
+        let (kind, shape): (Kind, Vec<f64>) = match declared {
+            Scedasticity::PerDegree(slope) => {
+                let temperature = setting.courses.temperature().unwrap_or_default();
+                (Kind::VariancePerDegree, temperature.iter().map(|t| slope * t).collect())
+            }
+            Scedasticity::Profile(values) => {
+                let n = even.len();
+                let at = |t: usize| crate::diagnosis::explanation::profile(values, t, n);
+                (Kind::VarianceProfile, (0..n).map(at).collect())
+            }
+        };
+        add(*place, kind, loudness::otherwise(&even, &shape));
+    }
+    let residual = even.scores();
+    let inside = |t: usize| of.loud.iter().any(|(_, loud)| (loud.from..loud.to).contains(&t));
+    let outside = (0..residual.len()).filter(|t| !inside(*t)).map(|t| residual[t] * residual[t]);
+    let (sum, count) = outside.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+    for (place, loud) in &of.loud {
+        let own = residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
+        let samples = (loud.to - loud.from) as f64;
+        let kind = if loud.is_interval(residual.len()) { Kind::VarianceInterval } else { Kind::Bursts };
+        // Of k squares of variance v with mean m the likeliest v is m, by k/2·(m/v − 1 − ln m/v) nats.
+        let ratio = (own / samples) / (sum / f64::max(count, 1.0)).max(f64::MIN_POSITIVE) / loud.ratio;
+        let ratio = ratio.max(1e-9);
+        let shared = samples * count / (samples + count).max(1.0);
+        add(*place, kind, 0.5 * shared * (ratio - 1.0 - ratio.ln()));
+    }
+    nats.into_iter().map(|(place, otherwise)| Dose { place, otherwise }).collect()
+}
+
+/// Nats more with the likeliest of several other time constants than with the model's, the amplitude free in both.
+fn of_another_time(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, place: usize, tau: f64) -> f64 {
+    const FACTORS: [f64; 8] = [0.03, 0.1, 0.3, 0.6, 1.7, 3.0, 10.0, 30.0];
+    let mut others = of.clone();
+    others.shifts.retain(|(own, ..)| *own != place);
+    let bare = Series::new(setting, transform.clone(), of.samples.clone(), as_declared(&others));
+    let gain = |factor: f64| bare.with_courses(&[Course::WarmUp(factor * tau)]).gain;
+    FACTORS.into_iter().map(gain).fold(f64::NEG_INFINITY, f64::max) - gain(1.0)
+}
+
+/// Takes what is off out of what is known of a channel, so that the search finds what there is instead.
+pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Dose]) {
+    let is_off = |place: usize| off.iter().any(|dose| dose.place == place);
+    of.shifts.retain(|(place, ..)| !is_off(*place));
+    of.loud.retain(|(place, _)| !is_off(*place));
+    of.scedasticity.take_if(|(place, _)| is_off(*place));
+}
+
+/// The drifts and steps of a model's channel, each with its place in the model's list and its factor in the series' scale.
+pub(in crate::diagnosis) fn shifts_of(
+    model: &ChannelModel,
+    samples: usize,
+    rate_hz: f64,
+    scale: f64,
+    with_temperature: bool,
+) -> Vec<(usize, Course, f64)> {
+    let of = |(place, effect): (usize, &std::sync::Arc<dyn Effect>)| {
+        let number = |name: &str| effect.number(name);
+        let (course, factor) = match effect.name() {
+            "rate_ramp" => (Course::Ramp, number("R")? * samples as f64 / rate_hz),
+            "temperature_bias" if with_temperature => (Course::Temperature, number("per_c")?),
+            "warm_up" => (Course::WarmUp(number("tau_s")? * rate_hz), number("amplitude")?),
+            "bias_step" => {
+                let at = (number("at_s")? * rate_hz).ceil().max(0.0) as usize;
+                // What is over before the record, or comes after it, is its level.
+                (Course::Step(at), number("size").filter(|_| (1..samples).contains(&at))?)
+            }
+            _ => return None,
+        };
+        Some((place, course, factor / scale))
+    };
+    model.effects.iter().enumerate().filter_map(of).collect()
+}

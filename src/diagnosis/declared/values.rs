@@ -1,0 +1,237 @@
+//! Values: what a model says of single samples, of stamps and of shared noise, held against what they show.
+
+use crate::diagnosis::censored;
+use crate::diagnosis::diagnose::{Findings, Found};
+use crate::diagnosis::facts::Stamps;
+use crate::diagnosis::named::Named;
+use crate::diagnosis::report::Sense;
+use crate::effects::{Effect, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
+use crate::sample::Channel;
+use crate::simulator::{ChannelModel, SensorModel};
+use std::sync::Arc;
+
+/// Nats from which on a number is off.
+const OFF: f64 = 12.0;
+
+/// The model's effect at this place is none of the sensor's, or has other numbers there.
+fn named(
+    channel: Channel,
+    declared: (usize, &Arc<dyn Effect>),
+    found: Option<Arc<dyn Effect>>,
+    nats: f64,
+    evidence: String,
+) -> Named {
+    let (place, own) = declared;
+    let sense = if found.is_some() { Sense::Size } else { Sense::Superfluous };
+    Named {
+        sense,
+        declared: Some((place, own.clone())),
+        confidence: 0.999,
+        evidence: vec![evidence],
+        ..Named::missing(channel, found.unwrap_or_else(|| own.clone()), nats)
+    }
+}
+
+/// Nats by which a count of events is off from what is expected (Poisson).
+fn poisson(count: f64, expected: f64) -> f64 {
+    let expected = expected.max(1e-9);
+    if count > 0.0 { count * (count / expected).ln() - (count - expected) } else { expected }
+}
+
+/// What single samples of a channel show otherwise than the model says.
+pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> Vec<Named> {
+    let channel = of.prepared.channel;
+    let samples = of.prepared.samples.len() as f64;
+    let check = |(place, effect): (usize, &Arc<dyn Effect>)| -> Option<Named> {
+        let number = |name: &str| effect.number(name);
+        let off = |found: Option<Arc<dyn Effect>>, nats: f64, evidence: String| {
+            (nats > OFF).then(|| named(channel, (place, effect), found, nats, evidence))
+        };
+        match effect.name() {
+            "resolution" => resolution(of, number("step")?, &off),
+            "saturation" => saturation(of, [number("low")?, number("high")?], &off),
+            "spikes" => {
+                let (rate, size) = (number("rate_hz")? / rate_hz, number("amplitude")? / of.white);
+                // Those that hide in the noise are no evidence.
+                let shown = if size > 6.0 { 1.0 } else { 0.0 };
+                let found = of.explanation.spikes.filter(|law| law.rate * samples > 2.0);
+                let Some(law) = found else {
+                    let nats = shown * samples * rate;
+                    return off(
+                        None,
+                        nats,
+                        format!("{channel}: the model has {nats:.0} spikes in this time, the sensor none"),
+                    );
+                };
+                let own = law.size * of.prepared.scale / of.white;
+                let by_size = 0.5 * ((own / size).ln() / law.relative_error.max(0.02)).powi(2);
+                let nats = poisson(law.rate * samples, rate * samples) + by_size;
+                let effect = Spikes { rate_hz: law.rate * rate_hz, amplitude: law.size * of.prepared.scale };
+                off(Some(Arc::new(effect)), nats, format!("{channel}: spikes of another rate or size than the model's"))
+            }
+            "heavy_tails" => {
+                let declared = number("degrees_of_freedom")?;
+                let error = of.spread.tails.max((2.0 / samples).sqrt());
+                let kurtosis = |degrees: f64| if degrees > 4.0 { 6.0 / (degrees - 4.0) } else { 6.0 };
+                let Some(degrees) = of.explanation.tails.filter(|degrees| *degrees < 60.0) else {
+                    // The fourth moment of so many samples has a standard deviation of √(24/n).
+                    let nats = 0.5 * kurtosis(declared).powi(2) * samples / 24.0;
+                    return off(None, nats, format!("{channel}: the sensor's noise is normal, the model's is not"));
+                };
+                let nats = 0.5 * ((degrees / declared).ln() / error).powi(2);
+                let found = HeavyTails { degrees_of_freedom: degrees };
+                off(Some(Arc::new(found)), nats, format!("{channel}: tails of {degrees:.1} degrees of freedom"))
+            }
+            _ => None,
+        }
+    };
+    model.effects.iter().enumerate().filter_map(check).collect()
+}
+
+type Off<'a> = dyn Fn(Option<Arc<dyn Effect>>, f64, String) -> Option<Named> + 'a;
+
+fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
+    /// Steps that are one by rounding of the file.
+    const SAME: f64 = 1e-3;
+    let channel = of.prepared.channel;
+    let samples = of.prepared.samples.len() as f64;
+    let found = of.prepared.facts.step;
+    if found.is_some_and(|step| (step / declared - 1.0).abs() < SAME) {
+        return None;
+    }
+    let ratio = found.unwrap_or(0.0).max(declared) / of.white;
+    let nats = 0.5 * samples * (ratio * ratio / 12.0).ln_1p();
+    let evidence = match found {
+        Some(step) => format!("{channel}: all values are multiples of {step:.6e}, the model's of {declared:.6e}"),
+        None => format!("{channel}: values are no multiples of anything, the model's of {declared:.6e}"),
+    };
+    off(found.map(|step| Arc::new(Resolution { step }) as Arc<dyn Effect>), nats, evidence)
+}
+
+fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Named> {
+    let prepared = &of.prepared;
+    let (channel, facts) = (prepared.channel, prepared.facts);
+    // A tenth of the noise is no other limit.
+    let slack = 0.1 * of.white;
+    let values = prepared.samples.iter().map(|value| value * prepared.scale + prepared.level);
+    let beyond = values.filter(|value| *value > high + slack || *value < low - slack).count();
+    let differs = |found: Option<f64>, declared: f64| found.is_some_and(|found| (found - declared).abs() > slack);
+    let is_other = differs(facts.low, low) || differs(facts.high, high);
+    let cut = censored::at_limits(&prepared.outliers, &prepared.samples, &prepared.samples, prepared.limits).len();
+    let evidence = format!("{channel}: {beyond} samples are beyond the model's limits");
+    let found = (facts.low.is_some() || facts.high.is_some()).then(|| {
+        let (low, high) = (facts.low.unwrap_or(low), facts.high.unwrap_or(high));
+        Arc::new(Saturation { low, high }) as Arc<dyn Effect>
+    });
+    let nats = 4.0 * (beyond + if is_other { cut } else { 0 }) as f64;
+    off(found, nats, evidence)
+}
+
+/// Samples that are sent again, more or less often than the model says.
+pub(in crate::diagnosis) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
+    let samples = found.samples as f64;
+    let mut all = Vec::new();
+    for of in &found.channels {
+        let channel = of.prepared.channel;
+        let Some(model) = sim.channels.get(&channel) else { continue };
+        let own = model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "held_samples");
+        let Some((place, effect)) = own else { continue };
+        let declared = effect.number("probability").unwrap_or_default();
+        let repeats = found.repeats.iter().find(|(channels, _)| channels.contains(&channel));
+        let count = repeats.map_or(0.0, |(_, of)| (of.places.len() as f64 - of.expected).max(0.0));
+        let nats = poisson(count, declared * samples);
+        if nats > OFF {
+            let there =
+                (count > 0.0).then(|| Arc::new(HeldSamples { probability: count / samples }) as Arc<dyn Effect>);
+            let evidence = format!(
+                "{channel}: {count:.0} samples are the one before them again, the model's {:.0}",
+                declared * samples
+            );
+            all.push(named(channel, (place, effect), there, nats, evidence));
+        }
+    }
+    all
+}
+
+/// Noise that channels share, more or less of it than the model says.
+pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
+    let samples = found.samples as f64;
+    let mut all = Vec::new();
+    let declared: Vec<Option<(usize, &Arc<dyn Effect>, f64)>> = found
+        .channels
+        .iter()
+        .map(|of| {
+            let effects = &sim.channels.get(&of.prepared.channel)?.effects;
+            let (place, effect) = effects.iter().enumerate().find(|(_, effect)| effect.name() == "common_mode")?;
+            Some((place, effect, effect.number("sigma")? / of.white))
+        })
+        .collect();
+    for (index, of) in found.channels.iter().enumerate() {
+        let Some((place, effect, part)) = declared[index] else { continue };
+        let other = found.shared.iter().flat_map(|shared| shared.parts.iter().zip(&shared.errors));
+        let own = other.filter(|((at, _), _)| *at == index).map(|((_, part), error)| (*part, *error)).next();
+        // The model's shares with the others: a correlation r gives −n/2·ln(1 − r²).
+        let others = declared.iter().enumerate().filter(|(other, _)| *other != index);
+        let most = others.filter_map(|(_, of)| of.map(|(.., part)| part.abs())).fold(0.0, f64::max);
+        let expected = -0.5 * samples * (-(part * most).clamp(-0.99, 0.99).powi(2)).ln_1p();
+        let channel = of.prepared.channel;
+        let (there, nats, evidence) = match own {
+            Some((found, error)) => {
+                let sigma = found.abs() * of.white;
+                let nats = 0.5 * ((found.abs() - part.abs()) / error.max(1e-6)).powi(2);
+                let effect: Arc<dyn Effect> = Arc::new(crate::effects::CommonMode { sigma });
+                let share = 100.0 * found * found;
+                (Some(effect), nats, format!("{channel}: {share:.1} % of the white noise's variance is shared"))
+            }
+            None => (None, expected, format!("{channel}: its noise is not shared with the model's other channels")),
+        };
+        if nats > OFF {
+            all.push(named(channel, (place, effect), there, nats, evidence));
+        }
+    }
+    all
+}
+
+/// Stamps and lost samples, otherwise than the model says.
+pub(in crate::diagnosis) fn of_stamps(
+    stamps: Option<Stamps>,
+    dropped: usize,
+    samples: usize,
+    sim: &SensorModel,
+) -> Vec<Named> {
+    /// Part of a period that no stamp shows.
+    const LEAST: f64 = 0.01;
+    let own = sim.channels.iter().filter_map(|(channel, model)| {
+        let (place, effect) = model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "timing")?;
+        Some((*channel, place, effect))
+    });
+    let own: Vec<(Channel, usize, &Arc<dyn Effect>)> = own.collect();
+    let Some((.., effect)) = own.first() else { return Vec::new() };
+    let declared_s = effect.number("jitter_s").unwrap_or_default();
+    let declared = effect.number("drop_probability").unwrap_or_default();
+    let (jitter_s, by_jitter) = match stamps {
+        // Stamps that nobody sent say nothing.
+        None => (declared_s, 0.0),
+        Some(stamps) => {
+            let floor = LEAST / sim.rate_hz;
+            let ratio = (stamps.jitter_s.max(floor) / declared_s.max(floor)).ln();
+            (stamps.jitter_s, samples as f64 * ratio * ratio)
+        }
+    };
+    let by_drops = poisson(dropped as f64, declared * samples as f64);
+    let nats = by_jitter + by_drops;
+    if nats <= OFF {
+        return Vec::new();
+    }
+    let is_there = jitter_s * sim.rate_hz > LEAST || dropped > 2;
+    let drop_probability = dropped as f64 / samples.max(1) as f64;
+    let found = is_there.then(|| Arc::new(Timing { jitter_s, drop_probability }) as Arc<dyn Effect>);
+    let evidence = format!(
+        "stamps scatter by {jitter_s:.2e} s, the model's by {declared_s:.2e} s; {dropped} samples are missing, the model's {:.0}",
+        declared * samples as f64
+    );
+    let part = nats / own.len() as f64;
+    // It concerns the whole sensor.
+    let all = own.into_iter();
+    all.map(|(channel, place, effect)| named(channel, (place, effect), found.clone(), part, evidence.clone())).collect()
+}
