@@ -356,3 +356,31 @@ fn noise_that_is_louder_for_a_while_is_that_alone() {
     }
     assert!(wrong.is_empty(), "{} of {of}: {wrong:#?}", wrong.len());
 }
+
+/// Coarse sensors: a magnetometer's step is about two standard deviations of its noise.
+#[test]
+fn steps_wider_than_the_noise_are_a_resolution_alone() {
+    let mut wrong = Wrong::default();
+    for (wide, stated) in
+        [(2.0, false), (3.0, false), (4.0, false), (6.0, false), (2.0, true), (3.0, true), (5.0, true)]
+    {
+        for seed in 121..123 {
+            let mut truth = model(None);
+            let resolution = crate::effects::Resolution { step: wide * WHITE };
+            truth.channels.values_mut().for_each(|of| of.effects.push(std::sync::Arc::new(resolution)));
+            let sim = if stated { truth.clone() } else { model(None) };
+            let found = diagnosed(&recording(&truth, seed, 40_000), &sim);
+            let expected = if stated { vec![] } else { vec!["resolution"] };
+            let verdict = if stated { Verdict::NoGap } else { Verdict::Effects };
+            let right = names(&found) == expected && found.diagnosis.verdict == verdict;
+            wrong.expect(right, || {
+                let of = &found.diagnosis;
+                {
+                    let said: Vec<&String> = of.causes.iter().flat_map(|cause| &cause.evidence).collect();
+                    format!("{wide} {stated}, seed {seed}: {:?} {:?} {said:#?}", of.verdict, of.parameters)
+                }
+            });
+        }
+    }
+    wrong.none();
+}

@@ -131,6 +131,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
     let mut channels: BTreeSet<Channel> = foreign_steps(found).map(|(channel, ..)| channel).collect();
     let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
     for of in &found.channels {
+        let step = of.prepared.facts.step.or(of.prepared.step);
         let own: Vec<&Named> = named.iter().filter(|one| one.channel == of.prepared.channel).collect();
         let marginal = own.iter().any(|one| {
             matches!(one.effect.name(), "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples")
@@ -139,13 +140,13 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             .has
             .iter()
             .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
-            || of.prepared.step.is_some_and(|step| step > 0.6 * of.white);
+            || step.is_some_and(|step| step > 0.6 * of.white);
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the value in the middle is met most.
-            let lattice = of.prepared.step.is_some() && *statistic == Statistic::Atom;
+            let lattice = step.is_some() && *statistic == Statistic::Atom;
             // Steps wider than the noise, and what was cut on one side, are skewed by themselves.
-            let coarse = of.prepared.step.is_some_and(|step| step > 1.2 * of.white);
+            let coarse = step.is_some_and(|step| step > 1.2 * of.white);
             let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
             let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
             if lattice || skewed || (marginal && statistic.is_marginal()) {
@@ -226,7 +227,8 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
         let mut own = None;
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
             // The model's own value does as well.
-            let does_as_well = of.held[level] <= 0.5 * OFF * OFF;
+            let share = if level == 0 { of.prepared.share } else { 1.0 };
+            let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
             if does_as_well && level > 0 {
                 continue;
             }
@@ -237,19 +239,21 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             };
             let samples = of.prepared.samples.len() as u64;
             let told = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { told };
-            let by_law = fitted.spread(of_law).filter(|spread| *spread < 1.0).map(|spread| {
+            let by_law = fitted.spread(of_law).map(|spread| spread / share.sqrt());
+            let by_law = by_law.filter(|spread| *spread < 1.0).map(|spread| {
                 let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
                 (end(0.0), [end(-1.0), end(1.0)])
             });
             // If the law cannot tell N from all else that it has, what `noise` has counts alone.
-            if does_as_well && by_law.is_some() {
+            if does_as_well && (by_law.is_some() || share < 1.0) {
                 continue;
             }
             let own = own.get_or_insert_with(|| {
                 owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
             let found = match (own[level], by_law) {
-                (Some(Known { value: Some(value), ends }), _) if level == 0 && !changes(of) => {
+                // A step wider than the noise adds no twelfth of its square: `noise` does not look behind it.
+                (Some(Known { value: Some(value), ends }), _) if level == 0 && share == 1.0 && !changes(of) => {
                     Some((value / folded, ends.map(|end| end / folded)))
                 }
                 (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,

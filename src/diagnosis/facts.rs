@@ -71,6 +71,11 @@ fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
     /// How far from whole a multiple may be, and how many may be farther: limits and spikes need not lie on the lattice.
     const WHOLE: f64 = 0.03;
     const ASTRAY: f64 = 0.02;
+    const COMMON: usize = 3;
+    if let [one, other] = counted {
+        // A step of which two values are seen is so wide that both are common.
+        return (one.1.min(other.1) >= COMMON).then_some(other.0 - one.0);
+    }
     if counted.len() < 3 || counted.len() as f64 > (1.0 - REPEATED) * samples as f64 {
         return None;
     }
@@ -142,39 +147,51 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     let same = |t: usize, back: usize| columns.iter().all(|column| column[t] == column[t - back]) && !cut(t);
     let places: Vec<usize> = (1..n).filter(|t| same(*t, 1)).collect();
     let found = places.len() as f64;
-    let expected = match columns {
-        [one] => chance(&one[..n]) * (n - 1) as f64,
+    // What chance makes, and what it would make if it alone made every repeat of each channel.
+    let [expected, alone] = match columns {
+        [one] => [chance(&one[..n]) * (n - 1) as f64; 2],
         several => {
             let equal = several.iter().map(|column| (1..n).filter(|t| column[*t] == column[t - 1]).count() as f64);
             let equal: Vec<f64> = equal.map(|count| count / (n - 1) as f64).collect();
-            jointly(found / (n - 1) as f64, &equal, together(columns, n)) * (n - 1) as f64
+            let together = together(columns, n);
+            let all = jointly(found / (n - 1) as f64, &equal, together);
+            [all, together * equal.iter().product::<f64>()].map(|chance| chance * (n - 1) as f64)
         }
     };
     // Fewer than one expected is counted as a part of one, so that a single repeat is no proof.
-    let floor = expected.max(1e-3);
-    let gain = if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 };
+    let gain_over = |expected: f64| {
+        let floor = expected.max(1e-3);
+        if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 }
+    };
+    let gain = gain_over(expected).min(gain_over(alone));
     Repeats { places, expected, gain }
 }
 
 /// How often chance makes all channels equal their last samples, of how often they are (`all`, `each`): whatever part is sent
 /// again is so in all at once.
 fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
-    const ROUNDS: usize = 100;
-    let mut again = all;
-    let mut by_chance = 0.0;
-    for _ in 0..ROUNDS {
+    const ROUNDS: usize = 60;
+    let by_chance = |again: f64| {
         let alone: f64 = each.iter().map(|own| ((own - again) / (1.0 - again).max(1e-9)).max(0.0)).product();
-        by_chance = (together * alone).min(all);
-        again = (all - by_chance) / (1.0 - by_chance).max(1e-9);
+        (together * alone).min(all)
+    };
+    // The part sent again that leaves itself, by halves: coarse values are equal so often that it would settle slowly.
+    let (mut low, mut high) = (0.0, all);
+    for _ in 0..ROUNDS {
+        let again = 0.5 * (low + high);
+        let chance = by_chance(again);
+        if (all - chance) / (1.0 - chance).max(1e-9) > again { low = again } else { high = again }
     }
-    (1.0 - again) * by_chance
+    let again = 0.5 * (low + high);
+    (1.0 - again) * by_chance(again)
 }
+
+/// Distances, in samples: farther than a value is held, near enough that the level is the same.
+const APART: std::ops::Range<usize> = 20..28;
 
 /// By how much more often channels are all what they were some samples ago than if each were so by itself: coarse values
 /// that share noise, or are loud and quiet together, are. Samples that are sent again do not make it.
 fn together(columns: &[&[f64]], n: usize) -> f64 {
-    /// Distances: farther than a value is held, near enough that the level is the same.
-    const APART: std::ops::Range<usize> = 20..28;
     /// Fewer tell nothing.
     const LEAST: f64 = 200.0;
     let (mut both, mut alone) = (0.0, 0.0);
@@ -207,9 +224,15 @@ fn chance(column: &[f64]) -> f64 {
         let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
         return apart / column.len() as f64;
     }
-    // ln of the counts is a − b·multiple².
+    // ln of the counts is a − b·multiple². Of coarse values it is not: they are what they were some samples ago as often.
     let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
-    (at_zero / distances.len() as f64).min(1.0)
+    let apart = APART.filter(|apart| *apart < column.len());
+    let again = |apart: usize| {
+        let pairs = column.iter().zip(&column[apart..]);
+        pairs.filter(|(a, b)| a == b).count() as f64 / (column.len() - apart) as f64
+    };
+    let (sum, count) = apart.fold((0.0, 0.0), |(sum, count), apart| (sum + again(apart), count + 1.0));
+    (at_zero / distances.len() as f64).max(sum / f64::max(count, 1.0)).min(1.0)
 }
 
 /// What stamps show.

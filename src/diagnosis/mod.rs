@@ -49,6 +49,7 @@ pub mod report;
 pub mod response;
 #[cfg(test)]
 mod round_trip;
+mod rounded;
 pub mod search;
 mod sentence;
 pub mod series;

@@ -8,6 +8,7 @@ use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law, Term, reach};
 use super::recording::Recording;
+use super::rounded;
 use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
 use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
@@ -45,7 +46,7 @@ pub struct Prepared {
     pub declared: Law,
     /// Beliefs about them.
     pub beliefs: Beliefs,
-    /// The step that counts as rounding, U: the capture's, or the model's.
+    /// The step that counts as rounding, U: the capture's, or the model's; none where the samples are as before rounding.
     pub step: Option<f64>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub spectral: Vec<(usize, Term)>,
@@ -65,6 +66,8 @@ pub struct Prepared {
     pub has: Vec<&'static str>,
     /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
     pub white_shift: f64,
+    /// How much of what the samples tell of the white noise was sent: a step wider than the noise hides some.
+    pub share: f64,
 }
 
 /// All of them, and what belongs to the record.
@@ -318,13 +321,18 @@ fn channel_of(
             return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
         }
     }
+    // What a coarse step hides is drawn below; then there is no rounding left.
+    let step = facts.step.filter(|_| real.sent(channel).is_none());
+    let coarse =
+        step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, model.n * sim.rate_hz.sqrt())?)));
     let mut samples = values.to_vec();
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     let mut middle = there.clone();
     let half = middle.len() / 2;
     let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
     let level = *level;
-    let scale = scale_of(&there).max(model.n * sim.rate_hz.sqrt() * 1e-3);
+    let white = coarse.map_or_else(|| scale_of(&there), |(_, white)| white.deviation);
+    let scale = white.max(model.n * sim.rate_hz.sqrt() * 1e-3);
     for sample in &mut samples {
         *sample = if sample.is_finite() { (*sample - level) / scale } else { 0.0 };
     }
@@ -344,12 +352,12 @@ fn channel_of(
     let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
     let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
     let shifts = shifts_of(model, values.len(), sim.rate_hz, scale, temperature.is_some());
-    Ok(Prepared {
+    let mut prepared = Prepared {
         channel,
         scale,
         level,
         samples,
-        step: facts.step.or(of_model),
+        step: facts.step.or(of_model).filter(|_| coarse.is_none()),
         facts,
         outliers,
         limits,
@@ -364,7 +372,12 @@ fn channel_of(
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
         has: model.effects.iter().map(|effect| effect.name()).collect(),
         white_shift,
-    })
+        share: coarse.map_or(1.0, |(_, white)| white.share),
+    };
+    if let Some((step, white)) = coarse {
+        rounded::unround(&mut prepared, sim, step, white);
+    }
+    Ok(prepared)
 }
 
 /// The lines of a model's channel as they are sent, in the series' scale (U per unit of it), each with the place of its effect in

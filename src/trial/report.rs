@@ -92,12 +92,15 @@ impl Report {
         let causes = value["causes"].as_array().ok_or_else(|| missing("causes"))?;
         let cause = |(index, value): (usize, &Value)| {
             let names = value["channels"].as_array().ok_or_else(|| missing("causes.channels"))?;
+            let sense = value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default();
+            // What the sensor lacks has the model's numbers alone.
+            let parameters = if sense == Sense::Superfluous { "model" } else { "parameters" };
             Ok(Cause {
                 effect: value["effect"].as_str().ok_or_else(|| missing("causes.effect"))?.to_owned(),
                 channels: names.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect(),
                 confidence: value["confidence"].as_f64(),
-                parameters: value["parameters"].clone(),
-                sense: value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default(),
+                parameters: value[parameters].clone(),
+                sense,
                 uncertainty: value["uncertainty"].clone(),
                 index,
             })

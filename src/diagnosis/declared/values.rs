@@ -111,8 +111,8 @@ fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
 fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Named> {
     let prepared = &of.prepared;
     let (channel, facts) = (prepared.channel, prepared.facts);
-    // A tenth of the noise is no other limit.
-    let slack = 0.1 * of.white;
+    // A tenth of the noise is no other limit, and what was rounded stood half a step away.
+    let slack = (0.1 * of.white).max(0.5 * facts.step.unwrap_or(0.0));
     let values = prepared.samples.iter().map(|value| value * prepared.scale + prepared.level);
     let beyond = values.filter(|value| *value > high + slack || *value < low - slack).count();
     let differs = |found: Option<f64>, declared: f64| found.is_some_and(|found| (found - declared).abs() > slack);
