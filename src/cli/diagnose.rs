@@ -3,7 +3,7 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
-use crate::diagnosis::report::{Cause, Driver, Of, Place, Sense};
+use crate::diagnosis::report::{Cause, Driver, Hint, Of, Offset, Place, Sense};
 use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference};
 use crate::jobs::{TwoThreads, gridded};
 use crate::motion::file::Rows;
@@ -159,6 +159,17 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
             rows.add_row([one.channel.clone(), one.parameter.to_owned(), model, capture, ratio]);
         }
         writeln!(out, "\n{rows}")?;
+    }
+    if !of.offsets.is_empty() {
+        let mut rows = table(&["mean that differs", "model", "capture", "turn-on bias up to"]);
+        for Offset { channel, model, capture, explained } in &of.offsets {
+            let [model, capture] = [model, capture].map(|mean| format!("{mean:.4}"));
+            rows.add_row([channel.clone(), model, capture, format!("{explained:.4}")]);
+        }
+        writeln!(out, "\n{rows}")?;
+    }
+    for Hint { about, text, .. } in &of.hints {
+        writeln!(out, "{about}: {text}")?;
     }
     for cause in &of.causes {
         for sentence in cause.evidence.iter().take(3) {

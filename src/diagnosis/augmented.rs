@@ -37,6 +37,12 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
             }
         }
         let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
+        // What the model shares with other channels was not part of the law's white noise.
+        for (_, effect) in own().filter_map(|one| one.declared.as_ref()).filter(|(_, of)| of.name() == "common_mode") {
+            let sigma = effect.number("sigma").unwrap_or_default();
+            channel.n = (channel.n * channel.n + sigma * sigma / sim.rate_hz).sqrt();
+            channel.uncertainty = None;
+        }
         for one in own().filter(|one| one.sense != Sense::Superfluous) {
             if one.effect.name() == "common_mode" {
                 // The first of all channels have one source, the second another: earlier sources are not this channel's.

@@ -33,8 +33,14 @@ pub(super) struct Bands {
 const HELD: f64 = 0.9;
 
 impl Bands {
-    /// Of an explained series; `held`: the law fitted with N, B or K held at the model's value, `free`: with none held.
-    pub(super) fn of(series: &Series<'_>, steps: &[Step], free: &Fitted, held: &[Fitted; 3]) -> Self {
+    /// Of an explained series; `declared`: the model's courses; `held`: the law fitted with N, B or K held at the model's value, `free`: with none held.
+    pub(super) fn of(
+        series: &Series<'_>,
+        steps: &[Step],
+        declared: &[(Course, f64)],
+        free: &Fitted,
+        held: &[Fitted; 3],
+    ) -> Self {
         let terms = &series.explanation.law.terms;
         // Where an effect acts, all else as it is.
         let whole = &series.fitted.logarithms;
@@ -43,13 +49,18 @@ impl Bands {
             let term = law.terms.remove(place);
             Some((kind_of(term.shape), likelier(series, whole, &law.logarithms(series.data()))?))
         };
-        // What is left out of the model: with it again.
-        let of_left_out = |step: &Step| {
-            let (place, _) = step.of_model.filter(|(_, sense)| *sense == Sense::Superfluous)?;
-            Some((step.kind, likelier(series, whole, &series.logarithms_with_declared(place))?))
+        // What is otherwise than in the model, against the model's.
+        let of_model = |step: &Step| {
+            let (place, sense) = step.of_model?;
+            let mut law = series.explanation.law.clone();
+            if sense == Sense::Size {
+                let own = terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
+                law.terms.remove(own);
+            }
+            Some((step.kind, likelier(series, whole, &series.logarithms_with_declared(place, &law))?))
         };
         let of_course = |kind: Kind, wanted: fn(&Course) -> bool| {
-            let own = series.explanation.courses.iter().filter(|(course, _)| wanted(course));
+            let own = series.explanation.courses.iter().chain(declared).filter(|(course, _)| wanted(course));
             Some((kind, slowest(series, own)?))
         };
         let courses = [
@@ -59,7 +70,7 @@ impl Bands {
             of_course(Kind::WarmUp, |of| matches!(of, Course::WarmUp(_))),
             of_course(Kind::BiasStep, |of| matches!(of, Course::Step(_))),
         ];
-        let kinds = (0..terms.len()).filter_map(of_term).chain(steps.iter().filter_map(of_left_out));
+        let kinds = (0..terms.len()).filter_map(of_term).chain(steps.iter().filter_map(of_model));
         Self {
             kinds: kinds.chain(courses.into_iter().flatten()).collect(),
             levels: held.each_ref().map(|held| likelier(series, &free.logarithms, &held.logarithms)),

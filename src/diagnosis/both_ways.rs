@@ -196,3 +196,45 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
+
+/// What the sensor lacks does not hide in N, and what the model adds to a level is no offset.
+#[test]
+fn what_is_too_much_leaves_n_and_the_level_alone() {
+    let shared = json!({"effect": "common_mode", "sigma": 0.006});
+    let outcome = compared(None, Some(&shared), 301);
+    assert!(outcome.diagnosis.parameters.is_empty(), "{:#?}", outcome.diagnosis.parameters);
+    for of in outcome.augmented.channels.values() {
+        assert!((of.n / 2e-3 - 1.0).abs() < 0.02, "{}", of.n);
+    }
+    // At a temperature far from the one that the model refers to.
+    let quieter = json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 10.0});
+    let outcome = compared(None, Some(&quieter), 302);
+    assert_eq!(brief(&outcome.diagnosis.causes).len(), 1, "{:#?}", outcome.diagnosis.causes);
+    for (channel, of) in &outcome.augmented.channels {
+        assert!((of.n / 2e-3 - 1.0).abs() < 0.02, "{channel}: {}", of.n);
+    }
+    let warm = json!({"effect": "temperature_bias", "per_c": 0.05, "reference_c": 10.0});
+    let found = compared(Some(&warm), Some(&warm), 303).diagnosis;
+    assert!(found.offsets.is_empty() && found.causes.is_empty(), "{found:#?}");
+    // A stretch that the model has louder, so that it is left out, counts in the gap.
+    let louder = json!({"effect": "variance_change", "from_s": 500, "to_s": 700, "factor": 3.0});
+    let gap = compared(None, Some(&louder), 304).diagnosis.discrepancy;
+    assert!(gap.before > 0.03 && gap.closed.is_some_and(|closed| (0.9..1.1).contains(&closed)), "{gap:#?}");
+}
+
+/// Each of the model's tones is the sensor's nearest.
+#[test]
+fn the_nearest_is_what_the_model_has_elsewhere() {
+    let tone = |frequency_hz: f64| json!({"effect": "tone", "frequency_hz": frequency_hz, "amplitude": 0.004});
+    let mut declared = model(Some(&tone(14.1)));
+    let more = model(Some(&tone(5.0)));
+    for (channel, own) in &mut declared.channels {
+        own.effects.extend(more.channels[channel].effects.iter().cloned());
+    }
+    let real = recording(&model(Some(&tone(14.2))), 305, SAMPLES);
+    let found = diagnose(&real, &declared, &Options::default()).unwrap().diagnosis;
+    let size = found.causes.iter().find(|cause| cause.sense == Sense::Size).unwrap();
+    assert_eq!(size.model["accel_x"]["frequency_hz"], 14.1, "{found:#?}");
+    let lacked = found.causes.iter().find(|cause| cause.sense == Sense::Superfluous).unwrap();
+    assert_eq!(lacked.model["accel_x"]["frequency_hz"], 5.0, "{found:#?}");
+}

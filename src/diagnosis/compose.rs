@@ -42,7 +42,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
     }
     let remains = remains(found, &named);
-    let parameters = parameters(found, real, sim);
+    let parameters = parameters(found, &named, real, sim);
     let foreign = foreign(found);
     let remains_something = remains.worst.is_some() || !foreign.is_empty();
     let verdict = match (remains_something, named.is_empty(), parameters.iter().any(|of| of.parameter != "bias")) {
@@ -218,7 +218,7 @@ fn is_slow(of: &Findings) -> bool {
 /// They are off if the law says so, in which effects have their part, and if their owner agrees ([`Owned`]): N is that of `noise`,
 /// the plateau of the spectrum with what channels share, what lies behind a filter and the skirts of bands. If `noise` has no N,
 /// it is the plateau of the law. B and K are the law's, which has slow effects beside them, where `noise` does not contradict.
-fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
+fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
     let mut off = Vec::new();
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
     let mut owned = None;
@@ -229,7 +229,13 @@ fn parameters(found: &Found, real: &Recording, sim: &SensorModel) -> Vec<Paramet
             // The model's own value does as well.
             let share = if level == 0 { of.prepared.share } else { 1.0 };
             let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
-            if does_as_well && level > 0 {
+            // Shared noise that is not the model's takes its part of N.
+            let is_shared = |of_this: &Named| {
+                of_this.channel == of.prepared.channel
+                    && of_this.declared.is_some()
+                    && of_this.effect.name() == "common_mode"
+            };
+            if (does_as_well && level > 0) || (level == 0 && named.iter().any(is_shared)) {
                 continue;
             }
             let fitted = &of.fitted;

@@ -229,8 +229,7 @@ fn explain(
             series.rebuild(false);
         }
     }
-    let Explanation { courses, loud, scedasticity, .. } = as_declared;
-    let law = prepared.declared.clone();
+    let Explanation { law, courses, loud, scedasticity, .. } = as_declared.clone();
     let known = Explanation { law, courses, loud, scedasticity, ..series.explanation.clone() };
     let free = |series: &Series<'_>| {
         let mut data = series.data();
@@ -253,10 +252,11 @@ fn explain(
         data.beliefs = &beliefs;
         law.fit(data)
     });
-    let bands = Bands::of(&series, &steps, &fitted, &held);
+    let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let after = Tiles::of(&series);
-    let lines = sim.channels.get(&prepared.channel).map(|model| declared::lines(&series, &prepared, model, prices));
+    let model = sim.channels.get(&prepared.channel);
+    let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
     let statistics = omnibus::statistics(&mut series);
     // The model's lines have its amplitudes, but those that the channel has otherwise.
@@ -287,7 +287,7 @@ fn explain(
     let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
-    let level = prepared.level + series.mean * prepared.scale;
+    let level = prepared.level + series.mean * prepared.scale - doses::constant(&prepared, model, ready.reference_c);
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (

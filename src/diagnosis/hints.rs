@@ -26,10 +26,17 @@ fn meanings(triad: Option<Triad>, rate_hz: f64) -> Vec<Meaning> {
     let degree = std::f64::consts::PI / 180.0;
     let root = rate_hz.sqrt();
     let of_rate = |ratio: f64, text: &str| Meaning { ratio, kind: HintKind::SqrtRate, text: text.to_owned() };
-    let mut all = vec![
-        of_rate(1.0 / root, "the model's value looks like the standard deviation of a sample: divide it by √rate"),
-        of_rate(root, "the model's value looks like a density that was divided by √rate: multiply it by √rate"),
-    ];
+    let mut all = Vec::new();
+    if root.ln().abs() > 2.0 * NEAR {
+        all.push(of_rate(
+            1.0 / root,
+            "the model's value looks like the standard deviation of a sample: divide it by √rate",
+        ));
+        all.push(of_rate(
+            root,
+            "the model's value looks like a density that was divided by √rate: multiply it by √rate",
+        ));
+    }
     all.extend(match triad {
         Some(Triad::Accel) => vec![
             unit(G, "the model's value looks like one in g/√Hz"),

@@ -118,17 +118,25 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
 }
 
 /// The parts of the density that are not the whitened residual's: spikes, tails, and what cannot be foretold.
-fn besides(series: &Series<'_>, known: &Explanation, carried: usize) -> f64 {
+fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carried: usize) -> f64 {
     let explanation = &series.explanation;
     let n = series.len() as f64;
     let mut sum = -PHASE * explanation.sines.len().saturating_sub(known.sines.len()) as f64;
     let steps = |of: &Explanation| of.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
     sum -= (n.ln() + 3.0) * steps(explanation).saturating_sub(steps(known)) as f64;
-    sum -= (2.0 * n.ln() + 3.0) * explanation.loud.len().saturating_sub(known.loud.len()) as f64;
+    let new = |of: &'_ Explanation, other: &Explanation| -> Vec<Loud> {
+        let is_in = |loud: &&Loud| other.loud.iter().any(|one| (one.from, one.to) == (loud.from, loud.to));
+        of.loud.iter().filter(|loud| !is_in(loud)).copied().collect()
+    };
+    let own = new(explanation, known);
+    sum -= (2.0 * n.ln() + 3.0) * own.len() as f64;
     // Loud stretches were replaced by noise of the law: each of their samples is as much rarer as the stretch is louder.
-    let known_loud = known.loud.len().min(explanation.loud.len());
-    for loud in explanation.loud[known_loud..].iter().filter(|loud| loud.ratio > LOUD) {
+    for loud in own.iter().filter(|loud| loud.ratio > LOUD) {
         sum -= 0.5 * (loud.to - loud.from) as f64 * loud.ratio.ln();
+    }
+    // So were the model's that are none: usual noise is rare where it should be loud.
+    for loud in new(known, found).iter().filter(|loud| loud.ratio > LOUD && explanation.loud.contains(loud)) {
+        sum -= 0.5 * (loud.to - loud.from) as f64 * (loud.ratio.ln() + 1.0 / loud.ratio - 1.0);
     }
     if let Some(spikes) = explanation.spikes {
         let flagged = explanation.outliers.len().saturating_sub(carried) as f64 / spikes.samples.max(1) as f64;
@@ -169,7 +177,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let known_effects = |half: usize| found(half).within_library();
     let carried = known(1).outliers.len();
     let scored = |series: &Series<'_>, known: &Explanation| {
-        let more = besides(series, known, carried) / BLOCKS as f64;
+        let more = besides(series, known, &found(1), carried) / BLOCKS as f64;
         series.density(BLOCKS).into_iter().map(|sum| sum + more).collect::<Vec<f64>>()
     };
     let declared = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), known(1)), &known(1));

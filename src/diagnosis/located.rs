@@ -102,3 +102,31 @@ fn what_remains_has_a_place_of_its_own() {
     assert!(own.iter().all(|place| place.channel == "accel_y" && place.p_value < 0.01), "{found:#?}");
     assert!(!own.is_empty(), "{found:#?}");
 }
+
+/// The sign is that of the record against the model as it is.
+#[test]
+fn what_the_model_has_too_much_or_too_little_of_has_its_sign() {
+    let gauss_markov = |sigma: f64| json!({"effect": "gauss_markov", "sigma": sigma, "tc_s": 4.0});
+    let low_pass = |cutoff_hz: f64| json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": 2});
+    let louder = |factor: f64| json!({"effect": "variance_change", "from_s": 200, "to_s": 500, "factor": factor});
+    let ramp = |r: f64| json!({"effect": "rate_ramp", "R": r});
+    for (own, declared, sign) in [
+        (None, Some(gauss_markov(0.012)), "real quieter"),
+        (None, Some(low_pass(7.0)), "real noisier"),
+        (Some(low_pass(10.0)), Some(low_pass(5.0)), "real noisier"),
+        (Some(low_pass(5.0)), Some(low_pass(10.0)), "real quieter"),
+        (Some(gauss_markov(0.036)), Some(gauss_markov(0.012)), "real noisier"),
+        (Some(louder(1.5)), Some(louder(3.0)), "real quieter"),
+        (None, Some(ramp(3e-5)), "real quieter"),
+    ] {
+        let places = found(own.as_ref(), declared.as_ref(), 21).diagnosis.r#where;
+        assert!(!places.is_empty());
+        for place in &places {
+            assert_eq!(place.sign, sign, "{own:?} {declared:?}: {places:#?}");
+            assert!(place.to_s <= LENGTH_S && place.tau_s[1] <= LENGTH_S);
+        }
+        if own.is_none() && declared == Some(ramp(3e-5)) {
+            assert!(places[0].band_hz[1] < 0.1, "{places:#?}");
+        }
+    }
+}

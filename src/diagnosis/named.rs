@@ -17,7 +17,7 @@ use crate::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
 /// A rounding is worth naming from this part of the white noise's standard deviation on.
-const MATERIAL_STEP: f64 = 0.03;
+pub(super) const MATERIAL_STEP: f64 = 0.03;
 /// An effect on a channel with what it gives.
 #[derive(Clone)]
 pub(super) struct Named {
@@ -60,8 +60,8 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
     for of in &found.channels {
         if let Some(model) = sim.channels.get(&of.prepared.channel) {
             named.extend(of_channel(of, found, sim, model, options.level));
-            named.extend(declared::of_lines(of, model, options.level));
-            named.extend(declared::of_doses(of, model, options.level));
+            named.extend(declared::of_lines(of, model));
+            named.extend(declared::of_doses(of, model));
             named.extend(values::of_samples(of, model, sim.rate_hz));
         }
         named.extend(of_facts(of));
@@ -89,7 +89,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);
-    let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind);
+    let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind && step.has_term());
     let standing = declared::stands_for(&effects, &of.steps, model);
     let superfluous = declared::left_out(of, model, &standing, level);
     let found_here = effects

@@ -60,7 +60,7 @@ pub(super) fn places(
         let spot = Spot { band_hz: band.hz, time_s: [0.0, real.length_s()], weight: 1.0, is_louder: noisier };
         // Twice what it gains is χ² of one degree of freedom by chance; three on each channel are looked at.
         let p_value = (3.0 * found.channels.len() as f64 * (-of.nats).exp()).min(1.0);
-        places.push(place(own.prepared.channel, Of::Parameters, spot, of.nats, p_value));
+        places.push(place(own.prepared.channel, Of::Parameters, spot, of.nats, p_value, real));
     }
     for of in remnants {
         let own = found.channels.iter().find(|own| own.prepared.channel == of.channel);
@@ -73,16 +73,18 @@ pub(super) fn places(
 }
 
 /// A place whose share is not known yet.
-fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64) -> Place {
+fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &Recording) -> Place {
+    let length_s = real.length_s();
     let [low, high] = spot.band_hz;
+    let [from_s, to_s] = spot.time_s.map(|time_s| time_s.clamp(0.0, length_s));
     Place {
         of,
         channel: channel.name().to_owned(),
         band_hz: spot.band_hz,
         // An averaging time sees about 1/(2τ).
-        tau_s: [0.5 / high, 0.5 / low.max(1e-9)],
-        from_s: spot.time_s[0],
-        to_s: spot.time_s[1],
+        tau_s: [0.5 / high, 0.5 / low].map(|tau_s| tau_s.min(length_s)),
+        from_s,
+        to_s,
         temperature_c: None,
         at: None,
         share: 0.0,
@@ -99,6 +101,8 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
     let Some(own) = found.channels.iter().find(|own| own.prepared.channel == of.channel) else { return };
     let mut spots = spots(&*of.effect, own, real);
     match (of.sense, &of.declared) {
+        // Of another shape of the spectrum it is known on which side it is louder.
+        _ if is_shape(&*of.effect) => {}
         (Sense::Superfluous, _) => spots.iter_mut().for_each(|spot| spot.is_louder = !spot.is_louder),
         (Sense::Size, Some((_, declared))) => {
             let apart = |one: &Spot, other: &Spot| {
@@ -121,17 +125,26 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
     let all: f64 = spots.iter().map(|spot| spot.weight).sum();
     for spot in spots {
         let nats = of.gain * spot.weight / all.max(f64::MIN_POSITIVE);
-        let mut place = place(of.channel, index, spot, nats, of.p_value);
+        let mut place = place(of.channel, index, spot, nats, of.p_value, real);
         let [from_s, to_s] = spot.time_s;
         place.temperature_c = by_temperature.then(|| real.temperatures_between(from_s, to_s)).flatten();
         places.push(place);
     }
 }
 
+/// Whether an effect shapes the spectrum, so that its band was measured against the model's.
+fn is_shape(effect: &dyn Effect) -> bool {
+    matches!(effect.name(), "gauss_markov" | "quantization_noise" | "low_pass" | "moving_average")
+}
+
 /// Whether an effect makes less of a difference than another of its name.
 fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
-    const SIZES: [&str; 9] =
-        ["amplitude", "sigma", "Q", "R", "size", "per_c", "step", "probability", "degrees_of_freedom"];
+    const SIZES: [&str; 10] =
+        ["amplitude", "sigma", "R", "size", "per_c", "step", "factor", "probability", "jitter_s", "degrees_of_freedom"];
+    if one.name() == "comb" {
+        let power = |of: &dyn Effect| of.lines().iter().map(|line| line.power).sum::<f64>();
+        return power(one) < power(other);
+    }
     let sizes = SIZES.iter().find_map(|name| Some((*name, one.number(name)?, other.number(name)?)));
     sizes.is_some_and(|(name, one, other)| (one.abs() < other.abs()) != (name == "degrees_of_freedom"))
 }
@@ -230,5 +243,5 @@ fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> 
             (spot, of.nats, of.p_value)
         }
     };
-    place(of.channel, Of::Remainder, spot, nats, p_value)
+    place(of.channel, Of::Remainder, spot, nats, p_value, real)
 }

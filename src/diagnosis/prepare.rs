@@ -445,6 +445,9 @@ fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
     changes.map(of).sum()
 }
 
+/// What an effect of a model is, with its place in the model's list.
+type OfModel<T> = (usize, T);
+
 /// What a model says of its white part's variance.
 fn variance_of(
     model: &ChannelModel,
@@ -452,7 +455,7 @@ fn variance_of(
     rate_hz: f64,
     scale: f64,
     internal_hz: f64,
-) -> (Vec<(usize, Loud)>, Option<(usize, Scedasticity)>) {
+) -> (Vec<OfModel<Loud>>, Option<OfModel<Scedasticity>>) {
     const INSTANTS: usize = 241;
     let mut loud = Vec::new();
     let mut scedasticity = None;

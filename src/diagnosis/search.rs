@@ -30,7 +30,7 @@ impl Step {
     }
 
     /// Whether the law has a term of it.
-    fn has_term(&self) -> bool {
+    pub(super) fn has_term(&self) -> bool {
         self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)
     }
 }

@@ -50,13 +50,17 @@ pub(super) fn summary(of: &Diagnosis) -> String {
         }
         (Verdict::Effects, None, _) => "an effect is missing".to_owned(),
     };
-    let hint = of.hints.first().map_or_else(String::new, |hint| format!(" ({}: {})", hint.about, hint.text));
+    let hint = |about_mean: bool| {
+        let mut hints = of.hints.iter().filter(|hint| hint.about.ends_with("mean") == about_mean);
+        hints.next().map_or_else(String::new, |hint| format!(" ({}: {})", hint.about, hint.text))
+    };
+    let sentence = sentence + &hint(false);
     match of.offsets.first() {
         Some(of) => {
-            let (channel, capture, model) = (&of.channel, of.capture, of.model);
+            let (channel, capture, model, hint) = (&of.channel, of.capture, of.model, hint(true));
             format!("the mean of {channel} is {capture:.4}, the model's {model:.4}{hint}; apart from that {sentence}")
         }
-        None => sentence + &hint,
+        None => sentence,
     }
 }
 

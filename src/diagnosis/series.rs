@@ -275,12 +275,15 @@ impl<'a> Series<'a> {
         let amplitudes: Vec<f64> = series.explanation.sines.iter().map(Sine::amplitude).collect();
         for pass in 0..3 {
             series.fit_means();
-            if series.spectrum.is_empty() {
+            // What stands for left out samples is drawn from the spectrum, which depends a little on it.
+            for is_drawn in [false, true] {
+                if is_drawn {
+                    series.interpolate();
+                }
+                series.transformed();
                 series.fitted.logarithms = series.explanation.law.logarithms(series.data());
                 series.spectrum = series.grid.fill(&series.fitted.logarithms);
             }
-            series.interpolate();
-            series.transformed();
             series.whiten();
             if series.explanation.sines.is_empty() || pass == 2 {
                 break;
@@ -397,12 +400,12 @@ impl<'a> Series<'a> {
         bare
     }
 
-    /// ln of the spectrum in each bin if the model's effect at this place, which is left out, acted as well.
-    pub(super) fn logarithms_with_declared(&self, place: usize) -> Vec<f64> {
+    /// ln of the spectrum of a law in each bin if the model's effect at this place, which is left out, acted as well.
+    pub(super) fn logarithms_with_declared(&self, place: usize, law: &Law) -> Vec<f64> {
         let mut without = self.explanation.without.clone();
         without.remove(&place);
         let base = (self.setting.base)(&self.grid, &without);
-        self.explanation.law.logarithms(Data { base: &base, ..self.data() })
+        law.logarithms(Data { base: &base, ..self.data() })
     }
 
     /// Fits the law again beside what is left of the model's own effects.
@@ -426,6 +429,7 @@ impl<'a> Series<'a> {
     fn resolve_lines(&mut self) {
         self.grid = self.resolving(&[]);
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);
+        self.worth = self.worth_on(&self.grid, &self.base);
     }
 
     /// The rest without means, given the present law: samples with outliers filled in, less sines and courses.

@@ -73,7 +73,7 @@ fn times(value: f64, error: f64) -> [f64; 2] {
 }
 
 /// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
-const LEAST_PASSED: f64 = 1e-4;
+pub(super) const LEAST_PASSED: f64 = 1e-4;
 /// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the difference.
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 

@@ -94,7 +94,8 @@ impl Report {
             let names = value["channels"].as_array().ok_or_else(|| missing("causes.channels"))?;
             let sense = value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default();
             // What the sensor lacks has the model's numbers alone.
-            let parameters = if sense == Sense::Superfluous { "model" } else { "parameters" };
+            let is_of_model = sense == Sense::Superfluous && value["model"].is_object();
+            let parameters = if is_of_model { "model" } else { "parameters" };
             Ok(Cause {
                 effect: value["effect"].as_str().ok_or_else(|| missing("causes.effect"))?.to_owned(),
                 channels: names.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect(),

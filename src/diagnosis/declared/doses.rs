@@ -60,7 +60,9 @@ pub(in crate::diagnosis) fn off(
                 Course::Step(_) => Kind::BiasStep,
                 Course::Temperature | Course::Follows(_) => Kind::TemperatureBias,
             };
-            add(*place, kind, 0.5 * ((factor - declared) / error.max(f64::MIN_POSITIVE)).powi(2));
+            if *error > 0.0 {
+                add(*place, kind, 0.5 * ((factor - declared) / error).powi(2));
+            }
             if let Course::WarmUp(tau) = course {
                 add(*place, kind, of_another_time(setting, transform, of, *place, *tau));
             }
@@ -86,16 +88,20 @@ pub(in crate::diagnosis) fn off(
     }
     let residual = even.scores();
     let inside = |t: usize| of.loud.iter().any(|(_, loud)| (loud.from..loud.to).contains(&t));
-    let outside = (0..residual.len()).filter(|t| !inside(*t)).map(|t| residual[t] * residual[t]);
-    let (sum, count) = outside.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+    let outside: Vec<f64> = (0..residual.len()).filter(|t| !inside(*t)).map(|t| residual[t] * residual[t]).collect();
+    let count = outside.len() as f64;
+    let mean = outside.iter().sum::<f64>() / f64::max(count, 1.0);
+    // Spikes and tails make a mean of squares less certain than that of normal noise.
+    let fourth = outside.iter().map(|square| square.min(1e3 * mean).powi(2)).sum::<f64>() / f64::max(count, 1.0);
+    let certain = 2.0 / (fourth / (mean * mean).max(f64::MIN_POSITIVE) - 1.0).max(2.0);
     for (place, loud) in &of.loud {
         let own = residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
         let samples = (loud.to - loud.from) as f64;
         let kind = if loud.is_interval(residual.len()) { Kind::VarianceInterval } else { Kind::Bursts };
         // Of k squares of variance v with mean m the likeliest v is m, by k/2·(m/v − 1 − ln m/v) nats.
-        let ratio = (own / samples) / (sum / f64::max(count, 1.0)).max(f64::MIN_POSITIVE) / loud.ratio;
+        let ratio = (own / samples) / mean.max(f64::MIN_POSITIVE) / loud.ratio;
         let ratio = ratio.max(1e-9);
-        let shared = samples * count / (samples + count).max(1.0);
+        let shared = certain * samples * count / (samples + count).max(1.0);
         add(*place, kind, 0.5 * shared * (ratio - 1.0 - ratio.ln()));
     }
     nats.into_iter().map(|(place, otherwise)| Dose { place, otherwise }).collect()
@@ -116,7 +122,21 @@ pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Dose]) {
     let is_off = |place: usize| off.iter().any(|dose| dose.place == place);
     of.shifts.retain(|(place, ..)| !is_off(*place));
     of.loud.retain(|(place, _)| !is_off(*place));
-    of.scedasticity.take_if(|(place, _)| is_off(*place));
+    if of.scedasticity.take_if(|(place, _)| is_off(*place)).is_some() {
+        // Its N is that at the record's temperature then.
+        of.declared.levels[0] -= std::mem::take(&mut of.white_shift);
+    }
+}
+
+/// What the model's own shifts that are as it says add to the level all the time, U: a temperature bias about another
+/// temperature than the record's mean.
+pub(in crate::diagnosis) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64) -> f64 {
+    let own = of.shifts.iter().filter(|(_, course, _)| *course == Course::Temperature);
+    own.filter_map(|(place, ..)| {
+        let effect = model?.effects.get(*place)?;
+        Some(effect.number("per_c")? * (mean_c - effect.number("reference_c")?))
+    })
+    .sum()
 }
 
 /// The drifts and steps of a model's channel, each with its place in the model's list and its factor in the series' scale.

@@ -12,7 +12,7 @@ use crate::diagnosis::report::Sense;
 use crate::diagnosis::search::Step;
 use crate::diagnosis::series::Series;
 use crate::diagnosis::spread::Spread;
-use crate::diagnosis::translate::Translated;
+use crate::diagnosis::translate::{LEAST_PASSED, Translated};
 use crate::effects::{Comb, Effect, Tone};
 use crate::simulator::ChannelModel;
 use std::sync::Arc;
@@ -62,8 +62,15 @@ pub(in crate::diagnosis) fn lines(
     .collect()
 }
 
+/// The chance that noise alone puts one of the model's effects off by so many nats.
+fn by_chance(nats: f64) -> f64 {
+    /// As many of them are looked at in a record.
+    const LOOKED_AT: f64 = 100.0;
+    (LOOKED_AT * (-nats).exp()).min(1.0)
+}
+
 /// Lines of the model that a channel lacks or has with other amplitudes.
-pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
+pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let prepared = &of.prepared;
     let channel = prepared.channel;
     let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
@@ -90,6 +97,10 @@ pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel, level:
             (_, Some(fundamental_hz)) => (Arc::new(Comb { fundamental_hz, amplitudes }), Vec::new()),
             _ => return None,
         };
+        if is_there && prepared.lines.iter().any(|(of_effect, passed)| *of_effect == place && *passed < LEAST_PASSED) {
+            // Behind the model's filters there is next to nothing of it: what is there has another cause.
+            return None;
+        }
         let (sense, says) = match is_there {
             true => (Sense::Size, "with another amplitude than the model's"),
             false => (Sense::Superfluous, "without the model's line"),
@@ -101,7 +112,7 @@ pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel, level:
             declared: Some((place, effect.clone())),
             effect: if is_there { found } else { effect.clone() },
             gain: otherwise,
-            p_value: level * (-otherwise).exp(),
+            p_value: by_chance(otherwise),
             confidence: 0.99,
             evidence: vec![evidence],
             ci95: if is_there { ci95 } else { Vec::new() },
@@ -165,7 +176,7 @@ pub(in crate::diagnosis) fn left_out(
 }
 
 /// The model's drifts, steps and changes of variance that a channel has not, or has otherwise: what it has is found besides.
-pub(in crate::diagnosis) fn of_doses(of: &Findings, model: &ChannelModel, level: f64) -> Vec<Named> {
+pub(in crate::diagnosis) fn of_doses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let channel = of.prepared.channel;
     let named = |dose: &doses::Dose| {
         let effect = model.effects.get(dose.place)?.clone();
@@ -177,7 +188,7 @@ pub(in crate::diagnosis) fn of_doses(of: &Findings, model: &ChannelModel, level:
             declared: Some((dose.place, effect.clone())),
             effect,
             gain: dose.otherwise,
-            p_value: level * (-dose.otherwise).exp(),
+            p_value: by_chance(dose.otherwise),
             confidence: 0.99,
             evidence: vec![evidence],
             ci95: Vec::new(),
@@ -203,7 +214,16 @@ pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
             let both = [named[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
             both && one.channel == named[at].channel && one.effect.name() == named[at].effect.name()
         };
-        let Some(other) = named.iter().position(same) else {
+        // Of several the nearest in frequency or time.
+        let apart = |other: &usize| {
+            let [one, other] = [at, *other].map(|place| &named[place].effect);
+            let both = ["frequency_hz", "fundamental_hz", "at_s", "from_s"]
+                .iter()
+                .find_map(|name| Some(one.number(name)? - other.number(name)?));
+            both.unwrap_or_default().abs()
+        };
+        let others = (0..named.len()).filter(|other| same(&named[*other]));
+        let Some(other) = others.min_by(|a, b| apart(a).total_cmp(&apart(b))) else {
             at += 1;
             continue;
         };
@@ -211,6 +231,7 @@ pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
         if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
             let both = [at, other];
             both.into_iter().max().into_iter().chain(both.into_iter().min()).for_each(|one| drop(named.remove(one)));
+            at -= usize::from(other < at);
             continue;
         }
         let found = &mut named[other];

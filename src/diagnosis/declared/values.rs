@@ -3,7 +3,7 @@
 use crate::diagnosis::censored;
 use crate::diagnosis::diagnose::{Findings, Found};
 use crate::diagnosis::facts::Stamps;
-use crate::diagnosis::named::Named;
+use crate::diagnosis::named::{MATERIAL_STEP, Named};
 use crate::diagnosis::report::Sense;
 use crate::effects::{Effect, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
 use crate::sample::Channel;
@@ -64,6 +64,7 @@ pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate
                     );
                 };
                 let own = law.size * of.prepared.scale / of.white;
+                let size = size.max(1e-3);
                 let by_size = 0.5 * ((own / size).ln() / law.relative_error.max(0.02)).powi(2);
                 let nats = poisson(law.rate * samples, rate * samples) + by_size;
                 let effect = Spikes { rate_hz: law.rate * rate_hz, amplitude: law.size * of.prepared.scale };
@@ -95,7 +96,7 @@ fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
     const SAME: f64 = 1e-3;
     let channel = of.prepared.channel;
     let samples = of.prepared.samples.len() as f64;
-    let found = of.prepared.facts.step;
+    let found = of.prepared.facts.step.filter(|step| *step > MATERIAL_STEP * of.white);
     if found.is_some_and(|step| (step / declared - 1.0).abs() < SAME) {
         return None;
     }
@@ -153,11 +154,16 @@ pub(in crate::diagnosis) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<
     all
 }
 
+/// Shared noise of a model's channel: place, effect, part of its white noise's standard deviation.
+type Part<'a> = (usize, &'a Arc<dyn Effect>, f64);
+
 /// Noise that channels share, more or less of it than the model says.
 pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
+    /// Greatest part of a channel's own white noise.
+    const MOST: f64 = 0.9;
     let samples = found.samples as f64;
     let mut all = Vec::new();
-    let declared: Vec<Option<(usize, &Arc<dyn Effect>, f64)>> = found
+    let declared: Vec<Option<Part<'_>>> = found
         .channels
         .iter()
         .map(|of| {
@@ -167,7 +173,8 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         })
         .collect();
     for (index, of) in found.channels.iter().enumerate() {
-        let Some((place, effect, part)) = declared[index] else { continue };
+        // Of more than that nothing is measured.
+        let Some((place, effect, part)) = declared[index].filter(|(.., part)| part.abs() < MOST) else { continue };
         let other = found.shared.iter().flat_map(|shared| shared.parts.iter().zip(&shared.errors));
         let own = other.filter(|((at, _), _)| *at == index).map(|((_, part), error)| (*part, *error)).next();
         // The model's shares with the others: a correlation r gives −n/2·ln(1 − r²).
@@ -177,7 +184,7 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         let channel = of.prepared.channel;
         let (there, nats, evidence) = match own {
             Some((found, error)) => {
-                let sigma = found.abs() * of.white;
+                let sigma = (found.abs() * of.white).copysign(part);
                 let nats = 0.5 * ((found.abs() - part.abs()) / error.max(1e-6)).powi(2);
                 let effect: Arc<dyn Effect> = Arc::new(crate::effects::CommonMode { sigma });
                 let share = 100.0 * found * found;
@@ -218,7 +225,9 @@ pub(in crate::diagnosis) fn of_stamps(
             (stamps.jitter_s, samples as f64 * ratio * ratio)
         }
     };
-    let by_drops = poisson(dropped as f64, declared * samples as f64);
+    // A record without stamps and gaps does not show what was lost.
+    let shows_drops = stamps.is_some() || dropped > 0;
+    let by_drops = if shows_drops { poisson(dropped as f64, declared * samples as f64) } else { 0.0 };
     let nats = by_jitter + by_drops;
     if nats <= OFF {
         return Vec::new();

@@ -2,7 +2,7 @@
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
-use super::{Cause, Driver, Parameter, Place, Report, Sense};
+use super::{Cause, Driver, Hint, Offset, Parameter, Place, Report, Sense};
 use crate::sample::Channel;
 use serde::Deserialize as _;
 use serde_json::Value;
@@ -131,6 +131,36 @@ pub(super) fn off(out: &mut String, parameters: &[Parameter]) {
         );
     }
     *out += "</table></div>";
+}
+
+pub(super) fn offsets(out: &mut String, offsets: &[Offset]) {
+    if offsets.is_empty() {
+        return;
+    }
+    *out += "<h2>Means that differ</h2><ul>";
+    for of in offsets {
+        let unit = Channel::from_name(&of.channel).map(|channel| format!(" {}", channel.unit())).unwrap_or_default();
+        let _ = write!(
+            out,
+            "<li>{}: {}{unit} in the recording, {}{unit} in the model; turn-on bias explains up to {}{unit}</li>",
+            escaped(&of.channel),
+            plain(of.capture),
+            plain(of.model),
+            plain(of.explained)
+        );
+    }
+    *out += "</ul>";
+}
+
+pub(super) fn hints(out: &mut String, hints: &[Hint]) {
+    if hints.is_empty() {
+        return;
+    }
+    *out += "<h2>What the sizes may mean</h2><ul>";
+    for of in hints {
+        let _ = write!(out, "<li>{}: {}</li>", escaped(&of.about), escaped(&of.text));
+    }
+    *out += "</ul>";
 }
 
 pub(super) fn places(out: &mut String, report: &Report) {

@@ -27,6 +27,10 @@ struct Report {
     #[serde(default)]
     parameters: Vec<Parameter>,
     #[serde(default)]
+    offsets: Vec<Offset>,
+    #[serde(default)]
+    hints: Vec<Hint>,
+    #[serde(default)]
     causes: Vec<Cause>,
     #[serde(default)]
     alternatives: Vec<Alternative>,
@@ -97,6 +101,25 @@ struct Parameter {
     capture: f64,
     ratio: Option<f64>,
     ci95: Option<[f64; 2]>,
+}
+
+/// A mean that is another than the model states.
+#[derive(Debug, Deserialize)]
+struct Offset {
+    channel: String,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    model: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    capture: f64,
+    #[serde(deserialize_with = "crate::plot::json::number")]
+    explained: f64,
+}
+
+/// What the size of a difference may mean.
+#[derive(Debug, Deserialize)]
+struct Hint {
+    about: String,
+    text: String,
 }
 
 /// Who has an effect.
@@ -175,6 +198,8 @@ fn body(report: &Report, drawn: &Drawn, links: Links<'_>) -> String {
     findings::causes(&mut out, report);
     findings::alternatives(&mut out, report);
     findings::off(&mut out, &report.parameters);
+    findings::offsets(&mut out, &report.offsets);
+    findings::hints(&mut out, &report.hints);
     drawn::heat(&mut out, drawn);
     findings::places(&mut out, report);
     drawn::motion(&mut out, report, drawn);
