@@ -211,10 +211,13 @@ fn body(report: &Report, drawn: &Drawn, links: Links<'_>) -> String {
 }
 
 fn head(out: &mut String, report: &Report) {
+    let all = |sense: Sense| report.causes.iter().all(|cause| cause.sense == sense);
     let verdict = match report.verdict.as_str() {
         "no_gap" => "no gap",
         "parameters" => "parameters off",
-        "effects" => "the model lacks an effect",
+        "effects" if all(Sense::Missing) => "the model lacks an effect",
+        "effects" if all(Sense::Superfluous) => "the sensor lacks an effect",
+        "effects" => "effects differ",
         "unknown_effect" => "something unknown remains",
         other => other,
     };
