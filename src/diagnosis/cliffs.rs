@@ -384,3 +384,17 @@ fn steps_wider_than_the_noise_are_a_resolution_alone() {
     }
     wrong.none();
 }
+
+#[test]
+fn long_moving_averages_are_found() {
+    let mut wrong = Wrong::default();
+    for (window, seed) in [(19, 1), (22, 2), (30, 3), (31, 4), (48, 5), (60, 6)] {
+        let effect = json!({"effect": "moving_average", "window": window, "white_behind": 5e-5});
+        let found = diagnosed(&recording(&model(Some(&effect)), 400 + seed, 40_000), &model(None));
+        let own = names(&found) == ["moving_average"]
+            && found.diagnosis.causes[0].parameters["accel_x"]["window"] == window
+            && found.diagnosis.verdict == Verdict::Effects;
+        wrong.expect(own, || format!("{window}: {:?} {:#?}", found.diagnosis.verdict, found.diagnosis.causes));
+    }
+    wrong.none();
+}

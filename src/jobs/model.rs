@@ -2,7 +2,7 @@
 
 use super::motion::at_rest;
 use super::{JobError, Plan, SampleSource, direct, gridded};
-use crate::diagnosis::report::Of;
+use crate::diagnosis::report::{Of, Place};
 use crate::diagnosis::{self, Diagnosis, Verdict, Workers};
 use crate::model_fit::{model_of, with_effects};
 use crate::noise::NoiseReport;
@@ -79,9 +79,11 @@ pub fn fitted(
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
     let remains = |channel: Channel| {
-        let mut places = found.r#where.iter();
+        /// Part of all that differs from which on what remains counts.
+        const MATERIAL: f64 = 0.02;
+        let of_rest = |place: &Place| place.of == Of::Remainder && place.share > MATERIAL;
         found.verdict == Verdict::UnknownEffect
-            && places.any(|place| place.of == Of::Remainder && place.channel == channel.name())
+            && found.r#where.iter().any(|place| of_rest(place) && place.channel == channel.name())
     };
     let has_n = |channel| report.channels.get(&channel).is_some_and(|of| of.n.value.is_some());
     report.refusal(|channel| !has_n(channel) || effects(model, channel) == effects(plain, channel) || remains(channel))
@@ -108,7 +110,6 @@ fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::report::Place;
     use crate::jobs::TwoThreads;
     use crate::noise::fit::Estimate;
     use crate::simulator::ChannelModel;

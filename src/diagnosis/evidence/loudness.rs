@@ -18,13 +18,7 @@ fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
     let residual = series.scores();
-    let mean = |block: &[f64]| {
-        // Outliers are those of their own block, by the median of a normal's squares.
-        let mut squares: Vec<f64> = block.iter().map(|e| e * e).collect();
-        let (_, median, _) = squares.select_nth_unstable_by(size / 2, f64::total_cmp);
-        let most = LARGEST * *median / 0.4549;
-        squares.iter().map(|square| square.min(most)).sum::<f64>() / size as f64
-    };
+    let mean = |block: &[f64]| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64;
     (residual.chunks_exact(size).map(mean).collect(), size)
 }
 

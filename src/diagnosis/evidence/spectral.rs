@@ -98,7 +98,8 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
 /// A boxcar of the window that fits best.
 #[must_use]
 pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
-    const LONGEST: u64 = 20;
+    /// Up to this window each is fitted, beyond those with the deepest notches.
+    const EACH: u64 = 20;
     if has(series, |shape| matches!(shape, Shape::MovingAverage(_))) {
         return None;
     }
@@ -108,12 +109,39 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
         law
     };
     // Each to its end: a window's notches do not show before the levels are right.
-    let fits = (2..=LONGEST).map(|window| started(window).fit(series.data()));
+    let fits = (2..=EACH).chain(notched(series)).map(|window| started(window).fit(series.data()));
     let best = fits.reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
     let mut without = best.law.clone();
     without.terms.pop();
     let without = without.fit(series.data()).log_posterior.max(series.fitted.log_posterior);
     Some(candidate(series, Kind::MovingAverage, (best.log_posterior - without, best)))
+}
+
+/// The long windows at whose notches there is least, against what is half way between them.
+fn notched(series: &Series<'_>) -> Vec<u64> {
+    const WINDOWS: std::ops::RangeInclusive<u64> = 21..=64;
+    const MOST: usize = 3;
+    let n = series.len();
+    // About each frequency an eighth of the distance of notches, a thousandth of the band at least.
+    let mean = |cycles: f64, window: u64| {
+        let half = (n as f64 * (0.125 / window as f64).max(1e-3)) as usize;
+        let at = (2.0 * n as f64 * cycles) as usize;
+        let span = &series.coefficients[at.saturating_sub(half).max(1)..(at + half).min(n).max(2)];
+        (span.iter().map(|c| c * c).sum::<f64>() / span.len().max(1) as f64).max(f64::MIN_POSITIVE).ln()
+    };
+    let depth = |window: u64| {
+        let notches = 1..=(window / 2).saturating_sub(1);
+        let count = notches.clone().count().max(1) as f64;
+        let of = |order: u64| {
+            let [notch, between] = [0.0, 0.5].map(|more| mean((order as f64 + more) / window as f64, window));
+            between - notch
+        };
+        notches.map(of).sum::<f64>() / count
+    };
+    let mut all: Vec<(f64, u64)> =
+        WINDOWS.filter(|window| *window as usize * 64 < n).map(|of| (depth(of), of)).collect();
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    all.into_iter().take(MOST).map(|(_, window)| window).collect()
 }
 
 /// A density that falls otherwise than white noise, flicker and random walk do.
