@@ -237,6 +237,8 @@ impl<'a> Series<'a> {
     /// The mean square of n coefficients of white noise whose variance v changes over a record is that of n·⟨v⟩²/⟨v²⟩ of even
     /// noise (the moments of its sum of squares); what is filled in for loud stretches is worth nothing.
     pub(super) fn worth_on(&self, grid: &Grid, base: &Base) -> Vec<f64> {
+        /// Bins are worth half at least: else bands that are there would be taken for white noise of another level.
+        const MOST: f64 = 1.0;
         let variance = self.variances();
         let there = 1.0 - (self.loud_samples() as f64 / self.len().max(1) as f64).min(0.9);
         if variance.is_empty() {
@@ -250,7 +252,7 @@ impl<'a> Series<'a> {
         places
             .map(|(s, (gain, count))| {
                 let share = (white * gain / s.exp()).min(1.0);
-                there * count / (1.0 + share * share * (square - 1.0))
+                there * count / (1.0 + (share * share * (square - 1.0)).min(MOST))
             })
             .collect()
     }
