@@ -33,7 +33,8 @@ pub(super) struct Bands {
 const HELD: f64 = 0.9;
 
 impl Bands {
-    /// Of an explained series; `declared`: the model's courses; `held`: the law fitted with N, B or K held at the model's value, `free`: with none held.
+    /// Of an explained series. `declared`: the model's courses; `held`: the law fitted with N, B or K held at the model's value;
+    /// `free`: with none held.
     pub(super) fn of(
         series: &Series<'_>,
         steps: &[Step],

@@ -3,6 +3,7 @@
 use super::report::{Cause, Sense};
 use super::round_trip::{model, recording};
 use super::{Options, Outcome, Verdict, diagnose};
+use crate::effects::{BiasStep, Resonance};
 use serde_json::{Value, json};
 
 const SAMPLES: usize = 32_000;
@@ -237,4 +238,27 @@ fn the_nearest_is_what_the_model_has_elsewhere() {
     assert_eq!(size.model["accel_x"]["frequency_hz"], 14.1, "{found:#?}");
     let lacked = found.causes.iter().find(|cause| cause.sense == Sense::Superfluous).unwrap();
     assert_eq!(lacked.model["accel_x"]["frequency_hz"], 5.0, "{found:#?}");
+}
+
+/// A model may state more than a record can be asked about.
+#[test]
+fn a_variance_by_temperature_of_a_record_without_one_is_taken_as_stated() {
+    let quieter = json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 25.0});
+    let mut real = recording(&model(None), 310, SAMPLES);
+    real.temperature_c = None;
+    let found = diagnose(&real, &model(Some(&quieter)), &Options::default()).unwrap().diagnosis;
+    assert!(found.causes.is_empty(), "{:#?}", found.causes);
+}
+
+#[test]
+fn a_model_of_thousands_of_steps_and_bands_decides_neither_time_nor_memory() {
+    let mut declared = model(None);
+    let own = &mut declared.channels.get_mut(&crate::sample::Channel::AccelX).unwrap().effects;
+    for at in 0..3000 {
+        own.push(std::sync::Arc::new(BiasStep { at_s: 0.2 * f64::from(at), size: 1e-9 }));
+        let frequency_hz = 1.0 + 0.005 * f64::from(at);
+        own.push(std::sync::Arc::new(Resonance { sigma: 1e-9, frequency_hz, bandwidth_hz: 0.1 }));
+    }
+    let found = diagnose(&recording(&model(None), 311, 8_000), &declared, &Options::default()).unwrap().diagnosis;
+    assert!(found.causes.is_empty(), "{:#?}", found.causes);
 }

@@ -225,17 +225,15 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     for of in &found.channels {
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
         let mut own = None;
+        // Shared noise that is not the model's takes its part of N.
+        let is_shared = named.iter().any(|one| {
+            one.channel == of.prepared.channel && one.declared.is_some() && one.effect.name() == "common_mode"
+        });
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
             // The model's own value does as well.
             let share = if level == 0 { of.prepared.share } else { 1.0 };
             let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
-            // Shared noise that is not the model's takes its part of N.
-            let is_shared = |of_this: &Named| {
-                of_this.channel == of.prepared.channel
-                    && of_this.declared.is_some()
-                    && of_this.effect.name() == "common_mode"
-            };
-            if (does_as_well && level > 0) || (level == 0 && named.iter().any(is_shared)) {
+            if (does_as_well && level > 0) || (level == 0 && is_shared) {
                 continue;
             }
             let fitted = &of.fitted;

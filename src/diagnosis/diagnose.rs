@@ -1,7 +1,7 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
 use super::bands::Bands;
-use super::declared::doses::{self, Dose};
+use super::declared::courses::{self, Off};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::Kind;
@@ -137,7 +137,7 @@ pub(super) struct Findings {
     /// The model's lines as the channel has them.
     pub(super) lines: Vec<MeasuredLine>,
     /// The model's drifts, steps and changes of variance that it has otherwise.
-    pub(super) off: Vec<Dose>,
+    pub(super) off: Vec<Off>,
 }
 
 /// What was found in a record.
@@ -208,15 +208,15 @@ fn explain(
     if !believed {
         prepared.beliefs = FREE;
     }
-    let as_declared = doses::as_declared(&prepared);
+    let as_declared = courses::as_declared(&prepared);
     let off = {
         let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
-        doses::off(&ready.setting(&prepared, &base), &ready.transform, &prepared, prices)
+        courses::off(&ready.setting(&prepared, &base), &ready.transform, &prepared, prices)
     };
-    doses::strip(&mut prepared, &off);
+    courses::strip(&mut prepared, &off);
     let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
     let setting = ready.setting(&prepared, &base);
-    let known = doses::as_declared(&prepared);
+    let known = courses::as_declared(&prepared);
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
     for (name, evidence) in [
         ("spikes", super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
@@ -287,7 +287,7 @@ fn explain(
     let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
-    let level = prepared.level + series.mean * prepared.scale - doses::constant(&prepared, model, ready.reference_c);
+    let level = prepared.level + series.mean * prepared.scale - courses::constant(&prepared, model, ready.reference_c);
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (

@@ -61,7 +61,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
         if let Some(model) = sim.channels.get(&of.prepared.channel) {
             named.extend(of_channel(of, found, sim, model, options.level));
             named.extend(declared::of_lines(of, model));
-            named.extend(declared::of_doses(of, model));
+            named.extend(declared::of_courses(of, model));
             named.extend(values::of_samples(of, model, sim.rate_hz));
         }
         named.extend(of_facts(of));

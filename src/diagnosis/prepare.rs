@@ -1,7 +1,7 @@
 //! Preparation: a recording and a model become series of samples of which the model's own effects are explained already.
 
 use super::course::{Course, Courses};
-use super::declared::doses::shifts_of;
+use super::declared::courses::shifts_of;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
@@ -11,7 +11,7 @@ use super::recording::Recording;
 use super::rounded;
 use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
-use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
+use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -326,6 +326,8 @@ fn channel_of(
     let coarse =
         step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, model.n * sim.rate_hz.sqrt())?)));
     let mut samples = values.to_vec();
+    let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.is_some());
+    subtract_others(&mut samples, model, &shifts, sim.rate_hz, temperature);
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     let mut middle = there.clone();
     let half = middle.len() / 2;
@@ -351,7 +353,7 @@ fn channel_of(
     let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
     let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
     let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
-    let shifts = shifts_of(model, values.len(), sim.rate_hz, scale, temperature.is_some());
+    let shifts = shifts.into_iter().map(|(place, course, factor)| (place, course, factor / scale)).collect();
     let mut prepared = Prepared {
         channel,
         scale,
@@ -380,6 +382,27 @@ fn channel_of(
     Ok(prepared)
 }
 
+/// Takes what a model states of the level beyond the shifts that are fitted off samples, U.
+fn subtract_others(
+    samples: &mut [f64],
+    model: &ChannelModel,
+    shifts: &[(usize, Course, f64)],
+    rate_hz: f64,
+    temperature: Option<&[f64]>,
+) {
+    let is_fitted = |place: usize| shifts.iter().any(|(own, ..)| *own == place);
+    let listed = model.effects.iter().enumerate().filter(|(_, effect)| effect.stage() == Stage::Bias);
+    let others: Vec<&Arc<dyn Effect>> = listed.filter(|(place, _)| !is_fitted(*place)).map(|(_, of)| of).collect();
+    if others.is_empty() {
+        return;
+    }
+    for (t, sample) in samples.iter_mut().enumerate() {
+        let temperature_c = temperature.map_or(USUAL_TEMPERATURE_C, |values| values[t]);
+        let at = At { time_s: t as f64 / rate_hz, temperature_c };
+        *sample -= others.iter().map(|effect| effect.mean_response(0.0, at)).sum::<f64>();
+    }
+}
+
 /// The lines of a model's channel as they are sent, in the series' scale (U per unit of it), each with the place of its effect in
 /// the model's list and its amplitude over what the effect alone has: what filters let pass.
 fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> Vec<(Sine, (usize, f64))> {
@@ -406,10 +429,13 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
     effects.iter().enumerate().flat_map(of_effect).collect()
 }
 
-/// The spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list.
+/// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list;
+/// those after them are taken as they are stated.
 fn terms_of(model: &ChannelModel, scale: f64) -> Vec<(usize, Term)> {
+    /// Each is compared by a fit of its own at every step of a search.
+    const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
-    listed.filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n)?))).collect()
+    listed.filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n)?))).take(MOST).collect()
 }
 
 /// A robust standard deviation of what is white, U: from differences of neighbours.

@@ -1,6 +1,6 @@
 //! Declared: the effects that a model has and its sensor has not, or has otherwise.
 
-pub(in crate::diagnosis) mod doses;
+pub(in crate::diagnosis) mod courses;
 pub(in crate::diagnosis) mod values;
 
 use crate::diagnosis::diagnose::Findings;
@@ -176,19 +176,19 @@ pub(in crate::diagnosis) fn left_out(
 }
 
 /// The model's drifts, steps and changes of variance that a channel has not, or has otherwise: what it has is found besides.
-pub(in crate::diagnosis) fn of_doses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+pub(in crate::diagnosis) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let channel = of.prepared.channel;
-    let named = |dose: &doses::Dose| {
-        let effect = model.effects.get(dose.place)?.clone();
+    let named = |one: &courses::Off| {
+        let effect = model.effects.get(one.place)?.clone();
         let name = effect.name();
-        let evidence = format!("{channel}: {:.0} nats more with another {name} than the model's", dose.otherwise);
+        let evidence = format!("{channel}: {:.0} nats more with another {name} than the model's", one.otherwise);
         Some(Named {
             channel,
             sense: Sense::Superfluous,
-            declared: Some((dose.place, effect.clone())),
+            declared: Some((one.place, effect.clone())),
             effect,
-            gain: dose.otherwise,
-            p_value: by_chance(dose.otherwise),
+            gain: one.otherwise,
+            p_value: by_chance(one.otherwise),
             confidence: 0.99,
             evidence: vec![evidence],
             ci95: Vec::new(),
@@ -227,10 +227,11 @@ pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
             at += 1;
             continue;
         };
-        let lacked = named[at].clone();
+        let lacked = named.remove(at);
+        // One place less where it stood before.
+        let other = other - usize::from(other > at);
         if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
-            let both = [at, other];
-            both.into_iter().max().into_iter().chain(both.into_iter().min()).for_each(|one| drop(named.remove(one)));
+            named.remove(other);
             at -= usize::from(other < at);
             continue;
         }
@@ -238,6 +239,5 @@ pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
         (found.sense, found.declared) = (Sense::Size, lacked.declared);
         found.gain += lacked.gain;
         found.evidence.extend(lacked.evidence);
-        named.remove(at);
     }
 }

@@ -1,4 +1,4 @@
-//! Doses: how much of a model's drifts, steps and changes of variance a channel has, the model's own being 1.
+//! Courses: a model's drifts, steps and changes of variance, held against what a channel has of them.
 
 use crate::diagnosis::course::Course;
 use crate::diagnosis::evidence::Kind;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 /// An effect of the model that the channel does not have as the model says.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnosis) struct Dose {
+pub(in crate::diagnosis) struct Off {
     /// Its place in the model's list.
     pub(in crate::diagnosis) place: usize,
     /// Nats more with the channel's own size of it than with the model's.
@@ -41,7 +41,7 @@ pub(in crate::diagnosis) fn off(
     transform: &Cosines,
     of: &Prepared,
     prices: &Prices,
-) -> Vec<Dose> {
+) -> Vec<Off> {
     let mut nats: BTreeMap<usize, f64> = BTreeMap::new();
     let mut add = |place: usize, kind: Kind, otherwise: f64| {
         if otherwise > prices.of(kind) {
@@ -68,14 +68,19 @@ pub(in crate::diagnosis) fn off(
             }
         }
     }
-    if of.loud.is_empty() && of.scedasticity.is_none() {
-        return nats.into_iter().map(|(place, otherwise)| Dose { place, otherwise }).collect();
+    if !of.loud.is_empty() || of.scedasticity.is_some() {
+        let even = series(Explanation { loud: Vec::new(), scedasticity: None, ..as_declared(of) });
+        variance_off(&even, of, &mut add);
     }
-    let even = series(Explanation { loud: Vec::new(), scedasticity: None, ..as_declared(of) });
+    nats.into_iter().map(|(place, otherwise)| Off { place, otherwise }).collect()
+}
+
+/// Calls with place, kind and nats of each of the model's changes of variance; `even`: the series as if there were none.
+fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Kind, f64)) {
     if let Some((place, declared)) = &of.scedasticity {
         let (kind, shape): (Kind, Vec<f64>) = match declared {
             Scedasticity::PerDegree(slope) => {
-                let temperature = setting.courses.temperature().unwrap_or_default();
+                let temperature = even.setting().courses.temperature().unwrap_or_default();
                 (Kind::VariancePerDegree, temperature.iter().map(|t| slope * t).collect())
             }
             Scedasticity::Profile(values) => {
@@ -84,11 +89,16 @@ pub(in crate::diagnosis) fn off(
                 (Kind::VarianceProfile, (0..n).map(at).collect())
             }
         };
-        add(*place, kind, loudness::otherwise(&even, &shape));
+        // Without a temperature the record does not show what follows it.
+        if shape.len() == even.len() {
+            add(*place, kind, loudness::otherwise(even, &shape));
+        }
     }
     let residual = even.scores();
-    let inside = |t: usize| of.loud.iter().any(|(_, loud)| (loud.from..loud.to).contains(&t));
-    let outside: Vec<f64> = (0..residual.len()).filter(|t| !inside(*t)).map(|t| residual[t] * residual[t]).collect();
+    let mut is_loud = vec![false; residual.len()];
+    of.loud.iter().for_each(|(_, loud)| is_loud[loud.from..loud.to].fill(true));
+    let outside = residual.iter().zip(&is_loud).filter(|(_, is_loud)| !**is_loud);
+    let outside: Vec<f64> = outside.map(|(e, _)| e * e).collect();
     let count = outside.len() as f64;
     let mean = outside.iter().sum::<f64>() / f64::max(count, 1.0);
     // Spikes and tails make a mean of squares less certain than that of normal noise.
@@ -104,7 +114,6 @@ pub(in crate::diagnosis) fn off(
         let shared = certain * samples * count / (samples + count).max(1.0);
         add(*place, kind, 0.5 * shared * (ratio - 1.0 - ratio.ln()));
     }
-    nats.into_iter().map(|(place, otherwise)| Dose { place, otherwise }).collect()
 }
 
 /// Nats more with the likeliest of several other time constants than with the model's, the amplitude free in both.
@@ -118,8 +127,8 @@ fn of_another_time(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, pl
 }
 
 /// Takes what is off out of what is known of a channel, so that the search finds what there is instead.
-pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Dose]) {
-    let is_off = |place: usize| off.iter().any(|dose| dose.place == place);
+pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Off]) {
+    let is_off = |place: usize| off.iter().any(|of| of.place == place);
     of.shifts.retain(|(place, ..)| !is_off(*place));
     of.loud.retain(|(place, _)| !is_off(*place));
     if of.scedasticity.take_if(|(place, _)| is_off(*place)).is_some() {
@@ -139,14 +148,16 @@ pub(in crate::diagnosis) fn constant(of: &Prepared, model: Option<&ChannelModel>
     .sum()
 }
 
-/// The drifts and steps of a model's channel, each with its place in the model's list and its factor in the series' scale.
+/// The first drifts and steps of a model's channel, each with its place in the model's list and its factor, U;
+/// those after them are taken as they are stated.
 pub(in crate::diagnosis) fn shifts_of(
     model: &ChannelModel,
     samples: usize,
     rate_hz: f64,
-    scale: f64,
     with_temperature: bool,
 ) -> Vec<(usize, Course, f64)> {
+    /// All are fitted together, in a time that grows with the square of their number.
+    const MOST: usize = 64;
     let of = |(place, effect): (usize, &std::sync::Arc<dyn Effect>)| {
         let number = |name: &str| effect.number(name);
         let (course, factor) = match effect.name() {
@@ -160,7 +171,7 @@ pub(in crate::diagnosis) fn shifts_of(
             }
             _ => return None,
         };
-        Some((place, course, factor / scale))
+        Some((place, course, factor))
     };
-    model.effects.iter().enumerate().filter_map(of).collect()
+    model.effects.iter().enumerate().filter_map(of).take(MOST).collect()
 }
