@@ -108,7 +108,7 @@ fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
     Ok(Some((report.verdict, report.causes.len())))
 }
 
-/// The model as the processes that are told it read it.
+/// The model in the form in which the processes read it.
 fn read_again(model: &SensorModel) -> anyhow::Result<SensorModel> {
     Ok(SensorModel::from_value(&serde_json::to_value(model)?, "the corrected model")?)
 }

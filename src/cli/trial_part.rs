@@ -67,7 +67,7 @@ pub(super) fn run(context: &Context, args: &TrialPartArgs) -> anyhow::Result<Out
             serde_json::to_writer(&mut stdout, &diagnosed(context, &parcel)?.0)?;
         }
         TrialPart::Again => {
-            let path = args.corrected.as_ref().context("no corrected model is told")?;
+            let path = args.corrected.as_ref().context("no corrected model is given: add --corrected FILE")?;
             let corrected: Value = serde_json::from_slice(&std::fs::read(path)?)?;
             let corrected = SensorModel::from_value(&corrected, "the corrected model")?;
             serde_json::to_writer(&mut stdout, &again(context, draw(args.case)?, corrected, args)?)?;

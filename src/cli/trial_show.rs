@@ -15,7 +15,7 @@ pub(super) fn show(score: &Score) -> std::io::Result<()> {
     let classes: Vec<String> = score.classes.iter().map(|(name, count)| format!("{count} {name}")).collect();
     writeln!(stdout, "{} cases of seed {}: {}", score.cases, score.seed, classes.join(", "))?;
     if let Some(suite) = score.suite.and_then(Suite::named) {
-        writeln!(stdout, "{}", suite.told(&score.manifest_sha256))?;
+        writeln!(stdout, "{}", suite.described(&score.manifest_sha256))?;
     }
     if let Some(on) = &score.on {
         writeln!(
@@ -25,7 +25,7 @@ pub(super) fn show(score: &Score) -> std::io::Result<()> {
         )?;
     }
     let mut rows = table(&["", "", "count", "share (95 %)"]);
-    for one in score.rates.told() {
+    for one in score.rates.stated() {
         let rate = one.rate;
         rows.add_row([
             one.name.to_owned(),

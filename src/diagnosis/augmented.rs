@@ -66,7 +66,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                 }
             }
         }
-        // What is not as the model has it; the last first, so that places stay.
+        // Removes what the model states wrongly, the last first, so that places stay valid.
         let gone: BTreeSet<usize> = own().filter_map(|one| Some(one.declared.as_ref()?.0)).collect();
         gone.into_iter().rev().for_each(|place| drop(channel.remove_effect(place)));
         // Limits and the values that are sent lie where they do, and what shifts the level shifts it from somewhere.

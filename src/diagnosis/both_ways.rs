@@ -180,14 +180,14 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
         effect[parameter] = value.clone();
         let name = effect["effect"].as_str().unwrap();
         // More than the model says, and less.
-        for (own, told) in [(&effect, &declared), (&declared, &effect)] {
-            let outcome = compared(Some(own), Some(told), seed);
+        for (own, stated) in [(&effect, &declared), (&declared, &effect)] {
+            let outcome = compared(Some(own), Some(stated), seed);
             let found = &outcome.diagnosis;
             let one = found.causes.len() == 1 && found.causes[0].effect == name && found.causes[0].sense == Sense::Size;
             if !one || found.verdict != Verdict::Effects || !is_mended(&outcome, Some(own), seed + 100) {
                 let numbers: Vec<_> = found.causes.iter().map(|of| &of.parameters).collect();
                 wrong.push(format!(
-                    "{own} for {told}: {:?} {:?} {numbers:?} {:?}",
+                    "{own} for {stated}: {:?} {:?} {numbers:?} {:?}",
                     found.verdict,
                     brief(&found.causes),
                     found.notes

@@ -108,7 +108,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
             let mut evidence = Vec::new();
             for step in same(*kind) {
                 evidence.push(format!(
-                    "{}: {:.0} nats ({:.2e} a sample) more with {} than without, the noise fitted anew; chance gives {:.0}",
+                    "{}: {:.0} nats ({:.2e} a sample) more with {} than without, the noise fitted again; chance gives {:.0}",
                     of.prepared.channel,
                     step.gain,
                     step.gain / found.samples as f64,

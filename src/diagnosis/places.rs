@@ -110,7 +110,7 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
                 are(one.band_hz, other.band_hz) || are(one.time_s, other.time_s)
             };
             let of_model = self::spots(&**declared, own, real);
-            let elsewhere = of_model.into_iter().filter(|told| spots.iter().all(|spot| apart(spot, told)));
+            let elsewhere = of_model.into_iter().filter(|other| spots.iter().all(|spot| apart(spot, other)));
             let elsewhere: Vec<Spot> = elsewhere.map(|spot| Spot { is_louder: !spot.is_louder, ..spot }).collect();
             if elsewhere.is_empty() && is_weaker(&*of.effect, &**declared) {
                 spots.iter_mut().for_each(|spot| spot.is_louder = !spot.is_louder);

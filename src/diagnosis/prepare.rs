@@ -66,7 +66,7 @@ pub struct Prepared {
     pub has: Vec<&'static str>,
     /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
     pub white_shift: f64,
-    /// How much of what the samples tell of the white noise was sent: a step wider than the noise hides some.
+    /// The part of the information on the white noise that was sent: a step wider than the noise hides some.
     pub share: f64,
 }
 

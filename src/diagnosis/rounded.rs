@@ -16,12 +16,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Random stream of what is drawn.
 const ROUNDED: u16 = 5;
 
-/// What rounded values tell of white noise.
+/// What rounded values show of white noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct White {
     /// Its standard deviation, U.
     pub(super) deviation: f64,
-    /// How much of what the values before rounding would tell of its logarithm what is drawn in their place tells.
+    /// The part of the information on its logarithm in the values before rounding that those drawn in their place have.
     pub(super) share: f64,
 }
 
@@ -29,11 +29,11 @@ pub(super) struct White {
 /// of about 1.3 standard deviations on; None of others. `left_out`, in order, do not count.
 ///
 /// The likelihood of the counts, by blocks of time with levels of their own. Where two levels alone are sent a wider noise and
-/// another level look the same: then it is about what is `told` by the model (a standard deviation, U).
-pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], told: f64) -> Option<White> {
+/// another level look the same: then it is about the model's, `declared` (a standard deviation, U).
+pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: f64) -> Option<White> {
     const EQUAL: f64 = 0.35;
     const BLOCKS: usize = 8;
-    /// Standard deviation of ln of what is told.
+    /// Standard deviation of the belief in the model's deviation, ln.
     const ABOUT: f64 = 0.7;
     /// Standard deviations in steps.
     const RANGE: [f64; 2] = [1.0 / 12.0, 1.5];
@@ -71,7 +71,7 @@ pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], told: f64)
             let middle = sum / f64::max(count, 1.0);
             greatest([middle - 1.0, middle + 1.0], at).1
         };
-        let off = (step * deviation / told).ln() / ABOUT;
+        let off = (step * deviation / declared).ln() / ABOUT;
         blocks.iter().map(of_block).sum::<f64>() - if off.is_finite() { 0.5 * off * off } else { 0.0 }
     };
     let (logarithm, most) = greatest(RANGE.map(f64::ln), |logarithm| likelihood(logarithm.exp()));
@@ -137,7 +137,7 @@ pub(super) fn unround(prepared: &mut Prepared, sim: &SensorModel, step: f64, whi
         transform.forward(&mut above);
         let power = grid.power(&above);
         let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &prepared.beliefs };
-        // The first draws are anywhere within the steps, and tell nothing of the noise.
+        // The first draws are anywhere within the steps, and show nothing of the noise.
         if round >= FEWEST {
             law = law.fit(data).law;
         }
@@ -184,7 +184,7 @@ mod tests {
             assert!((deviation - 1.0).abs() < 3.5 * error + 1e-3, "{step}: {deviation} ± {error}");
             assert!(error < 0.1, "{step}: {error}");
         }
-        // Two levels tell nothing but their shares.
+        // Two levels show nothing but their shares.
         let White { deviation, share } = white_of(&rounded(12.0, 5.8), 12.0, &[], 1.1).unwrap();
         assert!((deviation - 1.1).abs() < 0.3 && share < 1e-3, "{deviation} {share}");
         assert_eq!(white_of(&rounded(1.0, 0.0), 1.0, &[], 1.0), None);

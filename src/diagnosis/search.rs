@@ -234,19 +234,21 @@ fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, k
 /// Puts back what the model has, where it does as well beside what was found after it was changed.
 fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     let changed = |step: &Step| step.of_model.is_some();
-    while let Some((at, as_told)) = steps.iter().enumerate().filter(|(_, step)| changed(step)).find_map(|(at, step)| {
-        let (place, _) = step.of_model?;
-        let mut as_told = series.clone();
-        as_told.explanation.without.remove(&place);
-        if step.has_term() {
-            let own = as_told.explanation.law.terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
-            as_told.explanation.law.terms.remove(own);
-        }
-        as_told.relaw();
-        let loss = series.fitted.log_posterior - as_told.fitted.log_posterior;
-        (loss < prices.of(step.kind)).then_some((at, as_told))
-    }) {
-        *series = as_told;
+    while let Some((at, as_stated)) =
+        steps.iter().enumerate().filter(|(_, step)| changed(step)).find_map(|(at, step)| {
+            let (place, _) = step.of_model?;
+            let mut as_stated = series.clone();
+            as_stated.explanation.without.remove(&place);
+            if step.has_term() {
+                let own = as_stated.explanation.law.terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
+                as_stated.explanation.law.terms.remove(own);
+            }
+            as_stated.relaw();
+            let loss = series.fitted.log_posterior - as_stated.fitted.log_posterior;
+            (loss < prices.of(step.kind)).then_some((at, as_stated))
+        })
+    {
+        *series = as_stated;
         series.rebuild(false);
         steps.remove(at);
     }

@@ -2,6 +2,7 @@
 
 use super::class::Sense;
 use super::columns::{Column, Columns};
+use super::declared::{self, declared, with};
 use super::draw::Draw;
 use super::ground::{as_read, flicker};
 use super::impose::{Effect, ImposeError, Role};
@@ -11,7 +12,6 @@ use super::recipe::Recipe;
 use super::recorded::Stretch;
 use super::report::entries;
 use super::setting::{Part, Setting};
-use super::told::{self, told, with};
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -24,7 +24,7 @@ struct Has {
     effect: Effect,
     sense: Sense,
     /// What the model says of it, if anything.
-    told: Option<BTreeMap<String, Value>>,
+    declared: Option<BTreeMap<String, Value>>,
     over_limit: f64,
 }
 
@@ -92,13 +92,13 @@ impl Case {
             let mut stated = None;
             if sense.is_in_model() {
                 let unstated = ImposeError::Unstated { kind: *kind };
-                let (told, factor) = told(&effect, *sense, &setting, &mut device("told")).ok_or(unstated)?;
+                let (declared, factor) = declared(&effect, *sense, &setting, &mut device("told")).ok_or(unstated)?;
                 if *sense == Sense::Size {
-                    over_limit = told::over_limit(*kind, over_limit, factor);
+                    over_limit = declared::over_limit(*kind, over_limit, factor);
                 }
-                stated = Some(told);
+                stated = Some(declared);
             }
-            Ok(Has { effect, sense: *sense, told: stated, over_limit })
+            Ok(Has { effect, sense: *sense, declared: stated, over_limit })
         };
         let has: Vec<Has> = recipe.effects.iter().enumerate().map(has).collect::<Result<_, _>>()?;
         let model = match &stretch {
@@ -117,8 +117,8 @@ impl Case {
             self.setting.parts.iter().find(|part| part.channel.name() == channel).map(|part| part.level)
         };
         key.effects.iter().try_fold(self.model.clone(), |model, effect| {
-            let told = effect.told.as_ref().map(|told| (effect, told));
-            with(&model, told, level).ok_or(ImposeError::Unstated { kind: effect.kind })
+            let declared = effect.declared.as_ref().map(|declared| (effect, declared));
+            with(&model, declared, level).ok_or(ImposeError::Unstated { kind: effect.kind })
         })
     }
 
@@ -172,7 +172,7 @@ impl Case {
             over_limit: has.over_limit,
             channels: has.effect.channels.iter().map(name).collect(),
             parameters: has.effect.parameters.clone(),
-            told: has.told.clone(),
+            declared: has.declared.clone(),
         };
         Key {
             case: self.number,
@@ -245,22 +245,24 @@ impl Case {
 /// The model that has what the key says: true N, B and K, and the effects as the sensor has them; `None` where the model
 /// format cannot say it: what is outside the library, and limits that follow from the samples.
 ///
-/// `told` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
+/// `declared` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
 #[must_use]
-pub fn true_model(key: &Key, told: &SensorModel) -> Option<SensorModel> {
+pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
     if key.effects.iter().any(|effect| !can_be_said(effect.kind)) {
         return None;
     }
-    let mut value = serde_json::to_value(told).ok()?;
+    let mut value = serde_json::to_value(declared).ok()?;
     for (channel, nbk) in &key.true_nbk {
         let entry = value.get_mut("channels")?.get_mut(channel)?.as_object_mut()?;
         for (name, parameter) in ["N", "B", "K"].into_iter().zip(nbk) {
             entry.insert(name.to_owned(), (*parameter).into());
         }
-        // A recording's own effects come first in what is told, and are true; those of the case come anew.
+        // The model's list begins with the recording's own effects, which are true; those of the case follow.
         if let Some(list) = entry.get_mut("effects").and_then(Value::as_array_mut) {
-            let of_case = |told: &BTreeMap<String, Value>| told.get(channel).map_or(0, |told| entries(told).len());
-            let all: usize = key.effects.iter().filter_map(|effect| effect.told.as_ref()).map(of_case).sum();
+            let of_case = |declared: &BTreeMap<String, Value>| {
+                declared.get(channel).map_or(0, |declared| entries(declared).len())
+            };
+            let all: usize = key.effects.iter().filter_map(|effect| effect.declared.as_ref()).map(of_case).sum();
             list.truncate(list.len().saturating_sub(all));
         }
     }

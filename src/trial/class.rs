@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum Class {
     /// Nothing but wrong parameters.
     None,
-    /// One effect that the model has as the sensor has it.
+    /// One effect that the sensor has and the model states rightly.
     Known,
     /// One effect of the library that the model lacks.
     Single,
@@ -106,14 +106,14 @@ impl Sense {
         }
     }
 
-    /// Whether a cause of sense `told` says of an effect of this sense what is so. Of an effect that both have at two places each
+    /// Whether a cause of sense `stated` says of an effect of this sense what is so. Of an effect that both have at two places each
     /// of three sentences is true: the model lacks the one, the sensor lacks the other, and the two differ.
     #[must_use]
-    pub fn accepts(self, told: Self) -> bool {
+    pub fn accepts(self, stated: Self) -> bool {
         match self {
             Self::Elsewhere => true,
             Self::Known => false,
-            own => own == told,
+            own => own == stated,
         }
     }
 
@@ -136,8 +136,8 @@ mod tests {
 
     #[test]
     fn a_sense_accepts_its_own_word_alone() {
-        let told = ["missing", "superfluous", "size"].map(|name| Sense::from_name(name).unwrap());
-        let accepted = |truth: Sense| told.map(|one| truth.accepts(one));
+        let stated = ["missing", "superfluous", "size"].map(|name| Sense::from_name(name).unwrap());
+        let accepted = |truth: Sense| stated.map(|one| truth.accepts(one));
         assert_eq!(accepted(Sense::Missing), [true, false, false]);
         assert_eq!(accepted(Sense::Superfluous), [false, true, false]);
         assert_eq!(accepted(Sense::Size), [false, false, true]);

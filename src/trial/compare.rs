@@ -7,9 +7,9 @@ use super::report::{Cause, entries};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// The told number nearest to a true one, and how far off it is.
-fn nearest(truth: f64, told: impl IntoIterator<Item = f64>) -> Option<f64> {
-    told.into_iter().map(|told| (told - truth).abs()).min_by(f64::total_cmp)
+/// The stated number nearest to a true one, and how far off it is.
+fn nearest(truth: f64, stated: impl IntoIterator<Item = f64>) -> Option<f64> {
+    stated.into_iter().map(|stated| (stated - truth).abs()).min_by(f64::total_cmp)
 }
 
 /// The numbers of this name in a list of entries.
@@ -21,8 +21,8 @@ fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64>
 pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
     let bins = key.samples as f64 / key.rate_hz;
     for (channel, parameters) in truth.meant(cause.sense) {
-        let (truths, told) = (entries(parameters), cause.entries(channel));
-        if told.is_empty() {
+        let (truths, stated) = (entries(parameters), cause.entries(channel));
+        if stated.is_empty() {
             continue;
         }
         for (name, place, unit) in [
@@ -31,15 +31,16 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
             ("at_s", "at_s", 1.0),
         ] {
             for one in numbers(truths, name) {
-                into.entry(place).or_default().extend(nearest(one, numbers(told, name)).map(|off| off * unit));
+                into.entry(place).or_default().extend(nearest(one, numbers(stated, name)).map(|off| off * unit));
             }
         }
     }
-    let (truths, told) = (intervals_of(truth, cause), told_intervals(cause));
+    let (truths, stated) = (intervals_of(truth, cause), told_intervals(cause));
     for [from, to] in truths {
         // Each end against that of the interval that it lies nearest to.
         let edges = [(from, 0), (to, 1)];
-        let off = edges.into_iter().filter_map(|(time, end)| nearest(time, told.iter().map(|interval| interval[end])));
+        let off =
+            edges.into_iter().filter_map(|(time, end)| nearest(time, stated.iter().map(|interval| interval[end])));
         into.entry("edge_s").or_default().extend(off);
     }
 }
@@ -49,22 +50,25 @@ const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s",
 
 /// Relative errors of a cause's parameters.
 pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
-    let relative = |told: f64, truth: f64| (truth != 0.0).then(|| (told.abs() / truth.abs() - 1.0).abs());
+    let relative = |stated: f64, truth: f64| (truth != 0.0).then(|| (stated.abs() / truth.abs() - 1.0).abs());
     for (channel, parameters) in truth.meant(cause.sense) {
         for one in entries(parameters) {
-            let told = cause.entries(channel);
-            let Some(told) = alike(one, told, key).map(|at| &told[at]) else { continue };
+            let stated = cause.entries(channel);
+            let Some(stated) = alike(one, stated, key).map(|at| &stated[at]) else { continue };
             let Some(one) = one.as_object() else { continue };
             for (name, value) in one.iter().filter(|(name, _)| !NO_SIZES.contains(&name.as_str())) {
                 let pairs: Vec<(f64, f64)> = match (value.as_f64(), value.as_array()) {
-                    (Some(truth), _) => told[name].as_f64().map(|told| (told, truth)).into_iter().collect(),
+                    (Some(truth), _) => stated[name].as_f64().map(|stated| (stated, truth)).into_iter().collect(),
                     (None, Some(list)) if name == "amplitudes" => {
-                        let told = told[name].as_array().map_or(&[][..], Vec::as_slice);
-                        list.iter().zip(told).filter_map(|(truth, told)| told.as_f64().zip(truth.as_f64())).collect()
+                        let stated = stated[name].as_array().map_or(&[][..], Vec::as_slice);
+                        list.iter()
+                            .zip(stated)
+                            .filter_map(|(truth, stated)| stated.as_f64().zip(truth.as_f64()))
+                            .collect()
                     }
                     _ => Vec::new(),
                 };
-                let errors = pairs.into_iter().filter_map(|(told, truth)| relative(told, truth));
+                let errors = pairs.into_iter().filter_map(|(stated, truth)| relative(stated, truth));
                 into.entry(name.clone()).or_default().extend(errors);
             }
         }
@@ -83,16 +87,16 @@ fn is_of_another_form(kind: Kind, name: &str) -> bool {
     }
 }
 
-/// How many intervals of a cause's numbers hold the true ones, and how many there are. A told entry is held against the true one that
+/// How many intervals of a cause's numbers hold the true ones, and how many there are. A stated entry is held against the true one that
 /// lies nearest to it, and only if it is the nearest to that as well.
 pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [usize; 2] {
     let mut held = [0; 2];
     for (channel, parameters) in truth.meant(cause.sense) {
-        let (truths, told, intervals) =
+        let (truths, stated, intervals) =
             (entries(parameters), cause.entries(channel), entries(&cause.uncertainty[channel]));
-        for (at, (one, intervals)) in told.iter().zip(intervals).enumerate() {
+        for (at, (one, intervals)) in stated.iter().zip(intervals).enumerate() {
             let Some(truth_of) = alike(one, truths, key).map(|at| &truths[at]) else { continue };
-            if alike(truth_of, told, key) != Some(at) {
+            if alike(truth_of, stated, key) != Some(at) {
                 continue;
             }
             for (name, ends) in intervals.as_object().into_iter().flatten() {
@@ -112,14 +116,14 @@ const BINS: f64 = 4.0;
 /// Part of the record within which two times mean one step.
 const STEP_PART: f64 = 0.02;
 
-/// The place of the told entry that means this true one: the first one of what has no place, or the one that is nearest in frequency or
+/// The place of the stated entry that means this true one: the first one of what has no place, or the one that is nearest in frequency or
 /// time.
-fn alike(truth: &Value, told: &[Value], key: &Key) -> Option<usize> {
+fn alike(truth: &Value, stated: &[Value], key: &Key) -> Option<usize> {
     let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
-    let Some(place) = place else { return (!told.is_empty()).then_some(0) };
+    let Some(place) = place else { return (!stated.is_empty()).then_some(0) };
     let wanted = truth[place].as_f64()?;
     let off = |(at, entry): (usize, &Value)| Some(((entry[place].as_f64()? - wanted).abs(), at));
-    let best = told.iter().enumerate().filter_map(off).min_by(|one, other| one.0.total_cmp(&other.0))?;
+    let best = stated.iter().enumerate().filter_map(off).min_by(|one, other| one.0.total_cmp(&other.0))?;
     // A line or a step that was not found is not compared with another one.
     let length_s = key.samples as f64 / key.rate_hz;
     let near = match place {

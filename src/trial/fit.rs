@@ -75,7 +75,7 @@ pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
 
 fn variance(kind: Kind, cause: &Cause) -> Fit {
     let has = |name: &str| cause.all_entries().any(|entry| !entry[name].is_null());
-    let told = if has("profile") {
+    let stated = if has("profile") {
         Kind::VarianceProfile
     } else if has("per_c") {
         Kind::VariancePerC
@@ -83,8 +83,8 @@ fn variance(kind: Kind, cause: &Cause) -> Fit {
         Kind::VarianceInterval
     };
     let several = || cause.channels.iter().any(|channel| cause.entries(channel).len() > 1);
-    match (kind, told) {
-        (truth, told) if truth == told => Fit::Exact,
+    match (kind, stated) {
+        (truth, stated) if truth == stated => Fit::Exact,
         (_, Kind::VarianceProfile) => Fit::Equivalent,
         (Kind::VarianceProfile, Kind::VarianceInterval) if several() => Fit::Equivalent,
         _ => Fit::No,
@@ -99,9 +99,10 @@ fn every_harmonic(truth: &TrueEffect, cause: &Cause, key: &Key) -> bool {
         let entry = &truth.meant(cause.sense)[channel];
         let fundamental_hz = entry["fundamental_hz"].as_f64().unwrap_or(f64::NAN);
         let count = entry["amplitudes"].as_array().map_or(0, Vec::len);
-        let told: Vec<f64> = cause.entries(channel).iter().filter_map(|entry| entry["frequency_hz"].as_f64()).collect();
+        let stated: Vec<f64> =
+            cause.entries(channel).iter().filter_map(|entry| entry["frequency_hz"].as_f64()).collect();
         (1..=count).all(|harmonic| {
-            told.iter().any(|frequency_hz| (frequency_hz - harmonic as f64 * fundamental_hz).abs() <= width_hz)
+            stated.iter().any(|frequency_hz| (frequency_hz - harmonic as f64 * fundamental_hz).abs() <= width_hz)
         })
     })
 }
@@ -179,7 +180,7 @@ mod tests {
             over_limit: 2.0,
             channels: vec!["gyro_x".to_owned()],
             parameters: [("gyro_x".to_owned(), parameters)].into(),
-            told: None,
+            declared: None,
         }
     }
     fn cause(effect: &str, channel: &str, parameters: Value) -> Cause {
@@ -207,9 +208,9 @@ mod tests {
     #[test]
     fn a_cause_in_the_wrong_sense_is_wrong() {
         let tone = json!({"frequency_hz": 3.0, "amplitude": 1.0});
-        let of = |sense, told| {
+        let of = |sense, stated| {
             let truth = TrueEffect { sense, ..truth(Kind::Tone, tone.clone()) };
-            fit(&truth, &Cause { sense: told, ..cause("tone", "gyro_x", tone.clone()) }, &key())
+            fit(&truth, &Cause { sense: stated, ..cause("tone", "gyro_x", tone.clone()) }, &key())
         };
         assert_eq!(of(Sense::Superfluous, Sense::Missing), Fit::No);
         assert_eq!(of(Sense::Superfluous, Sense::Superfluous), Fit::Exact);

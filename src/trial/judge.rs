@@ -199,7 +199,7 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         control: answer.own.as_ref().map(|own| (own.verdict.clone(), own.causes.len())),
         causes: causes.iter().map(named).collect(),
         effects: key.effects.iter().map(|truth| found(truth, &causes, &places, key)).collect(),
-        // Of what a recording has of itself nobody knows where it lies.
+        // Nobody knows where the recording's own effects lie.
         false_places: report.filter(|_| answer.own.is_none()).map(|_| false_places(&places, key).count()),
         remainder: report.and_then(|report| report.remainder),
         closed: report.and_then(|report| report.closed),
@@ -236,8 +236,8 @@ fn found(truth: &TrueEffect, causes: &[Cause], places: &[Place], key: &Key) -> F
     let fits: Vec<(Fit, &Cause)> =
         causes.iter().map(|cause| (fit(truth, cause, key), cause)).filter(|(fit, _)| *fit > Fit::No).collect();
     let best = fits.iter().map(|(fit, _)| *fit).max().unwrap_or(Fit::No);
-    let told: BTreeSet<&String> = fits.iter().flat_map(|(_, cause)| &cause.channels).collect();
-    let channels_exact = told == truth.channels.iter().collect();
+    let declared: BTreeSet<&String> = fits.iter().flat_map(|(_, cause)| &cause.channels).collect();
+    let channels_exact = declared == truth.channels.iter().collect();
     let mut found = Found {
         kind: truth.kind,
         sense: truth.sense,
@@ -293,7 +293,7 @@ mod tests {
             assert!(judged.right_first() && judged.exactly() && judged.counts, "{kind}");
             assert!(judged.effects[0].channels_exact != Some(false) && !judged.effects[0].equivalent, "{kind}");
             assert!(judged.effects[0].location.values().flatten().all(|error| *error < 1e-9), "{kind}");
-            assert!(judged.effects[0].placed != Some(true), "{kind}: no place was told");
+            assert!(judged.effects[0].placed != Some(true), "{kind}: no place was stated");
             assert!(judged.effects[0].parameters.values().flatten().all(|error| *error < 1e-9), "{kind}");
         }
     }
@@ -363,7 +363,7 @@ mod tests {
         cause["sense"] = json!("superfluous");
         let wrong = judge(&key, &report("effects", json!([cause.clone()]))).effects.remove(0);
         assert!(wrong.location["frequency_bins"][0] > 4.0 && wrong.parameters.is_empty());
-        cause["parameters"] = json!(key.effects[0].told);
+        cause["parameters"] = json!(key.effects[0].declared);
         let right = judge(&key, &report("effects", json!([cause]))).effects.remove(0);
         assert!(right.location["frequency_bins"][0] < 1e-9 && right.parameters["amplitude"][0] < 1e-9);
     }

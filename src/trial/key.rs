@@ -34,15 +34,16 @@ pub struct TrueEffect {
     /// that the model has.
     pub parameters: BTreeMap<String, Value>,
     /// What the model says, where it has the effect.
-    pub told: Option<BTreeMap<String, Value>>,
+    #[serde(rename = "told")]
+    pub declared: Option<BTreeMap<String, Value>>,
 }
 
 impl TrueEffect {
     /// The parameters that a cause of this sense is about. Of what both have at two places, one that the sensor lacks is the model's.
     #[must_use]
     pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
-        match &self.told {
-            Some(told) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => told,
+        match &self.declared {
+            Some(declared) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => declared,
             _ => &self.parameters,
         }
     }

@@ -110,7 +110,7 @@ impl Kind {
     pub const LIBRARY: &[Self] = LIBRARY;
     /// Those that no effect of section 5 describes, on which the diagnosis may be tuned.
     pub const TUNED: &[Self] = TUNED;
-    /// Others like them that nothing is tuned on: the figure is told of these.
+    /// Others like them, on which nothing is tuned: they give the published figure.
     pub const KEPT: &[Self] = KEPT;
 
     /// Every kind.
@@ -297,8 +297,8 @@ impl Kind {
         )
     }
 
-    /// Whether it is the same all the time and has exactly the law that the contract's parameters say, so that a model can have it
-    /// as the sensor has it. Steps that rise slowly, soft ends and limits that follow from the samples are not.
+    /// Whether it is the same all the time and has exactly the law that the contract's parameters say, so that a model can state
+    /// it rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
     #[must_use]
     pub fn can_be_known(self) -> bool {
         matches!(

@@ -9,7 +9,7 @@ use super::class::Sense;
 use super::impose::Role;
 use super::kind::Kind;
 
-/// Samples of the study's cases: the length at which limits are told.
+/// Samples of the study's cases: the length for which limits are given.
 pub const STUDY: usize = 65_536;
 /// Log-likelihood that a single burst has to give, nats: the price of an interval at this length, and as much again.
 const BURST_NATS: f64 = 20.0;
@@ -71,7 +71,7 @@ const EXPECTED: f64 = 12.0;
 /// From which to which size over the limit an effect is drawn in cases of `samples`.
 ///
 /// An effect of three or four starts from 1.5 times the limit, since a case counts where all its effects are above. A bias that
-/// the model has as the sensor has it changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
+/// the model states rightly changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
 #[must_use]
 pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
     let limit = limit(kind, samples);

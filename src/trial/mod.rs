@@ -6,7 +6,7 @@
 //! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not
 //! those that the diagnosis fits ([`impose`]); how large they are follows from the limits of a feasibility study ([`limit`]).
 //! Below which size no test at all finds one is in [`bound`], from which on this one does in [`detection`]. Which cases there are is in [`plan`],
-//! what a model says of the effects that it has in [`told`], how stamps are written in [`stamps`], which sets are frozen in [`suite`].
+//! what a model says of the effects that it has in [`declared`], how stamps are written in [`stamps`], which sets are frozen in [`suite`].
 //! Whether a cause that was named is right is decided by the rules of [`mod@fit`], whether `where` is by those of [`place`], whether it
 //! holds on other data by those of [`again`].
 //! Effects act on columns of samples ([`columns`]), made here or recorded: [`recorded`] imposes them on a recording that somebody made.
@@ -20,6 +20,7 @@ pub mod case;
 pub mod class;
 pub mod columns;
 mod compare;
+pub mod declared;
 pub mod detection;
 pub mod draw;
 pub mod fit;
@@ -44,7 +45,6 @@ pub mod score;
 pub mod setting;
 pub mod stamps;
 pub mod suite;
-pub mod told;
 
 pub use again::Again;
 pub use case::Case;

@@ -31,7 +31,7 @@ pub fn page(score: &Score) -> String {
     );
     if let Some(suite) = score.suite.and_then(Suite::named) {
         out += "<h2>A frozen set</h2>";
-        let _ = write!(out, "<p>{}</p>", escaped(&suite.told(&score.manifest_sha256)));
+        let _ = write!(out, "<p>{}</p>", escaped(&suite.described(&score.manifest_sha256)));
     }
     if let Some(on) = &score.on {
         let _ = write!(
@@ -46,7 +46,7 @@ pub fn page(score: &Score) -> String {
     }
     out += "<h2>In short</h2><p>Effects of 1.5 times the study's 90&nbsp;% limit or above; intervals are Clopper and Pearson's, \
             95&nbsp;%.</p>";
-    let rows = score.rates.told().map(|one| vec![escaped(one.meaning), count(one.rate), percent(one.rate)]);
+    let rows = score.rates.stated().map(|one| vec![escaped(one.meaning), count(one.rate), percent(one.rate)]);
     table(&mut out, &["", "count", "share"], rows);
     if let Some(places) = score.false_places {
         let _ = write!(out, "<p>False places per record: {places:.2}.</p>");

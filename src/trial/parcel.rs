@@ -56,7 +56,7 @@ pub struct Parcel {
     pub recording: Recording,
     /// The model.
     pub model: SensorModel,
-    /// Whether it is to be read as a table is, with the rate that its stamps tell.
+    /// Whether it is to be read as a table is, with the rate that its stamps show.
     pub table: bool,
 }
 

@@ -99,12 +99,12 @@ impl Lies {
 
 /// Whether a place lies where an effect does; of one that both have at two places either is its.
 fn lies_at(truth: &TrueEffect, place: &Place, key: &Key) -> bool {
-    let told = truth.told.iter().flatten();
-    let mut on = truth.parameters.iter().chain(told).filter(|(channel, _)| **channel == place.channel);
+    let declared = truth.declared.iter().flatten();
+    let mut on = truth.parameters.iter().chain(declared).filter(|(channel, _)| **channel == place.channel);
     on.any(|(_, entry)| entries(entry).iter().any(|one| Lies::of(truth.kind, one, key).is_at(place)))
 }
 
-/// Whether a cause that is this effect is placed. None of what has no channel of its own, and where no channel is told.
+/// Whether a cause that is this effect is placed; none if the effect has no channel of its own, or the cause names no channel.
 #[must_use]
 pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key) -> Option<bool> {
     let of_all = truth.kind.needs_stamps() || cause.channels.is_empty();
@@ -116,8 +116,8 @@ pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key)
         places.iter().filter(own).any(|place| place.channel == *channel && lies_at(truth, place, key))
     };
     let here = cause.channels.iter().filter(|channel| truth.channels.contains(channel)).all(on);
-    let told = places.iter().filter(|place| place.of == Of::Cause(cause.index));
-    Some(here && told.into_iter().all(|place| truth.channels.contains(&place.channel)))
+    let mut own = places.iter().filter(|place| place.of == Of::Cause(cause.index));
+    Some(here && own.all(|place| truth.channels.contains(&place.channel)))
 }
 
 /// Places on channels on which sensor and model do not differ in an effect.

@@ -182,7 +182,7 @@ impl Rates {
             |(one, again): (&Judgement, super::again::Again)| Some((again.closed? - one.closed?).abs() <= WITHIN);
         add(
             "closed_again",
-            "closed on a second record within 0.03 of what was said",
+            "closed on a second record within 0.03 of what was reported",
             Rate::of(again().filter_map(near)),
         );
         add(
@@ -216,7 +216,7 @@ impl Rates {
     }
 
     /// Those that are of some case.
-    pub fn told(&self) -> impl Iterator<Item = &NamedRate> {
+    pub fn stated(&self) -> impl Iterator<Item = &NamedRate> {
         self.0.iter().filter(|one| one.rate.of > 0)
     }
 }

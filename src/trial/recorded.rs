@@ -14,7 +14,7 @@ use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::impose::{Effect, SAMPLES_MIN};
 use super::kind::Kind;
-use super::setting::{Part, SIX, Setting, is_of_another, told};
+use super::setting::{Part, SIX, Setting, declared, is_of_another};
 use super::stamps::Stamps;
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
@@ -200,7 +200,7 @@ impl Stretch {
             let level = values.iter().sum::<f64>() / values.len() as f64;
             let n = if of.n > 0.0 { of.n } else { scale(&values) / rate_hz.sqrt() };
             let true_nbk = [n, of.b, of.k];
-            let told_nbk = told(true_nbk, far, device);
+            let told_nbk = declared(true_nbk, far, device);
             Some(Part { channel: *channel, level, true_nbk, told_nbk, told_bias: None })
         };
         let parts = chosen.iter().filter_map(part).collect();
@@ -215,12 +215,12 @@ impl Stretch {
         }
     }
 
-    /// Its model with these channels alone: as it was fitted, or as a case is told.
+    /// Its model with these channels alone: as it was fitted, or as a case states it.
     #[must_use]
-    pub fn model_of(&self, setting: &Setting, told: bool) -> SensorModel {
+    pub fn model_of(&self, setting: &Setting, declared: bool) -> SensorModel {
         let mut model = self.model.clone();
         model.channels.retain(|channel, _| setting.parts.iter().any(|part| part.channel == *channel));
-        for part in setting.parts.iter().filter(|_| told) {
+        for part in setting.parts.iter().filter(|_| declared) {
             if let Some(of) = model.channels.get_mut(&part.channel) {
                 [of.n, of.b, of.k] = part.told_nbk;
                 of.uncertainty = None;

@@ -27,7 +27,7 @@ pub struct Cause {
     pub confidence: Option<f64>,
     /// By channel: its parameters, an object or a list of them.
     pub parameters: Value,
-    /// How sensor and model differ in it; missing where it is not told.
+    /// How sensor and model differ in it; `missing` if the report does not state it.
     pub sense: Sense,
     /// 95 % intervals of the parameters, in the same form.
     pub uncertainty: Value,
@@ -45,7 +45,7 @@ pub enum Of {
     Parameters,
     /// What has no name.
     Remainder,
-    /// It is not told.
+    /// The report does not state it.
     Untold,
 }
 
@@ -75,9 +75,9 @@ pub struct Report {
     pub closed: Option<f64>,
     /// The interval.
     pub closed_ci95: Option<[f64; 2]>,
-    /// The places, where any are told.
+    /// The places, if the report states any.
     pub places: Vec<Place>,
-    /// The part of the gap that is reproduced without a name, where that is told.
+    /// The part of the gap that is reproduced without a name, if the report states it.
     pub remainder: Option<f64>,
 }
 

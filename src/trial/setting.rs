@@ -65,13 +65,13 @@ fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
 }
 
 /// N, B and K as a model has them that somebody wrote: a little wrong, or far off.
-pub(super) fn told(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 3] {
-    let mut told = true_nbk;
-    for (at, parameter) in told.iter_mut().enumerate() {
+pub(super) fn declared(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 3] {
+    let mut declared = true_nbk;
+    for (at, parameter) in declared.iter_mut().enumerate() {
         *parameter *=
             if far { draw.log_uniform(1.0 / FAR[at], FAR[at]) } else { 1.0 + draw.uniform(-OFF[at], OFF[at]) };
     }
-    told
+    declared
 }
 
 /// Whether the model of a case is far off.
@@ -104,7 +104,7 @@ impl Part {
         let b = FLICKER * white * draw.log_uniform(0.5, 2.0);
         let k = WALK * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
         let true_nbk = [n, b, k];
-        let told_nbk = told(true_nbk, far, draw);
+        let told_nbk = declared(true_nbk, far, draw);
         let told_bias = draw.chance(0.2).then(|| level + 20.0 * white * draw.normal());
         Self { channel, level, true_nbk, told_nbk, told_bias }
     }
@@ -184,8 +184,8 @@ mod tests {
             assert!((LENGTH_S[0] - 1.0..=LENGTH_S[1]).contains(&setting.length_s()));
             assert!((RATE_HZ[0]..=RATE_HZ[1]).contains(&setting.rate_hz));
             for part in &setting.parts {
-                for ((told, truth), far) in part.told_nbk.iter().zip(part.true_nbk).zip(FAR) {
-                    assert!((1.0 / far..=far).contains(&(told / truth)));
+                for ((declared, truth), far) in part.told_nbk.iter().zip(part.true_nbk).zip(FAR) {
+                    assert!((1.0 / far..=far).contains(&(declared / truth)));
                 }
             }
             assert!(setting.model().check(setting.rate_hz).is_ok());
@@ -197,7 +197,7 @@ mod tests {
                     .iter()
                     .zip(part.true_nbk)
                     .zip(OFF)
-                    .all(|((told, truth), off)| (told / truth - 1.0).abs() <= off)
+                    .all(|((declared, truth), off)| (declared / truth - 1.0).abs() <= off)
             })
         };
         assert!((share(&near) - (1.0 - OF_ANOTHER)).abs() < 0.1);

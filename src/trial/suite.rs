@@ -60,7 +60,7 @@ impl Suite {
 
     /// What someone needs who compares with it, in words.
     #[must_use]
-    pub fn told(&self, manifest_sha256: &str) -> String {
+    pub fn described(&self, manifest_sha256: &str) -> String {
         let kept = if manifest_sha256 == self.manifest_sha256 {
             "the manifest is the frozen one".to_owned()
         } else {

@@ -10,8 +10,8 @@ use crate::diagnosis::series::Series;
 #[must_use]
 pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> Vec<Candidate> {
     let declared = series.setting().declared.iter();
-    let as_told = declared.filter(|(place, _)| !series.explanation.without.contains(place));
-    as_told
+    let as_stated = declared.filter(|(place, _)| !series.explanation.without.contains(place));
+    as_stated
         .map(|(place, term)| {
             let bare = series.without_declared(*place);
             let left_out = bare.fitted.log_posterior - series.fitted.log_posterior;

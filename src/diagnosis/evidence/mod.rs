@@ -1,4 +1,4 @@
-//! Evidence: what each effect would explain of a series, in nats, the noise fitted anew beside it.
+//! Evidence: what each effect would explain of a series, in nats, the noise fitted again beside it.
 
 pub mod declared;
 pub mod level;

@@ -130,7 +130,7 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
             (0..3).filter(concerned).map(|axis| of.triad.channels()[axis].name().to_owned()).collect();
         let estimates = &of.fit.estimates[fitted.places.clone()];
         let mut evidence = vec![format!(
-            "{}: {gain:.0} nats ({:.2e} a sample) more with {} than without, all else fitted anew; chance gives {:.0}",
+            "{}: {gain:.0} nats ({:.2e} a sample) more with {} than without, all else fitted again; chance gives {:.0}",
             of.triad.name(),
             gain / samples,
             called(candidate),

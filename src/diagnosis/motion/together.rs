@@ -19,7 +19,7 @@ const NORMAL_95: f64 = 1.959_963_984_540_054;
 pub(super) struct Driven {
     pub(super) triad: Triad,
     pub(super) effect: Arc<dyn TriadEffect>,
-    /// Nats, all others fitted anew; None for what is read off exactly and what nothing held out measures.
+    /// Nats, all others fitted again; None for what is read off exactly and what nothing held out measures.
     pub(super) gain: Option<f64>,
     pub(super) rank: f64,
     pub(super) cause: Cause,

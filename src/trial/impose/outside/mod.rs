@@ -45,7 +45,7 @@ impl Act for Clock {
     }
 }
 
-/// A kind of these: its size, by what name a key tells it, and the change.
+/// A kind of these: its size, its name in a key, and the change.
 struct Drawn {
     size: f64,
     name: &'static str,

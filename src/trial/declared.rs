@@ -1,4 +1,4 @@
-//! Told: what a model says of an effect that it has, as the sensor has it, at another size, or elsewhere.
+//! Declared: what a model states of an effect: rightly, at another size, or elsewhere.
 
 use super::class::Sense;
 use super::draw::Draw;
@@ -23,10 +23,10 @@ const SHIFT: [f64; 2] = [0.15, 0.85];
 /// Draws of a size or a place before there is none.
 const TRIES: usize = 400;
 
-/// By channel, in the contract's form, what a model that has the effect states of it, and by which factor it is larger there than in the
-/// sensor; `None` where no model can state it.
+/// By channel, in the contract's form, what a model that has the effect states of it, and the factor by which it is larger there
+/// than in the sensor; `None` where no model can state it.
 #[must_use]
-pub fn told(
+pub fn declared(
     effect: &Effect,
     sense: Sense,
     setting: &Setting,
@@ -34,19 +34,19 @@ pub fn told(
 ) -> Option<(BTreeMap<String, Value>, f64)> {
     effect.kind.effect()?;
     let mut tries = (0..TRIES).map(|_| drawn(effect, sense, setting, draw));
-    let (mut told, factor) = tries.find(|(told, factor)| match sense {
+    let (mut declared, factor) = tries.find(|(declared, factor)| match sense {
         Sense::Size => factor.ln().abs() >= LEFT.ln(),
-        Sense::Elsewhere => are_apart(&effect.parameters, told),
+        Sense::Elsewhere => are_apart(&effect.parameters, declared),
         _ => true,
     })?;
     if effect.kind == Kind::Saturation {
         for part in &setting.parts {
-            if let Some(entry) = told.get_mut(part.channel.name()) {
+            if let Some(entry) = declared.get_mut(part.channel.name()) {
                 *entry = limits(entry, part.level, part.white(setting.rate_hz));
             }
         }
     }
-    Some((told, factor))
+    Some((declared, factor))
 }
 
 /// One draw of what a model states, and by which factor the size that came of it is larger than the sensor's.
@@ -62,10 +62,10 @@ fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (
         _ => one.clone(),
     };
     let of = |(channel, entry): (&String, &Value)| (channel.clone(), each(entry, |one| change(channel, one)));
-    let told: BTreeMap<String, Value> = effect.parameters.iter().map(of).collect();
-    let factors = effect.parameters.iter().map(|(channel, entry)| grown(kind, entry, &told[channel]));
+    let declared: BTreeMap<String, Value> = effect.parameters.iter().map(of).collect();
+    let factors = effect.parameters.iter().map(|(channel, entry)| grown(kind, entry, &declared[channel]));
     let least = factors.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs()));
-    (told, least.unwrap_or(1.0))
+    (declared, least.unwrap_or(1.0))
 }
 
 /// By which factor the size of an entry is larger in what was made of it: of several numbers that which changed least.
@@ -232,7 +232,7 @@ fn numbers(value: &Value) -> Vec<f64> {
     }
 }
 
-/// A model with what is told of these effects besides what it has. Where limits or steps are absolute, its bias is the level: from
+/// A model that states these effects besides what it has. Where limits or steps are absolute, its bias is the level: from
 /// another one no noise would reach them. `None` where the model's format cannot say it.
 #[must_use]
 pub fn with<'a>(
@@ -241,9 +241,9 @@ pub fn with<'a>(
     level: impl Fn(&str) -> Option<f64>,
 ) -> Option<SensorModel> {
     let mut value = serde_json::to_value(model).ok()?;
-    for (effect, told) in effects {
+    for (effect, declared) in effects {
         let name = effect.effect.as_ref()?;
-        for (channel, told) in told {
+        for (channel, declared) in declared {
             let of = value.get_mut("channels")?.get_mut(channel)?.as_object_mut()?;
             if matches!(effect.kind, Kind::Saturation | Kind::Resolution)
                 && let Some(level) = level(channel)
@@ -251,7 +251,7 @@ pub fn with<'a>(
                 of.insert("bias".to_owned(), level.into());
             }
             let list = of.entry("effects").or_insert_with(|| Value::Array(Vec::new())).as_array_mut()?;
-            for one in entries(told) {
+            for one in entries(declared) {
                 let mut one = one.as_object()?.clone();
                 one.insert("effect".to_owned(), name.as_str().into());
                 list.push(Value::Object(one));
@@ -281,7 +281,7 @@ mod tests {
                     let (key, model) = (case.key(), case.model());
                     assert!(model.check(key.rate_hz).is_ok(), "{kind} {sense:?}: {:?}", model.check(key.rate_hz));
                     let effect = &key.effects[0];
-                    let differs = effect.told.as_ref() != Some(&effect.parameters);
+                    let differs = effect.declared.as_ref() != Some(&effect.parameters);
                     assert_eq!(
                         differs,
                         sense == Sense::Size || sense == Sense::Elsewhere || kind == Kind::Saturation,
@@ -305,7 +305,7 @@ mod tests {
             {
                 let case = made(kind, Sense::Size, seed);
                 let (key, own) = (case.key(), case.effects().next().unwrap());
-                let stated = key.effects[0].told.clone().unwrap();
+                let stated = key.effects[0].declared.clone().unwrap();
                 let factor = stated.iter().map(|(channel, stated)| grown(kind, &own.parameters[channel], stated));
                 let factor = factor.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap();
                 assert!(factor.ln().abs() >= LEFT.ln(), "{kind} {stated:?}");
@@ -328,7 +328,7 @@ mod tests {
             for kind in [Kind::Bursts, Kind::VarianceInterval] {
                 let key = made(kind, Sense::Elsewhere, seed).key();
                 let effect = &key.effects[0];
-                assert!(are_apart(&effect.parameters, effect.told.as_ref().unwrap()), "{effect:?}");
+                assert!(are_apart(&effect.parameters, effect.declared.as_ref().unwrap()), "{effect:?}");
             }
         }
         let of = |from: f64| [("gyro_x".to_owned(), serde_json::json!({"from_s": from, "to_s": from + 10.0}))].into();
