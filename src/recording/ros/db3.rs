@@ -118,6 +118,8 @@ fn open(input: &Input) -> Result<Database, RecordingError> {
     ] {
         database.set_db_config(setting, on).map_err(fault)?;
     }
+    // Otherwise SQLite reads a damaged page beyond its end, where each reading finds something else.
+    database.pragma_update(None, "cell_size_check", true).map_err(fault)?;
     // A message is cut off in SQL; a text (a definition) may be longer.
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, 64 << 20).map_err(fault)?;
     Ok(database)
@@ -220,6 +222,15 @@ impl Db3Reader {
 
     /// Reads the next rows; whether they stood in their order, which in a damaged database they may not.
     fn fill(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<bool> {
+        let filled = self.fill_from_cache(wanted);
+        if filled.is_err() {
+            // SQLite checks a page once: what stays in its cache would pass the next time.
+            self.database.execute_batch("PRAGMA shrink_memory")?;
+        }
+        filled
+    }
+
+    fn fill_from_cache(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<bool> {
         // A topic of images beside the IMU's is not even read.
         let topics: Vec<String> =
             self.numbers.iter().filter(|(_, number)| wanted(**number)).map(|(id, _)| id.to_string()).collect();

@@ -266,6 +266,26 @@ fn a_hole_in_a_database_costs_its_own_rows_and_is_said() {
     assert!(loaded.info.first_rejected[0].text.contains("was not read"), "{:?}", loaded.info.first_rejected);
 }
 
+/// The row's bytes lie beyond the page, in memory that differs from reading to reading.
+#[test]
+fn a_damaged_page_is_the_same_at_every_reading() {
+    let messages: Vec<_> = (0..2000).map(|index| message(0, index, imu(index))).collect();
+    let mut bytes = db3(&[IMU], &messages);
+    let (_, leaves) = leaves(&bytes);
+    for leaf in [leaves[5], leaves[50]] {
+        bytes[leaf + 8 + 2 * 5..leaf + 8 + 2 * 6].fill(0xFF);
+    }
+    let readings: Vec<_> = (0..200)
+        .map(|_| {
+            let info = load(bytes.clone(), Options::default()).unwrap().info;
+            let texts: Vec<_> = info.first_rejected.iter().map(|rejected| rejected.text.clone()).collect();
+            (info.samples, texts)
+        })
+        .collect();
+    assert!(readings.iter().all(|reading| *reading == readings[0]), "{:?}", readings);
+    assert!((1976..2000).contains(&readings[0].0) && readings[0].1.len() == 2, "{:?}", readings[0]);
+}
+
 #[test]
 fn a_database_that_was_cut_off_says_what_may_save_it() {
     let messages: Vec<_> = (0..200).map(|index| message(0, index, imu(index))).collect();
