@@ -1,6 +1,7 @@
 //! Arguments: the command line as `clap` reads it.
 
 use crate::datasheet::{Datasheet, DatasheetError};
+use crate::diagnosis;
 use crate::export::Target;
 use crate::jobs::StatedSampling;
 use crate::model_fit::effects_named;
@@ -430,6 +431,9 @@ pub struct DiagnoseArgs {
     /// $XDG_CACHE_HOME/vn100d
     #[arg(long)]
     pub calibrate: bool,
+    /// Part of the gap above which what remains without a name makes the verdict `unknown_effect`, from 0 to 1
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = diagnosis::MATERIAL)]
+    pub unknown_above: f64,
     /// Write the model here with its parameters corrected and what it lacked added
     #[arg(long, value_name = "OUT.json")]
     pub augmented_model: Option<PathBuf>,
@@ -658,6 +662,13 @@ fn speed(text: &str) -> Result<f64, String> {
 
 fn effect_names(text: &str) -> Result<EffectNames, String> {
     effects_named(text).map(EffectNames)
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|share: &f64| (0.0..=1.0).contains(share))
+        .ok_or_else(|| "a share from 0 to 1, such as 0.02".to_owned())
 }
 
 fn rate(text: &str) -> Result<f64, String> {

@@ -42,6 +42,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         real: &real_name,
         sim: &args.sim,
         workers: &TwoThreads,
+        unknown_above: args.unknown_above,
         tails: tails.as_ref(),
         ..Options::default()
     };
@@ -126,6 +127,11 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
             rows.add_row([effect, cause.channels.join("\n"), parameters(cause, of), sure, closes]);
         }
         writeln!(out, "\n{rows}")?;
+    }
+    if let Some(left) = &of.remainder {
+        let on = left.channels.join(", ");
+        writeln!(out, "\nwithout a name: {:.2} % of the gap, on {on}", 100.0 * left.share)?;
+        left.what.iter().try_for_each(|what| writeln!(out, "  {what}"))?;
     }
     if !of.r#where.is_empty() {
         let mut rows = table(&["where the gap lies", "channel", "band in Hz", "time in s", "share", "sign"]);

@@ -13,7 +13,8 @@ use super::pairs;
 use super::places::{Remnant, places};
 use super::prepare::Prepared;
 use super::recording::Recording;
-use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Sense, Verdict};
+use super::remainder;
+use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Remainder, Sense};
 use super::search::Step;
 use crate::effects::Effect;
 use crate::sample::Channel;
@@ -44,23 +45,19 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let remains = remains(found, &named);
     let parameters = parameters(found, &named, real, sim);
     let foreign = foreign(found);
-    let remains_something = remains.worst.is_some() || !foreign.is_empty();
-    let verdict = match (remains_something, named.is_empty(), parameters.iter().any(|of| of.parameter != "bias")) {
-        (true, ..) => Verdict::UnknownEffect,
-        (false, false, _) => Verdict::Effects,
-        (false, true, true) => Verdict::Parameters,
-        (false, true, false) => Verdict::NoGap,
-    };
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, &remains.channels, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
-    let remnants = if remains_something { remnants(found, &remains) } else { Vec::new() };
+    let remnants = if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains) } else { Vec::new() };
     let places = places(found, &named, &causes, &parameters, &remnants, real);
+    let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
+    let what = foreign.iter().cloned().chain(of_worst.clone()).collect();
+    let remainder = Remainder::of(&places, what, (found.samples * found.channels.len()) as f64);
+    let has_parameters = parameters.iter().any(|of| of.parameter != "bias");
+    let verdict = remainder::verdict(remainder.as_ref(), options.unknown_above, !named.is_empty(), has_parameters);
     notes.extend(foreign);
-    if let Some((channel, statistic)) = remains.worst {
-        notes.push(format!("what remains on {channel}: {}", statistic.meaning()));
-    }
+    notes.extend(of_worst.map(|what| format!("what remains {what}")));
     notes.extend(pairs::notes(found, &named, real));
     let augmented = augmented(found, sim, &named);
     let per_channel = found.channels.iter().map(|of| {
@@ -83,6 +80,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         offsets,
         hints,
         causes,
+        remainder,
         alternatives,
         per_channel: per_channel.collect(),
         notes,
@@ -112,7 +110,7 @@ fn remnants(found: &Found, remains: &Remains) -> Vec<Remnant> {
     });
     let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
         channel: *channel,
-        nats: *nats,
+        nats: remainder::bounded(*nats, found.samples as f64),
         p_value: *p_value,
         band: None,
     });

@@ -14,6 +14,7 @@ use super::omnibus::{self, Statistic};
 use super::prepare::{self, Prepared, Ready};
 use super::prices::{Prices, Tails};
 use super::recording::Recording;
+use super::remainder::MATERIAL;
 use super::report::Diagnosis;
 use super::search::{self, FREE, Step};
 use super::series::Series;
@@ -56,6 +57,8 @@ pub struct Options<'a> {
     pub level: f64,
     /// Who does the work.
     pub workers: &'a dyn Workers,
+    /// Part of the gap above which what remains makes the verdict `unknown_effect`.
+    pub unknown_above: f64,
     /// Names of the effects to look for; none is all.
     pub effects: Option<&'a [&'static str]>,
     /// Whether the model's B and K are believed to be about right; else they are fitted as if nothing were known of them.
@@ -89,6 +92,7 @@ impl Default for Options<'_> {
             sim: "",
             level: 0.005,
             workers: &Alone,
+            unknown_above: MATERIAL,
             effects: None,
             believed: true,
             tails: None,

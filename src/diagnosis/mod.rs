@@ -42,9 +42,11 @@ mod pairs;
 mod phase;
 mod places;
 mod plans;
+mod polish;
 pub mod prepare;
 pub mod prices;
 pub mod recording;
+mod remainder;
 pub mod report;
 pub mod response;
 #[cfg(test)]
@@ -65,6 +67,7 @@ pub use error::DiagnosisError;
 pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
 pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
+pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
 
 /// The effects that can be found in a record at rest: the contract's, on channels.

@@ -206,20 +206,22 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for shared in &found.shared {
-        for ((index, part), error) in shared.parts.iter().zip(&shared.errors) {
+        for ((index, part), sizes) in shared.parts.iter().zip(&shared.ci95) {
             let of = &found.channels[*index];
             let has = sim.channels.get(&of.prepared.channel);
             if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
                 return Vec::new();
             }
             let gain = shared.gain / shared.parts.len() as f64;
+            let mut ends = sizes.map(|size| size * part.signum() * of.white);
+            ends.sort_unstable_by(f64::total_cmp);
             named.push(Named {
                 evidence: vec![format!(
                     "{}: {:.1} % of the white noise's variance is shared with other channels",
                     of.prepared.channel,
                     100.0 * part * part
                 )],
-                ci95: vec![("sigma", [-1.96, 1.96].map(|far| (part + far * error) * of.white))],
+                ci95: vec![("sigma", ends)],
                 ..Named::missing(of.prepared.channel, Arc::new(CommonMode { sigma: part * of.white }), gain)
             });
         }

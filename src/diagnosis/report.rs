@@ -18,7 +18,7 @@ pub enum Verdict {
     Parameters,
     /// What was found explains the discrepancy down to the floor.
     Effects,
-    /// Something real remains that no known effect explains.
+    /// Something real remains that no known effect explains, and is more than a small part of the gap.
     UnknownEffect,
 }
 
@@ -249,6 +249,20 @@ pub struct ChannelGap {
     pub floor: f64,
 }
 
+/// What no known effect explains.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+pub struct Remainder {
+    /// Part of the nats of all places.
+    pub share: f64,
+    /// Nats per sample.
+    pub nats: f64,
+    /// The channels it is on.
+    pub channels: Vec<String>,
+    /// What shows it, a sentence each.
+    pub what: Vec<String>,
+}
+
 /// What a diagnosis says.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -271,6 +285,8 @@ pub struct Diagnosis {
     pub hints: Vec<Hint>,
     /// Effects in which sensor and model differ, strongest first.
     pub causes: Vec<Cause>,
+    /// What no known effect explains; none if nothing remains.
+    pub remainder: Option<Remainder>,
     /// What was weighed.
     pub alternatives: Vec<Alternative>,
     /// Per channel.

@@ -4,6 +4,7 @@ use super::evidence::declared::{self, kind_of};
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
 use super::law::{Beliefs, Data};
+use super::polish::polish;
 use super::prices::Prices;
 use super::report::Sense;
 use super::series::Series;
@@ -81,7 +82,10 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 other_filter(series, prices, &mut steps);
                 more_tones(series, prices, &mut steps);
             }
-            Kind::BiasStep => leave_rises_out(series),
+            Kind::BiasStep => {
+                evidence::level::join_rises(&mut series.explanation, start.courses.len());
+                leave_rises_out(series);
+            }
             _ => {}
         }
     }
@@ -92,6 +96,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     weak_tones(series, prices, &mut steps, start.sines.len());
     samples_again(series, prices, &mut steps, &start);
     believe_again(series);
+    polish(series, &start);
     steps
 }
 

@@ -54,7 +54,13 @@ pub(super) fn summary(of: &Diagnosis) -> String {
         let mut hints = of.hints.iter().filter(|hint| hint.about.ends_with("mean") == about_mean);
         hints.next().map_or_else(String::new, |hint| format!(" ({}: {})", hint.about, hint.text))
     };
-    let sentence = sentence + &hint(false);
+    let left = of.remainder.as_ref().filter(|_| of.verdict != Verdict::UnknownEffect);
+    let left = left.map_or_else(String::new, |left| {
+        let share = Some(100.0 * left.share).filter(|share| *share >= 0.05);
+        let share = share.map_or_else(|| "less than 0.1 %".to_owned(), |share| format!("{share:.1} %"));
+        format!("; {share} of the gap remains that no known effect explains, on {}", left.channels.join(", "))
+    });
+    let sentence = sentence + &left + &hint(false);
     match of.offsets.first() {
         Some(of) => {
             let (channel, capture, model, hint) = (&of.channel, of.capture, of.model, hint(true));

@@ -19,10 +19,14 @@ impl Whitened {
     #[must_use]
     pub fn of(series: &Series<'_>) -> Self {
         let white = series.white().powi(2);
-        let share = |s: &f64| if s.is_finite() { (white / s).sqrt().min(1.0) as f32 } else { 0.0 };
+        // Noise that comes in behind a filter is no part of what was shared in front of it.
+        let gain = series.filters();
+        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
+        let share =
+            |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
         Self {
             coefficients: series.whitened.clone(),
-            white: series.spectrum.iter().map(share).collect(),
+            white: series.spectrum.iter().enumerate().map(share).collect(),
             residual: series.residual.clone(),
         }
     }
@@ -35,6 +39,8 @@ pub struct Shared {
     pub parts: Vec<(usize, f64)>,
     /// Standard errors of the parts.
     pub errors: Vec<f64>,
+    /// 95 % intervals of the parts' sizes.
+    pub ci95: Vec<[f64; 2]>,
     /// Nats.
     pub gain: f64,
 }
@@ -93,6 +99,7 @@ fn with_part(mut of: Shared) -> Shared {
     let keep = |index: usize| counts.get(index).copied().unwrap_or(false);
     of.parts = of.parts.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, part)| part).collect();
     of.errors = of.errors.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, e)| e).collect();
+    of.ci95 = of.ci95.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, ends)| ends).collect();
     of
 }
 
@@ -141,7 +148,21 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
         (_, Some(inverse)) => (0..count).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
         (_, None) => vec![1.0; count],
     };
-    Shared { parts: members.iter().copied().zip(parts).collect(), errors, gain }
+    let ci95 = parts.iter().zip(&errors).map(|(part, error)| interval(*part, *error, count, n)).collect();
+    Shared { parts: members.iter().copied().zip(parts).collect(), errors, ci95, gain }
+}
+
+/// The 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in √(2n). Two channels
+/// show the product of their parts alone: either may be anything from that product to 1.
+fn interval(part: f64, error: f64, count: usize, n: f64) -> [f64; 2] {
+    const NORMAL_95: f64 = 1.959_964;
+    let size = part.abs();
+    let own = size / (2.0 * n).sqrt();
+    let half = NORMAL_95 * error.hypot(own);
+    match count {
+        2 => [(size * size - 2.0 * half * size).max(0.0), 1.0 + NORMAL_95 / (2.0 * n).sqrt()],
+        _ => [(size - half).max(0.0), size + half],
+    }
 }
 
 #[cfg(test)]

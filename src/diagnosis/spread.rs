@@ -2,6 +2,7 @@
 
 use super::course::Course;
 use super::explanation::Scedasticity;
+use super::polish::by_time_constant;
 use super::series::Series;
 
 /// Standard errors in the series' scale, beside the parts of an explanation.
@@ -27,7 +28,6 @@ impl Spread {
     /// Boorstyn 1974, IEEE Trans. IT 20) at the law's density. Spectral terms: the inverse of Fisher's information.
     #[must_use]
     pub fn of(series: &Series<'_>) -> Self {
-        const STEP: f64 = 0.02;
         let explanation = &series.explanation;
         let n = series.len() as f64;
         let courses = &series.setting().courses;
@@ -36,18 +36,21 @@ impl Spread {
         let mut slopes = Vec::new();
         for (at, (course, factor)) in explanation.courses.iter().enumerate() {
             if let Course::WarmUp(tau) = course {
-                let there = |share: f64| courses.coefficients(Course::WarmUp(tau * share));
-                let (up, down) = (there(1.0 + STEP), there(1.0 - STEP));
-                columns.push(up.iter().zip(&down).map(|(a, b)| factor * (a - b) / (2.0 * STEP)).collect());
+                columns.push(by_time_constant(series, *tau).into_iter().map(|value| factor * value).collect());
                 slopes.push((at, columns.len() - 1));
             }
         }
+        // What one sample more or less of a step of 1 is worth, twice in nats: behind filters less than at its full height.
+        let gain = series.filters();
+        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k].min(1.0));
+        let worth = |(k, s): (usize, &f64)| passed(k) / s;
+        let sharpness = series.spectrum.iter().enumerate().skip(1).map(worth).sum::<f64>() / n;
         let covariance = series.covariance(&columns);
         let error = |at: usize| covariance.as_ref().map_or(0.0, |matrix| matrix[(at, at)].max(0.0).sqrt());
         let of_course = |at: usize| {
             let (course, factor) = explanation.courses[at];
             let more = match course {
-                Course::Step(_) => (11.0 * (series.white() / factor).powi(2) + 1.0) / 1.96,
+                Course::Step(_) => (11.0 / (factor * factor * sharpness) + 1.0) / 1.96,
                 _ => slopes.iter().find(|(own, _)| *own == at).map_or(0.0, |(_, column)| error(*column)),
             };
             (error(at), more)

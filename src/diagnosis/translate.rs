@@ -44,6 +44,30 @@ impl Units<'_> {
         let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
         (2.0 * power).sqrt().max(LEAST_PASSED)
     }
+
+    /// By how much all filters delay a step, s: the model's that are left and those found.
+    fn delay_s(&self, explanation: &Explanation) -> f64 {
+        let own = self.sim.channels.get(&self.prepared.channel).map(|model| model.effects.as_slice());
+        let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
+        let rate_hz = self.sim.rate_hz;
+        let found = explanation.law.terms.iter().filter_map(Term::effect);
+        own.map(|(_, effect)| delay_s(&**effect, rate_hz)).sum::<f64>()
+            + found.map(|of| delay_s(&*of, rate_hz)).sum::<f64>()
+    }
+}
+
+/// By how much a filter delays what changes slowly, s: (w − 1)/2 samples of a moving average; of Butterworth's filter of order n
+/// and cutoff ω the sum of its poles' 1/(ω·sin(π/2n)).
+fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
+    let number = |name: &str| effect.number(name);
+    match effect.name() {
+        "moving_average" => number("window").map_or(0.0, |window| 0.5 * (window - 1.0) / rate_hz),
+        "low_pass" => {
+            let (cutoff_hz, order) = (number("cutoff_hz").unwrap_or(f64::INFINITY), number("order").unwrap_or(1.0));
+            1.0 / (std::f64::consts::TAU * cutoff_hz * (std::f64::consts::PI / (2.0 * order)).sin())
+        }
+        _ => 0.0,
+    }
 }
 
 /// An effect in the channel's unit.
@@ -72,6 +96,8 @@ fn times(value: f64, error: f64) -> [f64; 2] {
     [value / factor, value * factor]
 }
 
+/// Part of a filter's delay by which a step's place behind it may be wrong.
+const DELAY_ERROR: f64 = 0.25;
 /// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
 pub(super) const LEAST_PASSED: f64 = 1e-4;
 /// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the difference.
@@ -113,8 +139,11 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
                 add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
             }
             Course::Step(at) => {
-                let at_s = *at as f64 / rate_hz;
-                let ci95 = vec![("at_s", about(at_s, second / rate_hz)), ("size", about(size, error))];
+                // It is seen half way up, behind all filters.
+                let delay_s = units.delay_s(explanation);
+                let at_s = (*at as f64 / rate_hz - delay_s).max(0.0);
+                let at_error = second / rate_hz + DELAY_ERROR * delay_s;
+                let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
                 add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
             }
         }
@@ -180,9 +209,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
     for one in intervals {
         let (from_s, to_s) = (seconds(one.from), seconds(one.to));
         let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
-        // An end is where the likelihood of either side is lost in chance.
-        let information = 0.5 * one.ratio.ln().powi(2).max(1e-3);
-        let end = (8.0 / information + 1.0) / NORMAL_95 / rate_hz;
+        let end = (5.5 / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
         let factor = (0.5 / (one.to - one.from) as f64).sqrt();
         let ci95 = vec![
             ("from_s", about(from_s, end)),
@@ -227,6 +254,14 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         add(Kind::Spikes, Arc::new(Spikes { rate_hz: per_s, amplitude: size }), ci95);
     }
     found
+}
+
+/// Nats by which one sample tells which of two variances of this ratio it has, for the one that it tells less of (Kullback and
+/// Leibler 1951). The place of a change is known within 5.5 over that in 95 %, as that of a small step is within 11 times the
+/// squared ratio of noise to step (Yao 1987): both are a random walk's with that drift.
+fn divergence(ratio: f64) -> f64 {
+    let of = |ratio: f64| 0.5 * (ratio - 1.0 - ratio.ln());
+    of(ratio).min(of(1.0 / ratio)).max(1e-4)
 }
 
 /// A line in the channel's unit.

@@ -102,8 +102,10 @@ pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [u
             for (name, ends) in intervals.as_object().into_iter().flatten() {
                 let ends = ends[0].as_f64().zip(ends[1].as_f64()).filter(|_| !is_of_another_form(truth.kind, name));
                 if let (Some(value), Some((low, high))) = (truth_of[name].as_f64(), ends) {
+                    // Which of a shared source's signs is the positive one nobody can tell.
+                    let other = (truth.kind == Kind::CommonMode).then_some(-value);
                     held[1] += 1;
-                    held[0] += usize::from((low..=high).contains(&value));
+                    held[0] += usize::from([Some(value), other].iter().flatten().any(|own| (low..=high).contains(own)));
                 }
             }
         }

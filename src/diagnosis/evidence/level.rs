@@ -2,6 +2,7 @@
 
 use super::{Candidate, Kind};
 use crate::diagnosis::course::{Course, Follow};
+use crate::diagnosis::explanation::Explanation;
 use crate::diagnosis::series::{Drift, Series};
 
 fn candidate(series: &Series<'_>, kind: Kind, courses: &[Course], drift: Drift) -> Candidate {
@@ -196,6 +197,32 @@ fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
     let apart = levels.windows(2).filter(|pair| pair[1].0 - pair[0].0 > ERRORS * error(pair[0].1, pair[1].1));
     let levels = 1 + apart.count();
     FEW.iter().any(|(steps, most)| places.len() >= *steps && levels <= *most)
+}
+
+/// Makes one step of those in one direction that follow one another within a few samples: a real step takes some, which are
+/// left out. The first `known` courses are the model's own.
+pub fn join_rises(explanation: &mut Explanation, known: usize) {
+    /// Samples within which steps are one.
+    const NEAR: usize = 40;
+    let mut steps: Vec<(usize, f64)> = Vec::new();
+    for (course, factor) in explanation.courses.iter().skip(known) {
+        if let Course::Step(at) = course {
+            steps.push((*at, *factor));
+        }
+    }
+    steps.sort_unstable_by_key(|(at, _)| *at);
+    let one = |a: &(usize, f64), b: &(usize, f64)| b.0 - a.0 <= NEAR && a.1 * b.1 > 0.0;
+    for group in steps.chunk_by(one).filter(|group| group.len() > 1) {
+        let Some(largest) = group.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) else { continue };
+        let (from, to) = (group[0].0, group[group.len() - 1].0);
+        let mut place = 0;
+        explanation.courses.retain(|(course, _)| {
+            place += 1;
+            place <= known || !matches!(course, Course::Step(at) if (from..=to).contains(at))
+        });
+        explanation.courses.push((Course::Step(largest.0), group.iter().map(|(_, factor)| factor).sum()));
+        explanation.leave_out(from..to);
+    }
 }
 
 /// Samples about the steps that are not on either level: a real step takes some samples, as it likes.

@@ -13,13 +13,70 @@ const SHORTEST: usize = 6;
 /// A quiet stretch is as long at least: a few rounded values are easily equal.
 const SHORTEST_QUIET: usize = 128;
 
-/// Means of squares over blocks, and samples in a block.
+/// Means of squares over blocks, and samples in a block. Squares are limited against the variance that is known of them already.
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
     let residual = series.scores();
     let mean = |block: &[f64]| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64;
     (residual.chunks_exact(size).map(mean).collect(), size)
+}
+
+/// How the variance depends on time or temperature, found again where it is known about.
+pub(in crate::diagnosis) fn again(series: &Series<'_>, now: &Scedasticity) -> Option<Scedasticity> {
+    let (mut means, size) = blocks(series);
+    // The residual's variance has been divided out.
+    let known = series.variance.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64);
+    means.iter_mut().zip(known).for_each(|(mean, variance)| *mean *= variance);
+    match now {
+        Scedasticity::PerDegree(_) => {
+            let (_, slopes) = regression(&means, &[temperatures(series, size)?], size)?;
+            Some(Scedasticity::PerDegree(slopes[0]))
+        }
+        Scedasticity::Profile(_) => Some(Scedasticity::Profile(cosines(&means, size)?.1)),
+    }
+}
+
+/// The mean square in each stretch that is not left out over that in no stretch, beside what else the variance does.
+pub(in crate::diagnosis) fn ratios(series: &Series<'_>) -> Vec<Option<f64>> {
+    let values = series.scores();
+    let loud = &series.explanation.loud;
+    let mut rest = vec![true; values.len()];
+    loud.iter().for_each(|of| rest[series.spoilt(of)].fill(false));
+    let square = |e: &f64| (e * e).min(LARGEST);
+    let (sum, count) =
+        values.iter().zip(&rest).filter(|(_, rest)| **rest).fold((0.0, 0.0), |(s, c), (e, _)| (s + square(e), c + 1.0));
+    let level = sum / count;
+    let of = |one: &Loud| {
+        let inside = &values[one.from..one.to];
+        let own = inside.iter().map(square).sum::<f64>() / inside.len() as f64;
+        // The residual was divided by what was known of the stretch.
+        let ratio = one.ratio * own / level;
+        (one.ratio <= LOUD && ratio.is_finite() && ratio > 0.0).then_some(ratio.min(LOUD))
+    };
+    loud.iter().map(of).collect()
+}
+
+fn temperatures(series: &Series<'_>, size: usize) -> Option<Vec<f64>> {
+    let temperature = series.setting().courses.temperature()?;
+    Some(temperature.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect())
+}
+
+/// The gain of a smooth course of ln variance, and the course at equally spaced instants.
+fn cosines(means: &[f64], size: usize) -> Option<(f64, Vec<f64>)> {
+    const COSINES: usize = 12;
+    const INSTANTS: usize = 61;
+    let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
+    let column = |order: usize| -> Vec<f64> {
+        (0..means.len()).map(|row| wave(order, (row as f64 + 0.5) / means.len() as f64)).collect()
+    };
+    let columns: Vec<Vec<f64>> = (1..=COSINES).map(column).collect();
+    let (gain, slopes) = regression(means, &columns, size)?;
+    let at = |instant: usize| {
+        let share = instant as f64 / (INSTANTS - 1) as f64;
+        slopes.iter().zip(1..).map(|(slope, order)| slope * wave(order, share)).sum()
+    };
+    Some((gain, (0..INSTANTS).map(at).collect()))
 }
 
 /// The gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
@@ -72,14 +129,11 @@ pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
 /// Variance by temperature.
 #[must_use]
 pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
-    let temperature = series.setting().courses.temperature()?;
     if series.explanation.scedasticity.is_some() {
         return None;
     }
     let (means, size) = blocks(series);
-    let column: Vec<f64> =
-        temperature.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect();
-    let (gain, slopes) = regression(&means, &[column], size)?;
+    let (gain, slopes) = regression(&means, &[temperatures(series, size)?], size)?;
     let mut explanation = series.explanation.clone();
     explanation.scedasticity = Some(Scedasticity::PerDegree(slopes[0]));
     Some(Candidate::missing(Kind::VariancePerDegree, gain, explanation))
@@ -88,24 +142,13 @@ pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
 /// Variance over time, smoothly.
 #[must_use]
 pub fn profile(series: &Series<'_>) -> Option<Candidate> {
-    const COSINES: usize = 12;
-    const INSTANTS: usize = 61;
     if series.explanation.scedasticity.is_some() {
         return None;
     }
     let (means, size) = blocks(series);
-    let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
-    let column = |order: usize| -> Vec<f64> {
-        (0..means.len()).map(|row| wave(order, (row as f64 + 0.5) / means.len() as f64)).collect()
-    };
-    let columns: Vec<Vec<f64>> = (1..=COSINES).map(column).collect();
-    let (gain, slopes) = regression(&means, &columns, size)?;
-    let at = |instant: usize| {
-        let share = instant as f64 / (INSTANTS - 1) as f64;
-        slopes.iter().zip(1..).map(|(slope, order)| slope * wave(order, share)).sum()
-    };
+    let (gain, values) = cosines(&means, size)?;
     let mut explanation = series.explanation.clone();
-    explanation.scedasticity = Some(Scedasticity::Profile((0..INSTANTS).map(at).collect()));
+    explanation.scedasticity = Some(Scedasticity::Profile(values));
     Some(Candidate::missing(Kind::VarianceProfile, gain, explanation))
 }
 

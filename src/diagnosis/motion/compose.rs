@@ -13,7 +13,7 @@ use super::together::{self, Driven, Sums};
 use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnosis::diagnose::{Options, Outcome};
 use crate::diagnosis::recording::Recording;
-use crate::diagnosis::report::{Alternative, Place, Verdict};
+use crate::diagnosis::report::{Alternative, Place, Remainder, Verdict};
 use crate::diagnosis::response::{Candidate, Estimate, Fitted, Openness};
 use crate::effects::TriadEffect;
 use crate::sample::Triad;
@@ -84,8 +84,10 @@ pub(super) fn outcome(
         format!("held-out blocks: of what the motion drives each eighth of {BLOCKS} with the numbers of the others");
     together::join(&mut diagnosis, &sums, &mut driven, located, samples * channels, &measured);
     diagnosis.alternatives = alternatives.into_iter().chain(diagnosis.alternatives).take(ALTERNATIVES).collect();
+    let remains = |of: &Remainder| of.share > options.unknown_above;
     diagnosis.verdict = match (outside.is_empty(), diagnosis.verdict) {
-        (false, _) | (_, Verdict::UnknownEffect) => Verdict::UnknownEffect,
+        (false, _) => Verdict::UnknownEffect,
+        (true, Verdict::UnknownEffect) if diagnosis.remainder.as_ref().is_none_or(remains) => Verdict::UnknownEffect,
         _ if !diagnosis.causes.is_empty() => Verdict::Effects,
         (_, verdict) => verdict,
     };

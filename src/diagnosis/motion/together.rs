@@ -91,7 +91,8 @@ pub(super) fn join(
     let gap = &mut diagnosis.discrepancy;
     gap.measured_on = format!("{measured}; of the rest the {}", gap.measured_on);
     let total = (sums.whole.iter().sum::<f64>() + rest_nats).max(f64::MIN_POSITIVE);
-    diagnosis.r#where.iter_mut().for_each(|place| place.share *= rest_nats / total);
+    let shares = diagnosis.r#where.iter_mut().map(|place| &mut place.share);
+    shares.chain(diagnosis.remainder.iter_mut().map(|of| &mut of.share)).for_each(|share| *share *= rest_nats / total);
     let causes = &diagnosis.causes;
     let same = |one: &Cause, other: &Cause| {
         (one.effect, one.sense, one.triad, &one.channels) == (other.effect, other.sense, other.triad, &other.channels)

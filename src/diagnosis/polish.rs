@@ -1,0 +1,86 @@
+//! Polish: numbers that were found before all else was known are found once more beside it.
+
+use super::course::Course;
+use super::evidence::loudness;
+use super::explanation::{Explanation, Scedasticity};
+use super::series::Series;
+
+/// Finds the time constant of a warm-up, how variance follows time or temperature, and the ratios of stretches again, of what
+/// the model itself lacks.
+pub(super) fn polish(series: &mut Series<'_>, start: &Explanation) {
+    warm_up(series, start.courses.len());
+    if start.scedasticity.is_none() {
+        scedasticity(series);
+    }
+    stretches(series, start.loud.len());
+}
+
+/// Derivative of a warm-up of amplitude 1 with respect to ln τ, in coefficients.
+pub(super) fn by_time_constant(series: &Series<'_>, tau: f64) -> Vec<f64> {
+    const STEP: f64 = 0.02;
+    let there = |share: f64| series.setting().courses.coefficients(Course::WarmUp(tau * share));
+    there(1.0 + STEP).iter().zip(there(1.0 - STEP)).map(|(a, b)| (a - b) / (2.0 * STEP)).collect()
+}
+
+/// Gauss–Newton steps of a warm-up's time constant beside the factors of all courses.
+fn warm_up(series: &mut Series<'_>, known: usize) {
+    const ROUNDS: usize = 4;
+    const FAR: f64 = 0.3;
+    const NEAR: f64 = 2e-3;
+    for _ in 0..ROUNDS {
+        let courses = &series.explanation.courses;
+        let is_new = |(at, (course, _)): (usize, &(Course, f64))| at >= known && matches!(course, Course::WarmUp(_));
+        let Some(at) = courses.iter().enumerate().position(is_new) else { return };
+        let (Course::WarmUp(tau), factor) = courses[at] else { return };
+        let of = |(course, _): &(Course, f64)| series.setting().courses.coefficients(*course);
+        let mut columns: Vec<Vec<f64>> = courses.iter().map(of).collect();
+        columns.push(by_time_constant(series, tau).into_iter().map(|value| factor * value).collect());
+        let found = series.with_columns(&columns).factors;
+        let Some((by, factors)) = found.split_last() else { return };
+        let by = by.clamp(-FAR, FAR);
+        if !by.is_finite() || by.abs() < NEAR {
+            return;
+        }
+        let kept = series.clone();
+        for ((_, factor), more) in series.explanation.courses.iter_mut().zip(factors) {
+            *factor += more;
+        }
+        series.explanation.courses[at].0 = Course::WarmUp(tau * by.exp());
+        series.rebuild(false);
+        if series.fitted.log_posterior < kept.fitted.log_posterior {
+            *series = kept;
+            return;
+        }
+    }
+}
+
+fn scedasticity(series: &mut Series<'_>) {
+    const ROUNDS: usize = 3;
+    for _ in 0..ROUNDS {
+        let Some(now) = series.explanation.scedasticity.clone() else { return };
+        let Some(next) = loudness::again(series, &now) else { return };
+        let apart = match (&now, &next) {
+            (Scedasticity::PerDegree(a), Scedasticity::PerDegree(b)) => (a - b).abs() / a.abs(),
+            (Scedasticity::Profile(a), Scedasticity::Profile(b)) => {
+                a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+            }
+            _ => return,
+        };
+        series.explanation.scedasticity = Some(next);
+        series.rebuild(false);
+        if apart < 1e-3 {
+            return;
+        }
+    }
+}
+
+/// The ratios of stretches that are not left out, each against what is in none.
+fn stretches(series: &mut Series<'_>, known: usize) {
+    if series.explanation.loud.len() > known {
+        let ratios = loudness::ratios(series);
+        for (loud, ratio) in series.explanation.loud.iter_mut().zip(ratios).skip(known) {
+            loud.ratio = ratio.unwrap_or(loud.ratio);
+        }
+        series.rebuild(false);
+    }
+}

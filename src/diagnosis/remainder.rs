@@ -1,0 +1,80 @@
+//! The remainder: what no known effect explains, how large it is, and whether that is material.
+
+use super::report::{Of, Place, Remainder, Verdict};
+use std::collections::BTreeSet;
+
+/// Part of the gap from which on what remains makes a verdict `unknown_effect`, unless the caller chooses another.
+pub const MATERIAL: f64 = 0.02;
+
+impl Remainder {
+    /// Of the places of a record, `all` its samples on all channels; none if nothing remains.
+    pub(super) fn of(places: &[Place], what: BTreeSet<String>, all: f64) -> Option<Self> {
+        let own = || places.iter().filter(|place| place.of == Of::Remainder);
+        let channels: BTreeSet<&str> = own().map(|place| place.channel.as_str()).collect();
+        (!channels.is_empty()).then(|| Self {
+            share: own().map(|place| place.share).sum::<f64>().min(1.0),
+            nats: own().map(|place| place.nats).sum::<f64>() / all.max(1.0),
+            channels: channels.into_iter().map(str::to_owned).collect(),
+            what: what.into_iter().collect(),
+        })
+    }
+}
+
+/// The verdict: unknown only if what remains is more than a part of the gap.
+pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: bool, has_parameters: bool) -> Verdict {
+    match (remainder.is_some_and(|of| of.share > above), has_causes, has_parameters) {
+        (true, ..) => Verdict::UnknownEffect,
+        (false, true, _) => Verdict::Effects,
+        (false, false, true) => Verdict::Parameters,
+        (false, false, false) => Verdict::NoGap,
+    }
+}
+
+/// Nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), that of one regressor among `samples`
+/// normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without end; a likelihood does not.
+pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
+    0.5 * samples * (2.0 * half_square / samples).ln_1p()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(of: Of, share: f64) -> Place {
+        Place {
+            of,
+            channel: "gyro_x".to_owned(),
+            band_hz: [0.0, 20.0],
+            tau_s: [0.025, 100.0],
+            from_s: 0.0,
+            to_s: 100.0,
+            temperature_c: None,
+            at: None,
+            share,
+            nats: 1000.0 * share,
+            p_value: 0.0,
+            sign: "real noisier",
+        }
+    }
+
+    #[test]
+    fn only_a_material_remainder_is_unknown() {
+        let of =
+            |share| Remainder::of(&[place(Of::Cause(0), 1.0 - share), place(Of::Remainder, share)], [].into(), 1e4);
+        let decide = |share: f64| verdict(of(share).as_ref(), MATERIAL, share < 1.0, false);
+        assert_eq!(decide(0.5), Verdict::UnknownEffect);
+        assert_eq!(decide(0.019), Verdict::Effects);
+        assert_eq!(decide(1.0), Verdict::UnknownEffect);
+        assert_eq!(verdict(of(0.019).as_ref(), MATERIAL, false, true), Verdict::Parameters);
+        assert_eq!(verdict(None, MATERIAL, false, false), Verdict::NoGap);
+        let remainder = of(0.5).unwrap();
+        assert_eq!((remainder.share, remainder.nats, remainder.channels), (0.5, 0.05, vec!["gyro_x".to_owned()]));
+        assert_eq!(Remainder::of(&[place(Of::Cause(0), 1.0)], ["x".to_owned()].into(), 1.0), None);
+    }
+
+    #[test]
+    fn a_moment_is_worth_its_square_when_small_and_its_logarithm_when_large() {
+        assert!((bounded(30.0, 65_536.0) - 30.0).abs() < 0.05);
+        assert!(bounded(4e9, 40_000.0) < 3e5);
+    }
+}
