@@ -31,6 +31,8 @@ mod filling;
 pub mod grid;
 mod hints;
 pub mod holdout;
+#[cfg(test)]
+mod intervals;
 pub mod law;
 #[cfg(test)]
 mod located;

@@ -24,8 +24,17 @@ impl Whitened {
         let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
         let share =
             |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
+        // Behind different filters the same noise has different phases.
+        let coefficients = match gain {
+            Some(_) => {
+                let mut values = series.innovations().to_vec();
+                series.transform.clone().forward(&mut values);
+                values
+            }
+            None => series.whitened.clone(),
+        };
         Self {
-            coefficients: series.whitened.clone(),
+            coefficients,
             white: series.spectrum.iter().enumerate().map(share).collect(),
             residual: series.residual.clone(),
         }

@@ -70,11 +70,13 @@ impl Spread {
             own
         };
         let per_degree = match &explanation.scedasticity {
-            Some(Scedasticity::PerDegree(_)) => {
+            Some(Scedasticity::PerDegree(slope)) => {
+                // Slow noise, which temperature does not change, is not told from white noise at each instant.
+                const OTHERS: f64 = 0.01;
                 let about = courses.temperature().unwrap_or_default();
                 let mean = about.iter().sum::<f64>() / n;
                 let square: f64 = about.iter().map(|t| (t - mean).powi(2)).sum();
-                (2.0 / square.max(f64::MIN_POSITIVE)).sqrt()
+                (2.0 / square.max(f64::MIN_POSITIVE)).sqrt().hypot(OTHERS * slope)
             }
             _ => 0.0,
         };
