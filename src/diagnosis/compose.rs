@@ -7,6 +7,7 @@ use super::evidence::Kind;
 use super::hints;
 use super::law::{Law, Shape};
 use super::named::{self, Named, is_fact, stamps};
+use super::oddities::{self, Oddity};
 use super::omnibus::Statistic;
 use super::owned::{Known, Owned};
 use super::pairs;
@@ -42,14 +43,20 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
     }
-    let remains = remains(found, &named);
+    let mut remains = remains(found, &named);
     let parameters = parameters(found, &named, real, sim);
-    let foreign = foreign(found);
+    let odd = odd(found, &named, real);
+    remains.channels.extend(odd.iter().map(|(channel, _)| *channel));
+    let outside = |(channel, of): &(Channel, Oddity)| {
+        format!("outside the library, on {channel}: {} ({:.0} nats)", of.what, of.nats)
+    };
+    let foreign: Vec<String> = foreign(found).into_iter().chain(odd.iter().map(outside)).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, &remains.channels, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
-    let remnants = if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains) } else { Vec::new() };
+    let remnants =
+        if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains, &odd) } else { Vec::new() };
     let places = places(found, &named, &causes, &parameters, &remnants, real);
     let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
     let what = foreign.iter().cloned().chain(of_worst.clone()).collect();
@@ -102,7 +109,13 @@ struct Remains {
 }
 
 /// Where something remains, and how much of it.
-fn remnants(found: &Found, remains: &Remains) -> Vec<Remnant> {
+fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
+    let of_odd = odd.iter().map(|(channel, of)| Remnant {
+        channel: *channel,
+        nats: of.nats,
+        p_value: (-of.nats).exp(),
+        band: None,
+    });
     let of_steps = foreign_steps(found).map(|(channel, step, _)| {
         let own = found.channels.iter().find(|own| own.prepared.channel == channel);
         let band = own.and_then(|own| own.bands.kinds.get(&step.kind)).copied();
@@ -114,7 +127,7 @@ fn remnants(found: &Found, remains: &Remains) -> Vec<Remnant> {
         p_value: *p_value,
         band: None,
     });
-    let mut remnants: Vec<Remnant> = of_steps.collect();
+    let mut remnants: Vec<Remnant> = of_steps.chain(of_odd).collect();
     for of in of_statistics {
         if remnants.iter().all(|other| other.channel != of.channel) {
             remnants.push(of);
@@ -167,6 +180,35 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         }
     }
     Remains { worst, p_value, channels, rarest }
+}
+
+/// What the values and stamps show that no effect does, each with a channel that it is on.
+fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
+    let mut all = Vec::new();
+    for of in &found.channels {
+        let channel = of.prepared.channel;
+        let sent = real.sent(channel).or_else(|| real.values(channel)).unwrap_or_default();
+        // What moves by steps and more makes a distribution of codes that is none of noise.
+        let quiet = |one: &Named| {
+            one.channel != channel || matches!(one.effect.name(), "resolution" | "timing" | "common_mode")
+        };
+        if let Some(step) = of.prepared.facts.step.filter(|_| named.iter().all(quiet)) {
+            let there: Vec<f64> = sent
+                .iter()
+                .enumerate()
+                .filter(|(t, _)| !real.missing.get(*t).copied().unwrap_or(false))
+                .map(|(_, v)| *v)
+                .collect();
+            all.extend(oddities::of_codes(&there, step).map(|odd| (channel, odd)));
+        }
+    }
+    for (channels, repeats) in &found.repeats {
+        let odd = oddities::of_repeats(&repeats.places);
+        all.extend(channels.first().zip(odd).map(|(channel, odd)| (*channel, odd)));
+    }
+    let clock = stamps(real).and_then(|stamps| stamps.wanders);
+    all.extend(found.channels.first().zip(clock).map(|(of, odd)| (of.prepared.channel, odd)));
+    all
 }
 
 /// Steps of the search that no effect of the library is, with their channels and what they mean.

@@ -1,5 +1,7 @@
 //! Facts: what the values show by themselves, beyond inference: a step that all are multiples of, limits, repeats, stamps.
 
+use super::oddities::{self, Oddity};
+
 /// What one channel's values show.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
@@ -236,18 +238,20 @@ fn chance(column: &[f64]) -> f64 {
 }
 
 /// What stamps show.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Stamps {
-    /// Standard deviation about evenly spaced instants beyond the stamps' own rounding, s.
+    /// Standard deviation about evenly spaced instants, or about a clock that wanders slowly, beyond the stamps' own rounding, s.
     pub jitter_s: f64,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Whether the clock wanders.
+    pub(super) wanders: Option<Oddity>,
 }
 
-/// The stamps of samples at the given places of a grid; None for fewer than 16.
-#[must_use]
-pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
+/// By how much stamps of samples at the given places of a grid are late against the straight line through them, s, and the line's
+/// period, s; `None` for fewer than 16.
+fn off_line(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<(Vec<f64>, f64)> {
     let pairs: Vec<(f64, f64)> = places.map(|place| place as f64).zip(time_s.iter().copied()).collect();
     if pairs.len() < 16 {
         return None;
@@ -260,10 +264,30 @@ pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Sta
         square += (own_place - place).powi(2);
     }
     let period = product / square;
-    let residual: f64 = pairs.iter().map(|(p, t)| (t - time - period * (p - place)).powi(2)).sum();
-    let rate_hz = 1.0 / period;
-    let variance = residual / (n - 2.0) - digits_s(time_s).powi(2) / 12.0;
-    (rate_hz.is_finite() && rate_hz > 0.0).then(|| Stamps { jitter_s: variance.max(0.0).sqrt(), rate_hz })
+    (period.is_finite() && period > 0.0)
+        .then(|| (pairs.iter().map(|(p, t)| t - time - period * (p - place)).collect(), period))
+}
+
+/// The stamps of samples at the given places of a grid; `None` for fewer than 16.
+#[must_use]
+pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
+    /// Stretches of a record in each of which a wandering clock is about as late as at their middle.
+    const STRETCHES: usize = 64;
+    /// Part of a period.
+    const SURE: f64 = 0.15;
+    let (off_s, period_s) = off_line(time_s, places)?;
+    let size = (off_s.len() / STRETCHES).max(16);
+    let (mut square, mut free) = (0.0, 0.0);
+    for of in off_s.chunks(size) {
+        let mean = of.iter().sum::<f64>() / of.len() as f64;
+        square += of.iter().map(|off| (off - mean).powi(2)).sum::<f64>();
+        free += of.len() as f64 - 1.0;
+    }
+    let variance = square / free - digits_s(time_s).powi(2) / 12.0;
+    let jitter_s = variance.max(0.0).sqrt();
+    // Stamps that scatter by as much are put on the wrong instants of the grid now and then.
+    let wanders = oddities::of_clock(&off_s, period_s).filter(|_| jitter_s < SURE * period_s);
+    Some(Stamps { jitter_s, rate_hz: 1.0 / period_s, wanders })
 }
 
 /// The power of ten, s, that all stamps are multiples of, counted from the first; 0 below 1e-7.

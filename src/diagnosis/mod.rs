@@ -38,6 +38,7 @@ pub mod law;
 mod located;
 pub mod motion;
 mod named;
+mod oddities;
 pub mod omnibus;
 mod owned;
 mod pairs;

@@ -219,7 +219,7 @@ pub(in crate::diagnosis) fn of_stamps(
     let (jitter_s, by_jitter) = match stamps {
         // Stamps that nobody sent say nothing.
         None => (declared_s, 0.0),
-        Some(stamps) => {
+        Some(ref stamps) => {
             let floor = LEAST / sim.rate_hz;
             let ratio = (stamps.jitter_s.max(floor) / declared_s.max(floor)).ln();
             (stamps.jitter_s, samples as f64 * ratio * ratio)
