@@ -102,7 +102,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
                 );
             }
             Course::Temperature => {
-                let effect = TemperatureBias { per_c: size, reference_c: temperature_c };
+                let effect = TemperatureBias::linear(size, temperature_c);
                 add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
             }
             // No effect of the library.
