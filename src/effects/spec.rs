@@ -37,6 +37,8 @@ pub enum Range {
     Above(f64),
     /// From 0 to below 1.
     Probability,
+    /// Above the first number and below the second.
+    Between(f64, f64),
 }
 
 impl Range {
@@ -47,6 +49,7 @@ impl Range {
                 Self::FromZero => number >= 0.0,
                 Self::Above(least) => number > least,
                 Self::Probability => (0.0..1.0).contains(&number),
+                Self::Between(low, high) => low < number && number < high,
             }
     }
     /// In words for someone who gave this number: the limit of all ranges is told where it was passed.
@@ -64,6 +67,7 @@ impl Range {
             Self::FromZero => "a number of 0 or more".to_owned(),
             Self::Above(least) => format!("a number above {least}"),
             Self::Probability => "a probability from 0 to below 1".to_owned(),
+            Self::Between(low, high) => format!("a number above {low} and below {high}"),
         }
     }
     fn schema(self) -> Value {
@@ -72,6 +76,7 @@ impl Range {
             Self::FromZero => json!({"type": "number", "minimum": 0, "maximum": LARGEST}),
             Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least, "maximum": LARGEST}),
             Self::Probability => json!({"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
+            Self::Between(low, high) => json!({"type": "number", "exclusiveMinimum": low, "exclusiveMaximum": high}),
         }
     }
 }

@@ -47,6 +47,7 @@ pub mod number {
     pub const LOW_PASS: u16 = 16;
     /// `moving_average`: the noise behind it.
     pub const MOVING_AVERAGE: u16 = 17;
+    pub const POWER_LAW: u16 = 18;
 }
 
 /// Owner of a triad's streams.
