@@ -4,7 +4,7 @@ use super::spec::{Kind, Spec};
 use super::{Effect, TriadEffect, triad};
 
 /// Effects on a channel, in the contract's order.
-pub static CHANNEL: [&Kind<dyn Effect>; 21] = [
+pub static CHANNEL: [&Kind<dyn Effect>; 22] = [
     &super::resolution::KIND,
     &super::quantization_noise::KIND,
     &super::rate_ramp::KIND,
@@ -26,6 +26,7 @@ pub static CHANNEL: [&Kind<dyn Effect>; 21] = [
     &super::common_mode::KIND,
     &super::timing::KIND,
     &super::power_law::KIND,
+    &super::spectrum::KIND,
 ];
 
 /// Effects on a triad, in the contract's order.

@@ -95,6 +95,8 @@ pub enum Form {
     Intervals,
     /// Two or more pairs [time in s, factor of 0 or more], the times rising.
     Profile,
+    /// Two or more pairs [frequency in Hz, density of 0 or more], the frequencies rising from 0 or above.
+    Density,
     /// Three rows of three numbers.
     Matrix,
     /// One of these words.
@@ -109,6 +111,8 @@ pub enum Need {
     Always,
     /// No; this is what it is without.
     Default(f64),
+    /// No; without it the effect does without.
+    Optional,
     /// Where the form it belongs to is chosen ([`Spec::forms`]).
     InItsForm,
 }
@@ -240,7 +244,7 @@ impl Spec {
     fn needed(&self, form: &[&'static str]) -> Vec<&'static str> {
         let optional = |name: &str| {
             let parameter = self.parameters.iter().find(|parameter| parameter.name == name);
-            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_)))
+            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_) | Need::Optional))
         };
         form.iter().copied().filter(|name| !optional(name)).collect()
     }
@@ -333,7 +337,7 @@ impl Parameter {
                 let fits = |(from, to): &(f64, f64)| 0.0 <= *from && from < to && *to <= LARGEST;
                 pairs()?.iter().position(|pair| !fits(pair)).map_or(Ok(()), |index| Err(at(index)))
             }
-            Form::Profile => {
+            Form::Profile | Form::Density => {
                 let pairs = pairs()?;
                 if pairs.len() < 2 {
                     return Err(whole());
@@ -365,6 +369,10 @@ impl Form {
             Self::Profile => {
                 "a list of two or more [t_s, factor] with rising times and factors, all of 0 or more".to_owned()
             }
+            Self::Density => {
+                "a list of two or more [f_hz, density] with rising frequencies and densities, all of 0 or more"
+                    .to_owned()
+            }
             Self::Matrix => "three rows of three numbers".to_owned(),
             Self::Choice(words) => format!("one of \"{}\"", words.join("\", \"")),
         }
@@ -379,7 +387,7 @@ impl Form {
             Self::Whole(from, to) => json!({"type": "integer", "minimum": from, "maximum": to}),
             Self::Numbers(range) => list(range.schema(), 1),
             Self::Intervals => list(exactly(Range::FromZero.schema(), 2), 1),
-            Self::Profile => list(exactly(Range::FromZero.schema(), 2), 2),
+            Self::Profile | Self::Density => list(exactly(Range::FromZero.schema(), 2), 2),
             Self::Matrix => exactly(exactly(Range::Any.schema(), 3), 3),
             Self::Choice(words) => json!({"enum": words}),
         }

@@ -48,6 +48,7 @@ pub mod number {
     /// `moving_average`: the noise behind it.
     pub const MOVING_AVERAGE: u16 = 17;
     pub const POWER_LAW: u16 = 18;
+    pub const SPECTRUM: u16 = 19;
 }
 
 /// Owner of a triad's streams.

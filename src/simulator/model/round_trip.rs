@@ -40,7 +40,9 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
         Form::Whole(from, to) => json!(from + pool.below((to - from + 1) as usize) as u64),
         Form::Numbers(range) => json!((0..count).map(|_| number(name, range, pool)).collect::<Vec<_>>()),
         Form::Intervals => json!((0..count).map(|i| [i as f64, i as f64 + 0.01 + pool.unit()]).collect::<Vec<_>>()),
-        Form::Profile => json!((0..=count).map(|i| [i as f64 + pool.unit() / 2.0, pool.unit()]).collect::<Vec<_>>()),
+        Form::Profile | Form::Density => {
+            json!((0..=count).map(|i| [i as f64 + pool.unit() / 2.0, pool.unit()]).collect::<Vec<_>>())
+        }
         Form::Matrix => json!([0; 3].map(|_| [0; 3].map(|_| 20.0 * pool.unit() - 10.0))),
         Form::Choice(words) => json!(words[pool.below(words.len())]),
     }
@@ -54,6 +56,7 @@ fn entry<E: ?Sized>(kind: &Kind<E>, pool: &mut Pool<'_>) -> Value {
         let there = match parameter.need {
             Need::Always => true,
             Need::Default(_) => pool.unit() < 0.5 && (chosen.is_empty() || chosen.contains(&"per_c")),
+            Need::Optional => pool.unit() < 0.5,
             Need::InItsForm => chosen.contains(&parameter.name),
         };
         if there {
@@ -141,7 +144,7 @@ proptest! {
             prop_assert_eq!(kind.read(&more).unwrap_err().parameter, "wobble");
             for parameter in kind.spec.parameters.iter().filter(|parameter| !matches!(parameter.need, Need::Default(_))) {
                 let mut less = map.clone();
-                if less.remove(parameter.name).is_some() {
+                if parameter.need != Need::Optional && less.remove(parameter.name).is_some() {
                     prop_assert!(kind.read(&less).is_err(), "{} without {}", kind.spec.name, parameter.name);
                 }
                 let mut wrong = map.clone();
