@@ -4,7 +4,7 @@ use super::spec::{Kind, Spec};
 use super::{Effect, TriadEffect, triad};
 
 /// Effects on a channel, in the contract's order.
-pub static CHANNEL: [&Kind<dyn Effect>; 22] = [
+pub static CHANNEL: [&Kind<dyn Effect>; 23] = [
     &super::resolution::KIND,
     &super::quantization_noise::KIND,
     &super::rate_ramp::KIND,
@@ -27,6 +27,7 @@ pub static CHANNEL: [&Kind<dyn Effect>; 22] = [
     &super::timing::KIND,
     &super::power_law::KIND,
     &super::spectrum::KIND,
+    &super::modulated_band::KIND,
 ];
 
 /// Effects on a triad, in the contract's order.

@@ -49,6 +49,7 @@ pub mod number {
     pub const MOVING_AVERAGE: u16 = 17;
     pub const POWER_LAW: u16 = 18;
     pub const SPECTRUM: u16 = 19;
+    pub const MODULATED_BAND: u16 = 20;
 }
 
 /// Owner of a triad's streams.
