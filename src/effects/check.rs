@@ -218,7 +218,10 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
                     .iter()
                     .map(|values| band_powers(values, rate_hz, &around, Window::Hann)[0] * width_hz)
                     .collect();
-                agrees(&format!("{name}: line at {} Hz", line.frequency_hz), &found, line.power / 2.0, EXACT.max(2e-3));
+                let beside = |bin: usize| effect.psd(bin as f64 * rate_hz / SAMPLES as f64, rate_hz).unwrap_or(0.0);
+                let foot: f64 = (bin - 6..bin + 7).map(beside).sum::<f64>() * rate_hz / SAMPLES as f64;
+                let expected = line.power / 2.0 + foot;
+                agrees(&format!("{name}: line at {} Hz", line.frequency_hz), &found, expected, EXACT.max(2e-3));
             }
             if let Some(moments) = effect.moments(record) {
                 moments_agree(name, &cases, moments);

@@ -4,7 +4,7 @@ use super::spec::{Kind, Spec};
 use super::{Effect, TriadEffect, triad};
 
 /// Effects on a channel, in the contract's order.
-pub static CHANNEL: [&Kind<dyn Effect>; 23] = [
+pub static CHANNEL: [&Kind<dyn Effect>; 24] = [
     &super::resolution::KIND,
     &super::quantization_noise::KIND,
     &super::rate_ramp::KIND,
@@ -28,6 +28,7 @@ pub static CHANNEL: [&Kind<dyn Effect>; 23] = [
     &super::power_law::KIND,
     &super::spectrum::KIND,
     &super::modulated_band::KIND,
+    &super::intermittent::KIND,
 ];
 
 /// Effects on a triad, in the contract's order.

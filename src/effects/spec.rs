@@ -97,6 +97,8 @@ pub enum Form {
     Profile,
     /// Two or more pairs [frequency in Hz, density of 0 or more], the frequencies rising from 0 or above.
     Density,
+    /// One of these effects: an object as in a list of effects.
+    Effect(&'static [&'static Spec]),
     /// Three rows of three numbers.
     Matrix,
     /// One of these words.
@@ -262,7 +264,8 @@ impl Spec {
             let optional: Vec<_> = form.iter().copied().filter(|name| !needed.contains(name)).collect();
             let optional =
                 if optional.is_empty() { String::new() } else { format!(", optionally {}", optional.join(", ")) };
-            format!("{}{optional}", needed.join(" with "))
+            let always = self.parameters.iter().filter(|parameter| parameter.need == Need::Always).map(|of| of.name);
+            format!("{}{optional}", always.chain(needed).collect::<Vec<_>>().join(" with "))
         };
         self.forms.iter().map(words).collect::<Vec<_>>().join("; or ")
     }
@@ -348,6 +351,18 @@ impl Parameter {
                     |index: usize| size.contains(&pairs[index].0) && size.contains(&pairs[index].1) && rises(index);
                 (0..pairs.len()).find(|index| !fits(*index)).map_or(Ok(()), |index| Err(at(index)))
             }
+            Form::Effect(specs) => {
+                let entry = value.as_object().ok_or_else(whole)?;
+                let name = entry.get(EFFECT).unwrap_or(&Value::Null);
+                let Some(spec) = specs.iter().find(|spec| name == spec.name) else {
+                    let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                    let allowed = format!("one of \"{}\"", names.join("\", \""));
+                    return Err((format!(".{EFFECT}"), name.to_string(), allowed));
+                };
+                let own = entry.iter().filter(|(key, _)| *key != EFFECT);
+                let own = own.map(|(key, value)| (key.clone(), value.clone())).collect();
+                spec.check_map(&own).map_err(|of| (format!(".{}", of.parameter), of.found, of.allowed))
+            }
             Form::Matrix => matrix_of(value).map(|_| ()).ok_or_else(whole),
             Form::Choice(words) => match value.as_str() {
                 Some(word) if words.contains(&word) => Ok(()),
@@ -373,6 +388,10 @@ impl Form {
                 "a list of two or more [f_hz, density] with rising frequencies and densities, all of 0 or more"
                     .to_owned()
             }
+            Self::Effect(specs) => {
+                let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                format!("an effect with its parameters, one of \"{}\"", names.join("\", \""))
+            }
             Self::Matrix => "three rows of three numbers".to_owned(),
             Self::Choice(words) => format!("one of \"{}\"", words.join("\", \"")),
         }
@@ -388,6 +407,7 @@ impl Form {
             Self::Numbers(range) => list(range.schema(), 1),
             Self::Intervals => list(exactly(Range::FromZero.schema(), 2), 1),
             Self::Profile | Self::Density => list(exactly(Range::FromZero.schema(), 2), 2),
+            Self::Effect(specs) => json!({"oneOf": specs.iter().map(|spec| spec.schema()).collect::<Vec<_>>()}),
             Self::Matrix => exactly(exactly(Range::Any.schema(), 3), 3),
             Self::Choice(words) => json!({"enum": words}),
         }
@@ -425,7 +445,22 @@ pub struct Values<'a> {
     map: &'a Map<String, Value>,
 }
 
+/// The key of an effect's name.
+const EFFECT: &str = "effect";
+
 impl Values<'_> {
+    /// The values of a parameter that is an effect.
+    pub(super) fn effect(&self, name: &str) -> Option<Values<'_>> {
+        let form = self.spec.parameters.iter().find(|parameter| parameter.name == name)?.form;
+        let Form::Effect(specs) = form else { return None };
+        let map = self.map.get(name)?.as_object()?;
+        let spec = specs.iter().find(|spec| map.get(EFFECT).is_some_and(|name| name == spec.name))?;
+        Some(Values { spec, map })
+    }
+    /// The name of the effect whose values these are.
+    pub(super) fn effect_name(&self) -> &'static str {
+        self.spec.name
+    }
     /// The number, or what it is without.
     pub(super) fn number(&self, name: &str) -> f64 {
         self.optional(name).unwrap_or_else(|| {

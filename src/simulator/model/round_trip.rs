@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::effects::spec::{Form, Need, Range};
-use crate::effects::{Kind, registry};
+use crate::effects::{Kind, Spec, registry};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -43,6 +43,7 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
         Form::Profile | Form::Density => {
             json!((0..=count).map(|i| [i as f64 + pool.unit() / 2.0, pool.unit()]).collect::<Vec<_>>())
         }
+        Form::Effect(specs) => entry_of(specs[pool.below(specs.len())], pool),
         Form::Matrix => json!([0; 3].map(|_| [0; 3].map(|_| 20.0 * pool.unit() - 10.0))),
         Form::Choice(words) => json!(words[pool.below(words.len())]),
     }
@@ -50,9 +51,13 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
 
 /// A file's entry for a kind, optional keys there or not.
 fn entry<E: ?Sized>(kind: &Kind<E>, pool: &mut Pool<'_>) -> Value {
-    let mut entry = json!({"effect": kind.spec.name});
-    let chosen = kind.spec.forms.get(pool.below(kind.spec.forms.len().max(1))).copied().unwrap_or_default();
-    for parameter in kind.spec.parameters {
+    entry_of(kind.spec, pool)
+}
+
+fn entry_of(spec: &Spec, pool: &mut Pool<'_>) -> Value {
+    let mut entry = json!({"effect": spec.name});
+    let chosen = spec.forms.get(pool.below(spec.forms.len().max(1))).copied().unwrap_or_default();
+    for parameter in spec.parameters {
         let there = match parameter.need {
             Need::Always => true,
             Need::Default(_) => pool.unit() < 0.5 && (chosen.is_empty() || chosen.contains(&"per_c")),
