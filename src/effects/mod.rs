@@ -51,6 +51,7 @@ pub mod timing;
 pub mod tone;
 pub mod triad;
 pub mod variance_change;
+pub mod wandering_line;
 pub mod warm_up;
 pub mod white;
 
@@ -81,6 +82,7 @@ pub use timing::Timing;
 pub use tone::{Comb, Tone};
 pub use triad::TriadEffect;
 pub use variance_change::VarianceChange;
+pub use wandering_line::WanderingLine;
 pub use warm_up::WarmUp;
 pub use white::White;
 

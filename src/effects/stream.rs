@@ -51,6 +51,7 @@ pub mod number {
     pub const SPECTRUM: u16 = 19;
     pub const MODULATED_BAND: u16 = 20;
     pub const INTERMITTENT: u16 = 21;
+    pub const WANDERING_LINE: u16 = 22;
 }
 
 /// Owner of a triad's streams.

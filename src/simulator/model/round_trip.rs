@@ -25,6 +25,7 @@ fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
         ("low" | "from_s", _) => -unit.min(0.0) + 0.1 * unit,
         ("high" | "to_s", _) => 1.0 + unit,
         ("jitter_s", _) => 1e-4 * unit,
+        ("amplitude_sigma", _) => 3.0 * unit,
         (_, Range::Any) => 20.0 * unit - 10.0,
         (_, Range::FromZero) => 9.0 * unit,
         (_, Range::Above(least)) => least + 0.001 + 9.0 * unit,
