@@ -37,6 +37,8 @@ pub enum Range {
     Above(f64),
     /// From 0 to below 1.
     Probability,
+    /// The number or more.
+    From(f64),
     /// Above the first number and below the second.
     Between(f64, f64),
 }
@@ -49,6 +51,7 @@ impl Range {
                 Self::FromZero => number >= 0.0,
                 Self::Above(least) => number > least,
                 Self::Probability => (0.0..1.0).contains(&number),
+                Self::From(least) => number >= least,
                 Self::Between(low, high) => low < number && number < high,
             }
     }
@@ -67,6 +70,7 @@ impl Range {
             Self::FromZero => "a number of 0 or more".to_owned(),
             Self::Above(least) => format!("a number above {least}"),
             Self::Probability => "a probability from 0 to below 1".to_owned(),
+            Self::From(least) => format!("a number of {least} or more"),
             Self::Between(low, high) => format!("a number above {low} and below {high}"),
         }
     }
@@ -76,6 +80,7 @@ impl Range {
             Self::FromZero => json!({"type": "number", "minimum": 0, "maximum": LARGEST}),
             Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least, "maximum": LARGEST}),
             Self::Probability => json!({"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
+            Self::From(least) => json!({"type": "number", "minimum": least, "maximum": LARGEST}),
             Self::Between(low, high) => json!({"type": "number", "exclusiveMinimum": low, "exclusiveMaximum": high}),
         }
     }

@@ -63,7 +63,7 @@ fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
     let channels = [
         (Channel::GyroX, gyro(1e-3)),
         (Channel::GyroY, gyro(2e-3)),
-        (Channel::AccelZ, channel(0.01, vec![Box::new(Spikes { rate_hz: 1.0, amplitude: 1.0 })])),
+        (Channel::AccelZ, channel(0.01, vec![Box::new(Spikes::new(1.0, 1.0))])),
         (Channel::Temperature, ChannelModel { n: 0.01, bias: Some(30.0), ..ChannelModel::default() }),
     ];
     let effects: Vec<Arc<dyn TriadEffect>> = vec![

@@ -30,6 +30,7 @@ fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
         (_, Range::FromZero) => 9.0 * unit,
         (_, Range::Above(least)) => least + 0.001 + 9.0 * unit,
         (_, Range::Probability) => unit,
+        (_, Range::From(least)) => least + 0.001 + 9.0 * unit,
         (_, Range::Between(low, high)) => low + (0.001 + 0.998 * unit) * (high - low),
     }
 }
