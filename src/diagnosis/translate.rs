@@ -128,7 +128,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
                 );
             }
             Course::Temperature => {
-                let effect = TemperatureBias { per_c: size, reference_c: temperature_c };
+                let effect = TemperatureBias::linear(size, temperature_c);
                 add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
             }
             // No effect of the library.
@@ -251,7 +251,7 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         let (per_s, size) = (spikes.rate * rate_hz, spikes.size * scale);
         let error = (1.0 / (spikes.rate * samples as f64).max(1.0)).sqrt();
         let ci95 = vec![("rate_hz", times(per_s, error)), ("amplitude", times(size, spikes.relative_error))];
-        add(Kind::Spikes, Arc::new(Spikes { rate_hz: per_s, amplitude: size }), ci95);
+        add(Kind::Spikes, Arc::new(Spikes::new(per_s, size)), ci95);
     }
     found
 }

@@ -41,7 +41,7 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 
 impl Bursts {
     /// The samples inside as ranges that neither overlap nor touch, in order.
-    fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
+    pub(super) fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
         let index = |time_s| sampled::index_at(time_s, rate_hz);
         let mut ranges: Vec<_> = self.intervals.iter().map(|(from, to)| (index(*from), index(*to))).collect();
         ranges.sort_unstable();
@@ -56,7 +56,7 @@ impl Bursts {
     }
 
     /// How many of the record's samples are inside.
-    fn inside(&self, record: Record) -> u64 {
+    pub(super) fn inside(&self, record: Record) -> u64 {
         let until = |index: u64| index.min(record.samples);
         self.ranges(record.rate_hz).iter().map(|(from, to)| until(*to) - until(*from)).sum()
     }

@@ -10,7 +10,7 @@ const SEEDS: u64 = 100;
 /// Accepted distance in standard errors of the mean over the realisations: with some 20 comparisons per effect and 30
 /// effects, one in 3000 runs would fail by chance if seeds were not fixed.
 const STANDARD_ERRORS: f64 = 5.0;
-/// Accepted relative deviation of spectra (leakage of the window, flicker's ripple) and of flicker's Allan variance.
+/// Accepted relative deviation of spectra (leakage of the window, flicker's ripple) and of the Allan variance of flicker and power laws.
 const APPROXIMATE: f64 = 0.01;
 /// And of what is exact.
 const EXACT: f64 = 1e-6;
@@ -44,7 +44,7 @@ pub(super) fn draw_on_white(effect: &dyn Effect, rate_hz: f64, count: usize, see
 }
 
 /// Overlapping Allan variance of `values` at averaging factor `m`, from its definition.
-fn allan_variance(values: &[f64], m: usize) -> f64 {
+pub(super) fn allan_variance(values: &[f64], m: usize) -> f64 {
     let mut phase = vec![0.0];
     for value in values {
         phase.push(phase[phase.len() - 1] + value);
@@ -85,7 +85,7 @@ fn band_powers(values: &[f64], rate_hz: f64, bands: &[(usize, usize)], window: W
 }
 
 /// Mean and its standard error.
-fn mean_and_error(values: &[f64]) -> (f64, f64) {
+pub(super) fn mean_and_error(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0);
@@ -204,7 +204,7 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
             allan_agrees(name, &cases, 1e-3, |m| Some(integral(m)));
         }
         _ => {
-            let systematic = if name == "flicker" { APPROXIMATE } else { EXACT };
+            let systematic = if matches!(name, "flicker" | "power_law") { APPROXIMATE } else { EXACT };
             allan_agrees(name, &cases, systematic, |m| effect.allan_variance(m, record));
             let lines = effect.lines();
             if let (false, Some(_), true) = (deterministic, effect.psd(1.0, rate_hz), lines.is_empty()) {
@@ -218,7 +218,10 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
                     .iter()
                     .map(|values| band_powers(values, rate_hz, &around, Window::Hann)[0] * width_hz)
                     .collect();
-                agrees(&format!("{name}: line at {} Hz", line.frequency_hz), &found, line.power / 2.0, EXACT.max(2e-3));
+                let beside = |bin: usize| effect.psd(bin as f64 * rate_hz / SAMPLES as f64, rate_hz).unwrap_or(0.0);
+                let foot: f64 = (bin - 6..bin + 7).map(beside).sum::<f64>() * rate_hz / SAMPLES as f64;
+                let expected = line.power / 2.0 + foot;
+                agrees(&format!("{name}: line at {} Hz", line.frequency_hz), &found, expected, EXACT.max(2e-3));
             }
             if let Some(moments) = effect.moments(record) {
                 moments_agree(name, &cases, moments);

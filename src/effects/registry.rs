@@ -4,7 +4,7 @@ use super::spec::{Kind, Spec};
 use super::{Effect, TriadEffect, triad};
 
 /// Effects on a channel, in the contract's order.
-pub static CHANNEL: [&Kind<dyn Effect>; 20] = [
+pub static CHANNEL: [&Kind<dyn Effect>; 25] = [
     &super::resolution::KIND,
     &super::quantization_noise::KIND,
     &super::rate_ramp::KIND,
@@ -25,6 +25,11 @@ pub static CHANNEL: [&Kind<dyn Effect>; 20] = [
     &super::held_samples::KIND,
     &super::common_mode::KIND,
     &super::timing::KIND,
+    &super::power_law::KIND,
+    &super::spectrum::KIND,
+    &super::modulated_band::KIND,
+    &super::intermittent::KIND,
+    &super::wandering_line::KIND,
 ];
 
 /// Effects on a triad, in the contract's order.

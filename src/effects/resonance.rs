@@ -22,7 +22,7 @@ pub struct Resonance {
     pub sigma: f64,
 }
 
-static SPEC: Spec = Spec {
+pub(super) static SPEC: Spec = Spec {
     name: "resonance",
     stream: streams::RESONANCE,
     stage: Stage::Noise,

@@ -37,6 +37,10 @@ pub enum Range {
     Above(f64),
     /// From 0 to below 1.
     Probability,
+    /// The number or more.
+    From(f64),
+    /// Above the first number and below the second.
+    Between(f64, f64),
 }
 
 impl Range {
@@ -47,6 +51,8 @@ impl Range {
                 Self::FromZero => number >= 0.0,
                 Self::Above(least) => number > least,
                 Self::Probability => (0.0..1.0).contains(&number),
+                Self::From(least) => number >= least,
+                Self::Between(low, high) => low < number && number < high,
             }
     }
     /// In words for someone who gave this number: the limit of all ranges is told where it was passed.
@@ -64,6 +70,8 @@ impl Range {
             Self::FromZero => "a number of 0 or more".to_owned(),
             Self::Above(least) => format!("a number above {least}"),
             Self::Probability => "a probability from 0 to below 1".to_owned(),
+            Self::From(least) => format!("a number of {least} or more"),
+            Self::Between(low, high) => format!("a number above {low} and below {high}"),
         }
     }
     fn schema(self) -> Value {
@@ -72,6 +80,8 @@ impl Range {
             Self::FromZero => json!({"type": "number", "minimum": 0, "maximum": LARGEST}),
             Self::Above(least) => json!({"type": "number", "exclusiveMinimum": least, "maximum": LARGEST}),
             Self::Probability => json!({"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
+            Self::From(least) => json!({"type": "number", "minimum": least, "maximum": LARGEST}),
+            Self::Between(low, high) => json!({"type": "number", "exclusiveMinimum": low, "exclusiveMaximum": high}),
         }
     }
 }
@@ -90,6 +100,10 @@ pub enum Form {
     Intervals,
     /// Two or more pairs [time in s, factor of 0 or more], the times rising.
     Profile,
+    /// Two or more pairs [frequency in Hz, density of 0 or more], the frequencies rising from 0 or above.
+    Density,
+    /// One of these effects: an object as in a list of effects.
+    Effect(&'static [&'static Spec]),
     /// Three rows of three numbers.
     Matrix,
     /// One of these words.
@@ -104,6 +118,8 @@ pub enum Need {
     Always,
     /// No; this is what it is without.
     Default(f64),
+    /// No; without it the effect does without.
+    Optional,
     /// Where the form it belongs to is chosen ([`Spec::forms`]).
     InItsForm,
 }
@@ -235,7 +251,7 @@ impl Spec {
     fn needed(&self, form: &[&'static str]) -> Vec<&'static str> {
         let optional = |name: &str| {
             let parameter = self.parameters.iter().find(|parameter| parameter.name == name);
-            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_)))
+            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_) | Need::Optional))
         };
         form.iter().copied().filter(|name| !optional(name)).collect()
     }
@@ -253,7 +269,8 @@ impl Spec {
             let optional: Vec<_> = form.iter().copied().filter(|name| !needed.contains(name)).collect();
             let optional =
                 if optional.is_empty() { String::new() } else { format!(", optionally {}", optional.join(", ")) };
-            format!("{}{optional}", needed.join(" with "))
+            let always = self.parameters.iter().filter(|parameter| parameter.need == Need::Always).map(|of| of.name);
+            format!("{}{optional}", always.chain(needed).collect::<Vec<_>>().join(" with "))
         };
         self.forms.iter().map(words).collect::<Vec<_>>().join("; or ")
     }
@@ -328,7 +345,7 @@ impl Parameter {
                 let fits = |(from, to): &(f64, f64)| 0.0 <= *from && from < to && *to <= LARGEST;
                 pairs()?.iter().position(|pair| !fits(pair)).map_or(Ok(()), |index| Err(at(index)))
             }
-            Form::Profile => {
+            Form::Profile | Form::Density => {
                 let pairs = pairs()?;
                 if pairs.len() < 2 {
                     return Err(whole());
@@ -338,6 +355,18 @@ impl Parameter {
                 let fits =
                     |index: usize| size.contains(&pairs[index].0) && size.contains(&pairs[index].1) && rises(index);
                 (0..pairs.len()).find(|index| !fits(*index)).map_or(Ok(()), |index| Err(at(index)))
+            }
+            Form::Effect(specs) => {
+                let entry = value.as_object().ok_or_else(whole)?;
+                let name = entry.get(EFFECT).unwrap_or(&Value::Null);
+                let Some(spec) = specs.iter().find(|spec| name == spec.name) else {
+                    let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                    let allowed = format!("one of \"{}\"", names.join("\", \""));
+                    return Err((format!(".{EFFECT}"), name.to_string(), allowed));
+                };
+                let own = entry.iter().filter(|(key, _)| *key != EFFECT);
+                let own = own.map(|(key, value)| (key.clone(), value.clone())).collect();
+                spec.check_map(&own).map_err(|of| (format!(".{}", of.parameter), of.found, of.allowed))
             }
             Form::Matrix => matrix_of(value).map(|_| ()).ok_or_else(whole),
             Form::Choice(words) => match value.as_str() {
@@ -360,6 +389,14 @@ impl Form {
             Self::Profile => {
                 "a list of two or more [t_s, factor] with rising times and factors, all of 0 or more".to_owned()
             }
+            Self::Density => {
+                "a list of two or more [f_hz, density] with rising frequencies and densities, all of 0 or more"
+                    .to_owned()
+            }
+            Self::Effect(specs) => {
+                let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                format!("an effect with its parameters, one of \"{}\"", names.join("\", \""))
+            }
             Self::Matrix => "three rows of three numbers".to_owned(),
             Self::Choice(words) => format!("one of \"{}\"", words.join("\", \"")),
         }
@@ -374,7 +411,8 @@ impl Form {
             Self::Whole(from, to) => json!({"type": "integer", "minimum": from, "maximum": to}),
             Self::Numbers(range) => list(range.schema(), 1),
             Self::Intervals => list(exactly(Range::FromZero.schema(), 2), 1),
-            Self::Profile => list(exactly(Range::FromZero.schema(), 2), 2),
+            Self::Profile | Self::Density => list(exactly(Range::FromZero.schema(), 2), 2),
+            Self::Effect(specs) => json!({"oneOf": specs.iter().map(|spec| spec.schema()).collect::<Vec<_>>()}),
             Self::Matrix => exactly(exactly(Range::Any.schema(), 3), 3),
             Self::Choice(words) => json!({"enum": words}),
         }
@@ -412,7 +450,22 @@ pub struct Values<'a> {
     map: &'a Map<String, Value>,
 }
 
+/// The key of an effect's name.
+const EFFECT: &str = "effect";
+
 impl Values<'_> {
+    /// The values of a parameter that is an effect.
+    pub(super) fn effect(&self, name: &str) -> Option<Values<'_>> {
+        let form = self.spec.parameters.iter().find(|parameter| parameter.name == name)?.form;
+        let Form::Effect(specs) = form else { return None };
+        let map = self.map.get(name)?.as_object()?;
+        let spec = specs.iter().find(|spec| map.get(EFFECT).is_some_and(|name| name == spec.name))?;
+        Some(Values { spec, map })
+    }
+    /// The name of the effect whose values these are.
+    pub(super) fn effect_name(&self) -> &'static str {
+        self.spec.name
+    }
     /// The number, or what it is without.
     pub(super) fn number(&self, name: &str) -> f64 {
         self.optional(name).unwrap_or_else(|| {

@@ -1,6 +1,6 @@
 //! Spikes: single samples far off.
 
-use super::spec::{Kind, Range, number};
+use super::spec::{Form, Kind, Need, Parameter, Range, number};
 use super::stream::number as streams;
 use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
 use serde_json::Value;
@@ -10,12 +10,19 @@ use std::sync::Arc;
 ///
 /// Each sample has one with probability `rate_hz`/rate, of random sign, its size evenly spread over half to one and a half
 /// times `amplitude` (mean and median are `amplitude`). The spectrum is white.
+///
+/// With `cluster` above 1 they come on neighbouring samples: at every sample a cluster begins with the same probability s, and
+/// one that goes on does so with probability q = 1 − 1/`cluster`, so that numbers in a cluster are geometric with that mean (but
+/// for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with
+/// π = `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spikes {
     /// How many there are per second on average.
     pub rate_hz: f64,
     /// Typical size, U.
     pub amplitude: f64,
+    /// Mean number in one cluster, from 1.
+    pub cluster: f64,
 }
 
 static SPEC: Spec = Spec {
@@ -25,13 +32,25 @@ static SPEC: Spec = Spec {
     parameters: &[
         number("rate_hz", Range::FromZero, "spikes per second on average; up to the rate at which they act"),
         number("amplitude", Range::FromZero, "typical size, U; sizes spread evenly from half of it to one and a half"),
+        Parameter {
+            name: "cluster",
+            form: Form::Number(Range::From(1.0)),
+            need: Need::Default(1.0),
+            meaning: "mean number of spikes in one cluster, on neighbouring samples",
+        },
     ],
     forms: &[],
     meaning: "single samples far off, at random times and with random sign",
 };
 pub(super) static KIND: Kind<dyn Effect> = Kind {
     spec: &SPEC,
-    make: |values| Arc::new(Spikes { rate_hz: values.number("rate_hz"), amplitude: values.number("amplitude") }),
+    make: |values| {
+        Arc::new(Spikes {
+            rate_hz: values.number("rate_hz"),
+            amplitude: values.number("amplitude"),
+            cluster: values.number("cluster"),
+        })
+    },
 };
 
 /// Mean square and fourth moment of a number spread evenly over 0.5 … 1.5.
@@ -39,6 +58,12 @@ const SQUARE: f64 = 13.0 / 12.0;
 const FOURTH: f64 = 1.5125;
 
 impl Spikes {
+    /// Spikes that come one by one, `rate_hz` per second and of typical size `amplitude` in U.
+    #[must_use]
+    pub const fn new(rate_hz: f64, amplitude: f64) -> Self {
+        Self { rate_hz, amplitude, cluster: 1.0 }
+    }
+
     /// Variance of a sample at `rate_hz`.
     fn variance(&self, rate_hz: f64) -> f64 {
         SQUARE * self.amplitude * self.amplitude * self.rate_hz / rate_hz
@@ -50,7 +75,11 @@ impl Effect for Spikes {
         &SPEC
     }
     fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("rate_hz", self.rate_hz.into()), ("amplitude", self.amplitude.into())]
+        let mut parameters = vec![("rate_hz", self.rate_hz.into()), ("amplitude", self.amplitude.into())];
+        if self.cluster != 1.0 {
+            parameters.push(("cluster", self.cluster.into()));
+        }
+        parameters
     }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         if self.rate_hz <= rate_hz {
@@ -70,13 +99,23 @@ impl Effect for Spikes {
         Some(Moments { variance: self.variance(record.rate_hz), kurtosis: kurtosis.is_finite().then_some(kurtosis) })
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        Box::new(SpikeSampler { probability: self.rate_hz / rate_hz, amplitude: self.amplitude, stream })
+        let share = self.rate_hz / rate_hz;
+        let goes_on = 1.0 - 1.0 / self.cluster;
+        // With one each time all three are `share`, to the last bit.
+        let begins = share * (1.0 - goes_on) / (1.0 - share * goes_on);
+        let again = if goes_on > 0.0 { goes_on + (1.0 - goes_on) * begins } else { begins };
+        Box::new(SpikeSampler { next: share, begins, again, amplitude: self.amplitude, stream })
     }
 }
 
 #[derive(Debug)]
 struct SpikeSampler {
-    probability: f64,
+    /// Probability of a spike on the next sample.
+    next: f64,
+    /// After a sample without one.
+    begins: f64,
+    /// After a sample with one.
+    again: f64,
     amplitude: f64,
     stream: Stream,
 }
@@ -84,7 +123,9 @@ struct SpikeSampler {
 impl Sampler for SpikeSampler {
     fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
         for value in values {
-            if self.stream.uniform() < self.probability {
+            let is_one = self.stream.uniform() < self.next;
+            self.next = if is_one { self.again } else { self.begins };
+            if is_one {
                 let size = self.amplitude * (0.5 + self.stream.uniform());
                 *value += if self.stream.uniform() < 0.5 { size } else { -size };
             }
@@ -99,12 +140,12 @@ mod tests {
 
     #[test]
     fn spectrum_allan_variance_and_moments_are_those_of_spikes() {
-        check::agrees_with_its_closed_forms(&Spikes { rate_hz: 0.7, amplitude: 5.0 }, 40.0);
+        check::agrees_with_its_closed_forms(&Spikes::new(0.7, 5.0), 40.0);
     }
 
     #[test]
     fn their_number_and_median_size_are_the_parameters() {
-        let values = check::draw(&Spikes { rate_hz: 0.5, amplitude: 3.0 }, 100.0, 1_000_000, 4);
+        let values = check::draw(&Spikes::new(0.5, 3.0), 100.0, 1_000_000, 4);
         let mut sizes: Vec<f64> = values.iter().filter(|value| **value != 0.0).map(|value| value.abs()).collect();
         sizes.sort_by(f64::total_cmp);
         // 5000 expected; five standard deviations are 353.
@@ -116,8 +157,41 @@ mod tests {
     }
 
     #[test]
+    fn spikes_in_clusters_have_the_same_closed_forms() {
+        check::agrees_with_its_closed_forms(&Spikes { cluster: 3.5, ..Spikes::new(0.7, 5.0) }, 40.0);
+    }
+
+    #[test]
+    fn clusters_hold_as_many_as_they_should() {
+        let of = Spikes { cluster: 4.0, ..Spikes::new(0.5, 3.0) };
+        let is_one: Vec<bool> = check::draw(&of, 100.0, 1_000_000, 4).iter().map(|value| *value != 0.0).collect();
+        let count = is_one.iter().filter(|is_one| **is_one).count() as f64;
+        let clusters = is_one.windows(2).filter(|pair| pair[1] && !pair[0]).count() as f64;
+        // 5000 spikes in 1250 clusters, each number with a standard deviation of √12.
+        assert!((count / 5000.0 - 1.0).abs() < 5.0 * 0.037, "{count}");
+        assert!((count / clusters / 4.0 - 1.0).abs() < 5.0 * 0.025, "{clusters}");
+    }
+
+    /// As they were before there were clusters.
+    #[test]
+    fn single_spikes_are_value_stable() {
+        let values = check::draw(&Spikes::new(2.0, 1.0), 40.0, 400, 1);
+        let mut stream = check::stream(1);
+        for value in values {
+            let mut expected = 0.0;
+            if stream.uniform() < 2.0 / 40.0 {
+                let size = 0.5 + stream.uniform();
+                expected = if stream.uniform() < 0.5 { size } else { -size };
+            }
+            assert_eq!(value, expected);
+        }
+    }
+
+    #[test]
     fn more_spikes_than_samples_are_refused() {
-        assert!(Spikes { rate_hz: 41.0, amplitude: 1.0 }.check(40.0).is_err());
-        assert!(Spikes { rate_hz: 1.0, amplitude: -1.0 }.check(40.0).is_err());
+        assert!(Spikes::new(41.0, 1.0).check(40.0).is_err());
+        assert!(Spikes::new(1.0, -1.0).check(40.0).is_err());
+        assert!(Spikes { cluster: 0.9, ..Spikes::new(1.0, 1.0) }.check(40.0).is_err());
+        assert_eq!(Spikes { cluster: 1.0, ..Spikes::new(1.0, 1.0) }.check(40.0), Ok(()));
     }
 }

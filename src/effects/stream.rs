@@ -47,6 +47,11 @@ pub mod number {
     pub const LOW_PASS: u16 = 16;
     /// `moving_average`: the noise behind it.
     pub const MOVING_AVERAGE: u16 = 17;
+    pub const POWER_LAW: u16 = 18;
+    pub const SPECTRUM: u16 = 19;
+    pub const MODULATED_BAND: u16 = 20;
+    pub const INTERMITTENT: u16 = 21;
+    pub const WANDERING_LINE: u16 = 22;
 }
 
 /// Owner of a triad's streams.
@@ -102,6 +107,15 @@ impl Stream {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
     }
 
+    /// A stream of its own whose key is drawn from this one, for what draws beside it.
+    pub(super) fn branch(&mut self) -> Self {
+        let mut key = [0_u8; 32];
+        for eight in key.chunks_exact_mut(8) {
+            eight.copy_from_slice(&self.0.next_u64().to_le_bytes());
+        }
+        Self(ChaCha8Rng::from_seed(key))
+    }
+
     /// The next number of a distribution.
     pub(super) fn draw(&mut self, distribution: &impl Distribution<f64>) -> f64 {
         distribution.sample(&mut self.0)
@@ -152,6 +166,14 @@ mod tests {
         ] {
             assert_ne!(other, reference);
         }
+    }
+
+    #[test]
+    fn a_branch_is_value_stable_and_another_stream() {
+        let mut stream = Stream::new(1, ID);
+        let mut branch = stream.branch();
+        assert_eq!(branch.uniform(), 0.994536588324098);
+        assert_ne!(stream.uniform(), branch.uniform());
     }
 
     #[test]

@@ -1,21 +1,39 @@
 //! Temperature bias: a level that follows the sensor's temperature.
 
-use super::spec::{Kind, Range, number};
+use super::spec::{Form, Kind, Need, Parameter, Range, number};
 use super::stream::number as streams;
 use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
 use serde_json::Value;
 use std::sync::Arc;
 
-/// A bias of `per_c`·(T − `reference_c`).
+/// A bias that follows the sensor's temperature T: `per_c`·(P − `reference_c`) + `per_c2`·(P − `reference_c`)² +
+/// `per_c_per_s`·D.
+///
+/// P is T behind a play of full width `play_c`: it stays while T is within half of that from it, and else follows half the
+/// width behind; so that the level of a way up differs from that of the way down by `per_c`·`play_c`. It begins in the middle,
+/// P = T. Without play P is T. (Play, or backlash: Visintin, Differential Models of Hysteresis, 1994.)
+///
+/// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that lag.
+/// It is causal and begins at 0.
 ///
 /// Its Allan variance is that of the temperature's course times `per_c`², which no parameter says: `None`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TemperatureBias {
     /// U/°C.
     pub per_c: f64,
     /// The temperature at which it vanishes, °C.
     pub reference_c: f64,
+    /// Curvature, U/°C².
+    pub per_c2: f64,
+    /// Full width of the play between temperature and level, °C.
+    pub play_c: f64,
+    /// What a temperature that changes adds, U per °C/s.
+    pub per_c_per_s: f64,
 }
+
+/// Time constant of the lag behind which [`TemperatureBias::per_c_per_s`] sees dT/dt, s: short beside what warms a sensor,
+/// long beside the noise and the steps of a thermometer.
+pub const RATE_LAG_S: f64 = 10.0;
 
 static SPEC: Spec = Spec {
     name: "temperature_bias",
@@ -24,23 +42,59 @@ static SPEC: Spec = Spec {
     parameters: &[
         number("per_c", Range::Any, "slope, U/°C"),
         number("reference_c", Range::Above(-273.15), "the temperature at which it vanishes, °C"),
+        further("per_c2", Range::Any, "curvature: per_c2·(T − reference_c)², U/°C²"),
+        further("play_c", Range::FromZero, "full width of the play between temperature and level (hysteresis), °C"),
+        further(
+            "per_c_per_s",
+            Range::Any,
+            "what a temperature that changes adds, U per °C/s; dT/dt behind a lag of 10 s",
+        ),
     ],
     forms: &[],
-    meaning: "a bias proportional to the sensor's temperature",
+    meaning: "a bias that follows the sensor's temperature",
 };
+const fn further(name: &'static str, range: Range, meaning: &'static str) -> Parameter {
+    Parameter { name, form: Form::Number(range), need: Need::Default(0.0), meaning }
+}
 pub(super) static KIND: Kind<dyn Effect> = Kind {
     spec: &SPEC,
     make: |values| {
-        Arc::new(TemperatureBias { per_c: values.number("per_c"), reference_c: values.number("reference_c") })
+        Arc::new(TemperatureBias {
+            per_c: values.number("per_c"),
+            reference_c: values.number("reference_c"),
+            per_c2: values.number("per_c2"),
+            play_c: values.number("play_c"),
+            per_c_per_s: values.number("per_c_per_s"),
+        })
     },
 };
+
+impl TemperatureBias {
+    /// One of a slope alone, in U/°C, that vanishes at `reference_c`.
+    #[must_use]
+    pub const fn linear(per_c: f64, reference_c: f64) -> Self {
+        Self { per_c, reference_c, per_c2: 0.0, play_c: 0.0, per_c_per_s: 0.0 }
+    }
+
+    /// The level behind the play at `temperature_c`, U.
+    fn level(&self, temperature_c: f64) -> f64 {
+        let off = temperature_c - self.reference_c;
+        if self.per_c2 == 0.0 { self.per_c * off } else { self.per_c * off + self.per_c2 * off * off }
+    }
+}
 
 impl Effect for TemperatureBias {
     fn spec(&self) -> &'static Spec {
         &SPEC
     }
     fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("per_c", self.per_c.into()), ("reference_c", self.reference_c.into())]
+        let further = [("per_c2", self.per_c2), ("play_c", self.play_c), ("per_c_per_s", self.per_c_per_s)];
+        let given = further.into_iter().filter(|(_, value)| *value != 0.0);
+        [("per_c", self.per_c), ("reference_c", self.reference_c)]
+            .into_iter()
+            .chain(given)
+            .map(|(name, value)| (name, value.into()))
+            .collect()
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
@@ -48,27 +102,47 @@ impl Effect for TemperatureBias {
     fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
         None
     }
+    /// At a temperature that has not changed: in the middle of the play. What came before is in no instant.
     fn mean_response(&self, input: f64, at: At) -> f64 {
-        input + self.per_c * (at.temperature_c - self.reference_c)
+        input + self.level(at.temperature_c)
     }
+    /// T − `reference_c`, and its square where there is curvature. Play and dT/dt are no functions of the instant.
     fn regressors(&self) -> usize {
-        1
+        if self.per_c2 == 0.0 { 1 } else { 2 }
     }
     fn regress(&self, at: At, row: &mut [f64]) {
-        row[0] = at.temperature_c - self.reference_c;
+        let off = at.temperature_c - self.reference_c;
+        for (place, power) in row.iter_mut().zip([off, off * off]) {
+            *place = power;
+        }
     }
-    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(TemperatureSampler(*self))
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
+        let share = -(-1.0 / (RATE_LAG_S * rate_hz)).exp_m1();
+        Box::new(TemperatureSampler { bias: *self, share, behind: None })
     }
 }
 
 #[derive(Debug)]
-struct TemperatureSampler(TemperatureBias);
+struct TemperatureSampler {
+    bias: TemperatureBias,
+    /// How much of its distance to the temperature the lag covers in a sample.
+    share: f64,
+    /// The temperatures behind the play and behind the lag, once there was one, °C.
+    behind: Option<[f64; 2]>,
+}
 
 impl Sampler for TemperatureSampler {
     fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>) {
+        let half = 0.5 * self.bias.play_c;
         for (index, value) in values.iter_mut().enumerate() {
-            *value += self.0.per_c * (temperature.at(index) - self.0.reference_c);
+            let now = temperature.at(index);
+            let [play, lag] = self.behind.unwrap_or([now, now]);
+            let play = if half > 0.0 { play.clamp(now - half, now + half) } else { now };
+            *value += self.bias.level(play);
+            if self.bias.per_c_per_s != 0.0 {
+                *value += self.bias.per_c_per_s * (now - lag) / RATE_LAG_S;
+            }
+            self.behind = Some([play, lag + self.share * (now - lag)]);
         }
     }
 }
@@ -80,7 +154,7 @@ mod tests {
 
     #[test]
     fn the_level_follows_the_temperature() {
-        let effect = TemperatureBias { per_c: -0.02, reference_c: 20.0 };
+        let effect = TemperatureBias::linear(-0.02, 20.0);
         let temperatures: Vec<f64> = (0..500).map(|i| 15.0 + 0.1 * f64::from(i)).collect();
         let mut values = vec![1.0; 500];
         effect.sampler(40.0, 1.0, check::stream(1)).act(&mut values, Temperature::Series(&temperatures));
@@ -92,5 +166,81 @@ mod tests {
             assert!((value - 1.0 - effect.per_c * row[0]).abs() < 1e-14);
         }
         assert!((values[0] - 1.1).abs() < 1e-14);
+    }
+
+    /// What the effect adds to a course of temperatures at `rate_hz`.
+    fn follow(effect: TemperatureBias, rate_hz: f64, temperatures: &[f64]) -> Vec<f64> {
+        let mut values = vec![0.0; temperatures.len()];
+        effect.sampler(rate_hz, 1.0, check::stream(1)).act(&mut values, Temperature::Series(temperatures));
+        values
+    }
+
+    #[test]
+    fn the_way_down_differs_from_the_way_up_by_the_play() {
+        let up = (0..=200).map(|i| 20.0 + 0.1 * f64::from(i));
+        let temperatures: Vec<f64> = up.clone().chain(up.rev()).collect();
+        let effect = TemperatureBias { play_c: 3.0, ..TemperatureBias::linear(0.5, 20.0) };
+        let values = follow(effect, 1.0, &temperatures);
+        // Nothing moves before half the play is used up; from then on half the play behind.
+        assert!(values[..=15].iter().all(|value| *value == 0.0));
+        assert!((values[100] - 0.5 * (10.0 - 1.5)).abs() < 1e-12);
+        assert!((values[201 + 100] - 0.5 * (10.0 + 1.5)).abs() < 1e-12);
+        assert!((values[301] - values[100] - 0.5 * 3.0).abs() < 1e-12);
+        // The same course again and again is the same loop, whatever its speed.
+        let slow: Vec<f64> = temperatures.iter().flat_map(|celsius| [*celsius; 3]).collect();
+        let again = follow(effect, 1.0, &slow);
+        assert!(values.iter().zip(again.chunks(3)).all(|(one, three)| three == [*one; 3]));
+    }
+
+    #[test]
+    fn a_curve_is_quadratic_about_the_reference() {
+        let effect = TemperatureBias { per_c2: 0.01, ..TemperatureBias::linear(-0.02, 20.0) };
+        let temperatures: Vec<f64> = (0..50).map(f64::from).collect();
+        let mut row = [0.0; 2];
+        for (value, temperature_c) in follow(effect, 40.0, &temperatures).iter().zip(temperatures) {
+            let at = At { time_s: 0.0, temperature_c };
+            effect.regress(at, &mut row);
+            assert!((value - (-0.02 * row[0] + 0.01 * row[1])).abs() < 1e-12);
+            assert!((value - effect.mean_response(0.0, at)).abs() < 1e-12);
+        }
+        assert_eq!((effect.regressors(), TemperatureBias::linear(1.0, 0.0).regressors()), (2, 1));
+    }
+
+    #[test]
+    fn a_temperature_that_changes_adds_its_rate_after_the_lag() {
+        for rate_hz in [10.0, 40.0] {
+            let effect = TemperatureBias { per_c_per_s: 2.0, ..TemperatureBias::linear(0.0, 20.0) };
+            let count = (100.0 * rate_hz) as usize;
+            let temperatures: Vec<f64> = (0..count).map(|i| 25.0 + 0.05 * i as f64 / rate_hz).collect();
+            let values = follow(effect, rate_hz, &temperatures);
+            assert_eq!(values[0], 0.0);
+            // 1 − 1/e of it after one time constant; sampling is half a sample off at most.
+            let after_lag = values[(RATE_LAG_S * rate_hz) as usize];
+            assert!((after_lag / (0.1 * (1.0 - (-1.0_f64).exp())) - 1.0).abs() < 1.0 / (RATE_LAG_S * rate_hz));
+            assert!((values[count - 1] / 0.1 - 1.0).abs() < 0.006);
+        }
+    }
+
+    #[test]
+    fn values_do_not_depend_on_how_the_course_is_cut() {
+        let effect = TemperatureBias { per_c: 0.3, reference_c: 20.0, per_c2: 0.02, play_c: 1.0, per_c_per_s: 4.0 };
+        let temperatures: Vec<f64> = (0..1000).map(|i| 25.0 + 3.0 * (0.01 * f64::from(i)).sin()).collect();
+        let whole = follow(effect, 40.0, &temperatures);
+        let mut sampler = effect.sampler(40.0, 1.0, check::stream(1));
+        let mut pieces = vec![0.0; 1000];
+        for (piece, course) in pieces.chunks_mut(77).zip(temperatures.chunks(77)) {
+            sampler.act(piece, Temperature::Series(course));
+        }
+        assert_eq!(whole, pieces);
+    }
+
+    #[test]
+    fn further_parameters_stand_only_where_they_are_not_0() {
+        let keys = |effect: TemperatureBias| effect.parameters().into_iter().map(|(name, _)| name).collect::<Vec<_>>();
+        assert_eq!(keys(TemperatureBias::linear(1.0, 25.0)), ["per_c", "reference_c"]);
+        let played = TemperatureBias { play_c: 1.0, ..TemperatureBias::linear(1.0, 25.0) };
+        assert_eq!(keys(played), ["per_c", "reference_c", "play_c"]);
+        assert_eq!(played.check(40.0), Ok(()));
+        assert!(TemperatureBias { play_c: -1.0, ..played }.check(40.0).is_err());
     }
 }

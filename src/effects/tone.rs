@@ -28,7 +28,7 @@ pub struct Comb {
     pub amplitudes: Vec<f64>,
 }
 
-static TONE_SPEC: Spec = Spec {
+pub(super) static TONE_SPEC: Spec = Spec {
     name: "tone",
     stream: streams::TONE,
     stage: Stage::Noise,

@@ -2,8 +2,10 @@
 
 use super::spec::{Form, Kind, Need, Parameter, Range};
 use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments};
-use serde_json::{Value, json};
+use super::{
+    Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments, profile,
+};
+use serde_json::Value;
 use std::sync::Arc;
 
 /// A factor on the amplitude of the white part; the other noise is left alone.
@@ -82,36 +84,19 @@ impl VarianceChange {
                     1.0
                 }
             }
-            Self::Profile(points) => {
-                let after = points.partition_point(|point| point.0 <= time_s);
-                match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
-                    (Some((t0, f0)), Some((t1, f1))) => f0 + (f1 - f0) * (time_s - t0) / (t1 - t0),
-                    (Some((_, factor)), None) | (None, Some((_, factor))) => *factor,
-                    (None, None) => 1.0,
-                }
-            }
+            Self::Profile(points) => profile::factor(points, time_s),
             Self::PerDegree { per_c, reference_c } => (per_c * (temperature_c - reference_c)).exp(),
         }
     }
 
-    /// Mean of the factor's `power`th power over `length_s`, without temperature; each piece by Gauss's three points, which
-    /// is exact for the fourth power of a straight line.
+    /// Mean of the factor's `power`th power over `length_s`, without temperature.
     fn mean_power(&self, length_s: f64, power: i32) -> Option<f64> {
-        let mut cuts = match self {
+        let cuts = match self {
             Self::Interval { from_s, to_s, .. } => vec![*from_s, *to_s],
             Self::Profile(points) => points.iter().map(|point| point.0).collect(),
             Self::PerDegree { .. } => return None,
         };
-        cuts.retain(|cut| *cut > 0.0 && *cut < length_s);
-        cuts.insert(0, 0.0);
-        cuts.push(length_s);
-        let reach = 0.6_f64.sqrt();
-        let piece = |from: f64, to: f64| {
-            let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
-            let at = |offset: f64| self.factor(middle + offset * half, 0.0).powi(power);
-            half * (5.0 * at(-reach) + 8.0 * at(0.0) + 5.0 * at(reach)) / 9.0
-        };
-        Some(cuts.windows(2).map(|cut| piece(cut[0], cut[1])).sum::<f64>() / length_s)
+        Some(profile::mean_power(cuts, length_s, power, |time_s| self.factor(time_s, 0.0)))
     }
 }
 
@@ -125,8 +110,7 @@ impl Effect for VarianceChange {
                 vec![("from_s", (*from_s).into()), ("to_s", (*to_s).into()), ("factor", (*factor).into())]
             }
             Self::Profile(points) => {
-                let points: Vec<Value> = points.iter().map(|(time, factor)| json!([time, factor])).collect();
-                vec![("profile", points.into())]
+                vec![("profile", profile::value(points))]
             }
             Self::PerDegree { per_c, reference_c } => {
                 vec![("per_c", (*per_c).into()), ("reference_c", (*reference_c).into())]
@@ -177,6 +161,7 @@ impl Sampler for ChangeSampler {
 mod tests {
     use super::super::check;
     use super::*;
+    use serde_json::json;
 
     #[test]
     fn the_white_part_grows_as_the_factor_says() {

@@ -389,6 +389,10 @@ impl ImuNoise {
                 };
                 if !held {
                     others.push((effect.name().to_owned(), channel.name().to_owned()));
+                } else if effect.name() == "temperature_bias"
+                    && ["per_c2", "play_c", "per_c_per_s"].into_iter().any(|key| number(key).is_some())
+                {
+                    others.push(("temperature_bias beyond its slope".to_owned(), channel.name().to_owned()));
                 }
             }
             let level = of.bias.filter(|bias| *bias != 0.0);

@@ -180,6 +180,20 @@ fn a_model_is_exported_with_what_no_target_can_hold_in_words() {
 }
 
 #[test]
+fn what_a_temperature_bias_is_beyond_its_slope_is_named_where_the_slope_goes() {
+    let with = |further: &str| {
+        let text = format!(
+            r#"{{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,"channels":{{"gyro_x":{{"N":1e-4,
+                "effects":[{{"effect":"temperature_bias","per_c":1e-4,"reference_c":25{further}}}]}}}}}}"#
+        );
+        let model = crate::simulator::SensorModel::from_json(&text, "m.json").unwrap();
+        Target::Matlab.write(&ImuNoise::of_model(&model))
+    };
+    assert!(with(r#","play_c":2"#).contains("temperature_bias beyond its slope of gyro_x"));
+    assert!(!with("").contains("beyond its slope"));
+}
+
+#[test]
 fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     let model = crate::simulator::SensorModel::from_json(
         r#"{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,"channels":{

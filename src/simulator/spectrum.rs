@@ -54,7 +54,8 @@ impl<'a> Spectrum<'a> {
     /// every filter's gain, with what folds in sampling, with what rounding adds. Lines apart ([`Spectrum::lines`]).
     ///
     /// `None` where it is not the parameters' alone: held samples, changes of variance by temperature or several of them,
-    /// bursts (which are not the same all the time) and temperature bias. A saturation counts as never reached.
+    /// what is not the same all the time (bursts, a band or spectrum with a level, what is intermittent inside intervals),
+    /// temperature bias, and a line that wanders slowly. A saturation counts as never reached.
     #[must_use]
     pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
         let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);

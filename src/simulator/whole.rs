@@ -52,7 +52,7 @@ fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
             Box::new(HeavyTails { degrees_of_freedom: 6.0 }),
             Box::new(LowPass::new(12.0, 2)),
             Box::new(GaussMarkov { sigma: 1e-3, tc_s: 2.0 }),
-            Box::new(TemperatureBias { per_c: 1e-4, reference_c: 20.0 }),
+            Box::new(TemperatureBias::linear(1e-4, 20.0)),
             Box::new(WarmUp { amplitude: 0.1, tau_s: 5.0 }),
             Box::new(CommonMode { sigma }),
             Box::new(HeldSamples { probability: 0.01 }),
@@ -63,7 +63,7 @@ fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
     let channels = [
         (Channel::GyroX, gyro(1e-3)),
         (Channel::GyroY, gyro(2e-3)),
-        (Channel::AccelZ, channel(0.01, vec![Box::new(Spikes { rate_hz: 1.0, amplitude: 1.0 })])),
+        (Channel::AccelZ, channel(0.01, vec![Box::new(Spikes::new(1.0, 1.0))])),
         (Channel::Temperature, ChannelModel { n: 0.01, bias: Some(30.0), ..ChannelModel::default() }),
     ];
     let effects: Vec<Arc<dyn TriadEffect>> = vec![
@@ -413,7 +413,7 @@ fn latency_delays_the_motion_before_sampling() {
 
 #[test]
 fn temperature_drives_what_depends_on_it_and_shows_on_its_channel() {
-    let bias = TemperatureBias { per_c: 0.01, reference_c: 20.0 };
+    let bias = TemperatureBias::linear(0.01, 20.0);
     let gyro = || channel(0.0, vec![Box::new(bias) as Box<dyn Effect>]);
     let thermometer = ChannelModel { bias: Some(35.0), ..ChannelModel::default() };
     let with = model(40.0, [(Channel::GyroX, gyro()), (Channel::Temperature, thermometer)]);

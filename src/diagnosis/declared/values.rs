@@ -67,7 +67,7 @@ pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate
                 let size = size.max(1e-3);
                 let by_size = 0.5 * ((own / size).ln() / law.relative_error.max(0.02)).powi(2);
                 let nats = poisson(law.rate * samples, rate * samples) + by_size;
-                let effect = Spikes { rate_hz: law.rate * rate_hz, amplitude: law.size * of.prepared.scale };
+                let effect = Spikes::new(law.rate * rate_hz, law.size * of.prepared.scale);
                 off(Some(Arc::new(effect)), nats, format!("{channel}: spikes of another rate or size than the model's"))
             }
             "heavy_tails" => {

@@ -197,7 +197,7 @@ impl<'a> Design<'a> {
     }
 
     fn temperature_bias(&self, axis: usize, state: &State) -> TemperatureBias {
-        TemperatureBias { per_c: state.per_c[axis], reference_c: self.reference_c }
+        TemperatureBias::linear(state.per_c[axis], self.reference_c)
     }
 
     /// What the triad shows on average.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::effects::spec::{Form, Need, Range};
-use crate::effects::{Kind, registry};
+use crate::effects::{Kind, Spec, registry};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -25,10 +25,13 @@ fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
         ("low" | "from_s", _) => -unit.min(0.0) + 0.1 * unit,
         ("high" | "to_s", _) => 1.0 + unit,
         ("jitter_s", _) => 1e-4 * unit,
+        ("amplitude_sigma", _) => 3.0 * unit,
         (_, Range::Any) => 20.0 * unit - 10.0,
         (_, Range::FromZero) => 9.0 * unit,
         (_, Range::Above(least)) => least + 0.001 + 9.0 * unit,
         (_, Range::Probability) => unit,
+        (_, Range::From(least)) => least + 0.001 + 9.0 * unit,
+        (_, Range::Between(low, high)) => low + (0.001 + 0.998 * unit) * (high - low),
     }
 }
 
@@ -39,7 +42,10 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
         Form::Whole(from, to) => json!(from + pool.below((to - from + 1) as usize) as u64),
         Form::Numbers(range) => json!((0..count).map(|_| number(name, range, pool)).collect::<Vec<_>>()),
         Form::Intervals => json!((0..count).map(|i| [i as f64, i as f64 + 0.01 + pool.unit()]).collect::<Vec<_>>()),
-        Form::Profile => json!((0..=count).map(|i| [i as f64 + pool.unit() / 2.0, pool.unit()]).collect::<Vec<_>>()),
+        Form::Profile | Form::Density => {
+            json!((0..=count).map(|i| [i as f64 + pool.unit() / 2.0, pool.unit()]).collect::<Vec<_>>())
+        }
+        Form::Effect(specs) => entry_of(specs[pool.below(specs.len())], pool),
         Form::Matrix => json!([0; 3].map(|_| [0; 3].map(|_| 20.0 * pool.unit() - 10.0))),
         Form::Choice(words) => json!(words[pool.below(words.len())]),
     }
@@ -47,12 +53,17 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
 
 /// A file's entry for a kind, optional keys there or not.
 fn entry<E: ?Sized>(kind: &Kind<E>, pool: &mut Pool<'_>) -> Value {
-    let mut entry = json!({"effect": kind.spec.name});
-    let chosen = kind.spec.forms.get(pool.below(kind.spec.forms.len().max(1))).copied().unwrap_or_default();
-    for parameter in kind.spec.parameters {
+    entry_of(kind.spec, pool)
+}
+
+fn entry_of(spec: &Spec, pool: &mut Pool<'_>) -> Value {
+    let mut entry = json!({"effect": spec.name});
+    let chosen = spec.forms.get(pool.below(spec.forms.len().max(1))).copied().unwrap_or_default();
+    for parameter in spec.parameters {
         let there = match parameter.need {
             Need::Always => true,
             Need::Default(_) => pool.unit() < 0.5 && (chosen.is_empty() || chosen.contains(&"per_c")),
+            Need::Optional => pool.unit() < 0.5,
             Need::InItsForm => chosen.contains(&parameter.name),
         };
         if there {
@@ -140,7 +151,7 @@ proptest! {
             prop_assert_eq!(kind.read(&more).unwrap_err().parameter, "wobble");
             for parameter in kind.spec.parameters.iter().filter(|parameter| !matches!(parameter.need, Need::Default(_))) {
                 let mut less = map.clone();
-                if less.remove(parameter.name).is_some() {
+                if parameter.need != Need::Optional && less.remove(parameter.name).is_some() {
                     prop_assert!(kind.read(&less).is_err(), "{} without {}", kind.spec.name, parameter.name);
                 }
                 let mut wrong = map.clone();

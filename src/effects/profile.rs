@@ -1,0 +1,89 @@
+//! Profiles: factors at instants, linear between them and constant before the first and after the last, and noise whose
+//! amplitude follows one.
+
+use super::{Sampler, Temperature};
+use serde_json::{Value, json};
+
+/// The factor at `time_s` of points [s, factor] whose times rise; 1 where there is no point.
+#[must_use]
+pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
+    let after = points.partition_point(|point| point.0 <= time_s);
+    match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
+        (Some((t0, f0)), Some((t1, f1))) => f0 + (f1 - f0) * (time_s - t0) / (t1 - t0),
+        (Some((_, factor)), None) | (None, Some((_, factor))) => *factor,
+        (None, None) => 1.0,
+    }
+}
+
+/// Mean over 0…`length_s` of the `power`th power of a `factor` of time that is a straight line between any two of `cuts`
+/// (rising, in s); each piece by Gauss's three points, which is exact up to the fifth power.
+pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: impl Fn(f64) -> f64) -> f64 {
+    cuts.retain(|cut| *cut > 0.0 && *cut < length_s);
+    cuts.insert(0, 0.0);
+    cuts.push(length_s);
+    let reach = 0.6_f64.sqrt();
+    let piece = |from: f64, to: f64| {
+        let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
+        let at = |offset: f64| factor(middle + offset * half).powi(power);
+        half * (5.0 * at(-reach) + 8.0 * at(0.0) + 5.0 * at(reach)) / 9.0
+    };
+    cuts.windows(2).map(|cut| piece(cut[0], cut[1])).sum::<f64>() / length_s
+}
+
+/// [`mean_power`] of a profile's points.
+pub(super) fn mean_power_of(points: &[(f64, f64)], length_s: f64, power: i32) -> f64 {
+    mean_power(points.iter().map(|point| point.0).collect(), length_s, power, |time_s| factor(points, time_s))
+}
+
+/// As it stands in a file.
+pub(super) fn value(points: &[(f64, f64)]) -> Value {
+    points.iter().map(|(time_s, factor)| json!([time_s, factor])).collect::<Vec<_>>().into()
+}
+
+/// Samples that are made at a time.
+const BLOCK: usize = 256;
+
+/// What another sampler adds, times a profile's factor.
+#[derive(Debug)]
+pub(super) struct Weighted {
+    inner: Box<dyn Sampler>,
+    level: Vec<(f64, f64)>,
+    rate_hz: f64,
+    index: u64,
+    added: Vec<f64>,
+}
+
+impl Weighted {
+    /// `inner` times the factor of `level` at each sample.
+    pub(super) fn new(inner: Box<dyn Sampler>, level: &[(f64, f64)], rate_hz: f64) -> Self {
+        Self { inner, level: level.to_vec(), rate_hz, index: 0, added: Vec::with_capacity(BLOCK) }
+    }
+}
+
+impl Sampler for Weighted {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for block in values.chunks_mut(BLOCK) {
+            self.added.clear();
+            self.added.resize(block.len(), 0.0);
+            self.inner.apply(&mut self.added);
+            for (value, added) in block.iter_mut().zip(&self.added) {
+                *value += added * factor(&self.level, self.index as f64 / self.rate_hz);
+                self.index += 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_profile_is_linear_between_its_points_and_constant_beyond() {
+        let points = [(1.0, 1.0), (3.0, 2.0)];
+        assert_eq!([0.0, 1.0, 2.0, 3.0, 9.0].map(|t| factor(&points, t)), [1.0, 1.0, 1.5, 2.0, 2.0]);
+        assert_eq!(factor(&[], 5.0), 1.0);
+        // 1 for a second, (1 + x/2)² over two, 4 for another.
+        assert!((mean_power_of(&points, 4.0, 2) - (1.0 + 14.0 / 3.0 + 4.0) / 4.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,315 @@
+//! Wandering line: a line whose frequency and amplitude drift to and fro.
+
+use super::gauss_markov::lorentzian;
+use super::spec::{Kind, Range, number};
+use super::stream::number as streams;
+use super::{Effect, Line, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
+use serde_json::Value;
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn from all alike; d and u are Gauss–Markov processes of rms
+/// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 whatever s.
+///
+/// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), V = 2β(t/T_f − 1 + e^(−t/T_f)) the phase's variance about its
+/// mean course, β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan 9. The phase is integrated exactly
+/// between samples, so that it holds at any rate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WanderingLine {
+    /// Mean frequency, Hz.
+    pub frequency_hz: f64,
+    /// Root mean square of the line times √2, U.
+    pub amplitude: f64,
+    /// Root mean square of the frequency about its mean, Hz.
+    pub frequency_sigma_hz: f64,
+    /// Correlation time of the frequency, s.
+    pub frequency_tc_s: f64,
+    /// Root mean square of the amplitude's logarithm.
+    pub amplitude_sigma: f64,
+    /// Correlation time of the amplitude's logarithm, s.
+    pub amplitude_tc_s: f64,
+}
+
+static SPEC: Spec = Spec {
+    name: "wandering_line",
+    stream: streams::WANDERING_LINE,
+    stage: Stage::Noise,
+    parameters: &[
+        number("frequency_hz", Range::Above(0.0), "mean frequency, Hz; below half the rate at which it acts"),
+        number("amplitude", Range::FromZero, "root mean square of the line times √2, U"),
+        number("frequency_sigma_hz", Range::FromZero, "root mean square of the frequency about its mean, Hz"),
+        number("frequency_tc_s", Range::Above(0.0), "correlation time of the frequency, s"),
+        number("amplitude_sigma", Range::FromZero, "root mean square of the amplitude's logarithm; up to 3"),
+        number("amplitude_tc_s", Range::Above(0.0), "correlation time of the amplitude's logarithm, s"),
+    ],
+    forms: &[],
+    meaning: "a line whose frequency and amplitude wander",
+};
+pub(super) static KIND: Kind<dyn Effect> = Kind {
+    spec: &SPEC,
+    make: |values| {
+        Arc::new(WanderingLine {
+            frequency_hz: values.number("frequency_hz"),
+            amplitude: values.number("amplitude"),
+            frequency_sigma_hz: values.number("frequency_sigma_hz"),
+            frequency_tc_s: values.number("frequency_tc_s"),
+            amplitude_sigma: values.number("amplitude_sigma"),
+            amplitude_tc_s: values.number("amplitude_tc_s"),
+        })
+    },
+};
+
+/// β above which the sum over Lorentzian lines cancels too far: its terms grow as e^β and alternate.
+const SUMMED_UP_TO: f64 = 8.0;
+
+/// The largest `amplitude_sigma`: two standard deviations are a factor of 400 then, and no record shows the mean square.
+const AMPLITUDE_SIGMA_MAX: f64 = 3.0;
+
+impl WanderingLine {
+    /// (2πσT)²: the mean square of the phase that one stay at a frequency gathers.
+    fn beta(&self) -> f64 {
+        (TAU * self.frequency_sigma_hz * self.frequency_tc_s).powi(2)
+    }
+
+    /// Minus the logarithm of what the wander leaves of the autocovariance after `lag_s`.
+    fn forgotten(&self, lag_s: f64) -> f64 {
+        let x = lag_s / self.frequency_tc_s;
+        let s2 = self.amplitude_sigma * self.amplitude_sigma;
+        // x − 1 + e^−x, which for small x is lost in rounding.
+        let gathered = if x < 1e-3 { x * x * (0.5 - x / 6.0 + x * x / 24.0) } else { x + (-x).exp_m1() };
+        self.beta() * gathered - s2 * (-lag_s / self.amplitude_tc_s).exp_m1()
+    }
+
+    /// Whether it keeps a line: its phase never wanders off.
+    fn keeps_a_line(&self) -> bool {
+        self.frequency_sigma_hz == 0.0
+    }
+}
+
+impl Effect for WanderingLine {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![
+            ("frequency_hz", self.frequency_hz.into()),
+            ("amplitude", self.amplitude.into()),
+            ("frequency_sigma_hz", self.frequency_sigma_hz.into()),
+            ("frequency_tc_s", self.frequency_tc_s.into()),
+            ("amplitude_sigma", self.amplitude_sigma.into()),
+            ("amplitude_tc_s", self.amplitude_tc_s.into()),
+        ]
+    }
+    fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
+        if self.amplitude_sigma > AMPLITUDE_SIGMA_MAX {
+            let allowed =
+                format!("at most {AMPLITUDE_SIGMA_MAX}: an amplitude that goes over a factor of 400 both ways");
+            return Err(SPEC.refuse("amplitude_sigma", self.amplitude_sigma, allowed));
+        }
+        SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
+    }
+    /// The sum over Lorentzian lines into which the autocovariance expands, in powers of e^(−t/T_f) and e^(−t/T_a). `None` for a
+    /// frequency that wanders slowly (β above 8, a frequency held for more than some 0.45 turns): the terms alternate, and
+    /// doubles cannot hold their sum.
+    fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
+        /// What a term counts at least, over the first.
+        const LEAST: f64 = 1e-14;
+        let (beta, s2) = (self.beta(), self.amplitude_sigma * self.amplitude_sigma);
+        if beta > SUMMED_UP_TO {
+            return None;
+        }
+        let cycles = |centre_hz: f64| (frequency_hz - centre_hz) / rate_hz;
+        let (below, above) = (cycles(self.frequency_hz), cycles(-self.frequency_hz));
+        let mut sum = 0.0;
+        let mut of_frequency = (beta - s2).exp();
+        for n in 0..200_u32 {
+            let mut weight = of_frequency;
+            for m in 0..200_u32 {
+                let decay =
+                    ((beta + f64::from(n)) / self.frequency_tc_s + f64::from(m) / self.amplitude_tc_s) / rate_hz;
+                // What does not decay is a line.
+                if decay > 0.0 {
+                    sum += weight * (lorentzian(below, decay, rate_hz) + lorentzian(above, decay, rate_hz));
+                }
+                weight *= s2 / f64::from(m + 1);
+                if f64::from(m) > s2 && weight.abs() < LEAST {
+                    break;
+                }
+            }
+            of_frequency *= -beta / f64::from(n + 1);
+            if f64::from(n) > beta && of_frequency.abs() < LEAST {
+                break;
+            }
+        }
+        Some(0.25 * self.amplitude * self.amplitude * sum.max(0.0))
+    }
+    fn lines(&self) -> Vec<Line> {
+        let power = 0.5 * self.amplitude * self.amplitude * (-self.amplitude_sigma * self.amplitude_sigma).exp();
+        if self.keeps_a_line() { vec![Line { frequency_hz: self.frequency_hz, power }] } else { Vec::new() }
+    }
+    fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
+        let structure = |k: u64| {
+            let lag_s = k as f64 / record.rate_hz;
+            let turn = TAU * (self.frequency_hz * lag_s).fract();
+            let forgotten = self.forgotten(lag_s);
+            // 1 − e^−x cos y, without cancellation.
+            -(-forgotten).exp_m1() + 2.0 * (-forgotten).exp() * (0.5 * turn).sin().powi(2)
+        };
+        Some(0.5 * self.amplitude * self.amplitude * sampled::allan_variance(m, structure))
+    }
+    fn moments(&self, _record: Record) -> Option<Moments> {
+        // E A⁴ over (E A²)² is e^(4s²).
+        let kurtosis = 1.5 * (4.0 * self.amplitude_sigma * self.amplitude_sigma).exp();
+        Some(Moments { variance: 0.5 * self.amplitude * self.amplitude, kurtosis: Some(kurtosis) })
+    }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let (x, y) = (1.0 / (rate_hz * self.frequency_tc_s), 1.0 / (rate_hz * self.amplitude_tc_s));
+        let wanders = [-(-x).exp_m1(), -(-2.0 * x).exp_m1()];
+        // Cycles per sample of d = 1 rms, held.
+        let turn = self.frequency_sigma_hz * self.frequency_tc_s;
+        let drive = wanders[1].sqrt();
+        // Covariance of what d and its integral gather in a sample, (1 − e^−x)²; the integral's own variance is integral_variance(x).
+        let shared = wanders[0] * wanders[0] / drive;
+        let own = (integral_variance(x) - shared * shared).max(0.0).sqrt();
+        let start = [stream.normal(), stream.normal()];
+        Box::new(WanderingSampler {
+            step: self.frequency_hz / rate_hz,
+            pole: [(-x).exp(), (-y).exp()],
+            drive: [drive, (-(-2.0 * y).exp_m1()).sqrt()],
+            carried: turn * wanders[0],
+            gathered: [turn * shared, turn * own],
+            amplitude_sigma: self.amplitude_sigma,
+            peak: self.amplitude * (-self.amplitude_sigma * self.amplitude_sigma).exp(),
+            state: start,
+            cycles: stream.uniform(),
+            stream,
+        })
+    }
+}
+
+/// 2x − 3 + 4e^−x − e^−2x: the variance that the integral of a Gauss–Markov process of variance 1 gathers over x of its correlation
+/// times, its state at the start being known, in squares of that time.
+fn integral_variance(x: f64) -> f64 {
+    if x > 0.5 {
+        return 2.0 * x - 3.0 + 4.0 * (-x).exp() - (-2.0 * x).exp();
+    }
+    // Σ (−x)ⁿ(4 − 2ⁿ)/n! from the third power on.
+    let mut power = -x * x * x / 6.0;
+    let mut sum = 0.0;
+    for n in 3..24_i32 {
+        sum += power * (4.0 - 2.0_f64.powi(n));
+        power *= -x / f64::from(n + 1);
+    }
+    sum
+}
+
+/// The processes' states over their rms, and the phase in cycles.
+#[derive(Debug)]
+struct WanderingSampler {
+    /// Mean cycles per sample.
+    step: f64,
+    pole: [f64; 2],
+    drive: [f64; 2],
+    /// Cycles that the frequency's state turns in a sample, and those that its drive and a number of their own add.
+    carried: f64,
+    gathered: [f64; 2],
+    amplitude_sigma: f64,
+    peak: f64,
+    state: [f64; 2],
+    cycles: f64,
+    stream: Stream,
+}
+
+impl Sampler for WanderingSampler {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        for value in values {
+            let [frequency, amplitude] = self.state;
+            *value += self.peak * (self.amplitude_sigma * amplitude).exp() * (TAU * self.cycles).cos();
+            let drives = [self.stream.normal(), self.stream.normal(), self.stream.normal()];
+            let wander = self.carried * frequency + self.gathered[0] * drives[0] + self.gathered[1] * drives[1];
+            self.cycles = (self.cycles + self.step + wander).rem_euclid(1.0);
+            self.state = [
+                self.pole[0] * frequency + self.drive[0] * drives[0],
+                self.pole[1] * amplitude + self.drive[1] * drives[2],
+            ];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    const LINE: WanderingLine = WanderingLine {
+        frequency_hz: 7.3,
+        amplitude: 0.4,
+        frequency_sigma_hz: 0.3,
+        frequency_tc_s: 1.0,
+        amplitude_sigma: 0.3,
+        amplitude_tc_s: 3.0,
+    };
+
+    #[test]
+    fn spectrum_allan_variance_and_moments_are_those_of_the_line() {
+        for line in [
+            LINE,
+            // Quick: the line is as narrow as its mean frequency lets it be.
+            WanderingLine { frequency_sigma_hz: 2.0, frequency_tc_s: 0.02, amplitude_sigma: 0.0, ..LINE },
+            // Slow: no spectrum.
+            WanderingLine { frequency_sigma_hz: 0.1, frequency_tc_s: 20.0, ..LINE },
+            // Amplitude alone: a line on a foot.
+            WanderingLine { frequency_sigma_hz: 0.0, ..LINE },
+        ] {
+            check::agrees_with_its_closed_forms(&line, 40.0);
+        }
+    }
+
+    #[test]
+    fn without_wander_it_is_a_tone() {
+        let line = WanderingLine { frequency_sigma_hz: 0.0, amplitude_sigma: 0.0, ..LINE };
+        let tone = super::super::Tone { frequency_hz: 7.3, amplitude: 0.4 };
+        let record = Record { rate_hz: 40.0, samples: 1000 };
+        assert_eq!((line.psd(7.0, 40.0), line.lines()), (Some(0.0), tone.lines()));
+        for m in [1, 3, 100] {
+            let (found, expected) = (line.allan_variance(m, record).unwrap(), tone.allan_variance(m, record).unwrap());
+            assert!((found - expected).abs() < 1e-9 * tone.allan_variance(1, record).unwrap(), "m = {m}");
+        }
+        assert_eq!(line.moments(record), tone.moments(record));
+    }
+
+    #[test]
+    fn its_spectrum_holds_its_power() {
+        for line in [LINE, WanderingLine { frequency_sigma_hz: 0.44, amplitude_sigma: 1.0, ..LINE }] {
+            let bins = 200_000_u32;
+            let sum: f64 =
+                (0..bins).map(|bin| line.psd((f64::from(bin) + 0.5) * 20.0 / f64::from(bins), 40.0).unwrap()).sum();
+            let power = 2.0 * sum * 20.0 / f64::from(bins);
+            assert!((power / 0.08 - 1.0).abs() < 1e-6, "{power}");
+        }
+        assert_eq!(WanderingLine { frequency_tc_s: 2.0, ..LINE }.psd(7.0, 40.0), None);
+    }
+
+    #[test]
+    fn an_integral_gathers_as_much_in_one_step_as_in_two() {
+        // The two branches meet, and small steps go as 2x³/3.
+        assert!((integral_variance(0.5) / integral_variance(0.5 + 1e-12) - 1.0).abs() < 1e-9);
+        assert!((integral_variance(1e-5) / (2e-15 / 3.0) - 1.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn senseless_parameters_are_refused() {
+        assert_eq!(LINE.check(40.0), Ok(()));
+        for wrong in [
+            WanderingLine { frequency_hz: 20.0, ..LINE },
+            WanderingLine { amplitude: -1.0, ..LINE },
+            WanderingLine { frequency_sigma_hz: -1.0, ..LINE },
+            WanderingLine { frequency_tc_s: 0.0, ..LINE },
+            WanderingLine { amplitude_sigma: -0.1, ..LINE },
+            WanderingLine { amplitude_sigma: 3.1, ..LINE },
+            WanderingLine { amplitude_tc_s: 0.0, ..LINE },
+        ] {
+            assert!(wrong.check(40.0).is_err(), "{wrong:?}");
+        }
+    }
+}
