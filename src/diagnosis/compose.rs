@@ -16,7 +16,6 @@ use super::prepare::Prepared;
 use super::recording::Recording;
 use super::remainder;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Remainder, Sense};
-use super::search::Step;
 use crate::effects::Effect;
 use crate::sample::Channel;
 use crate::simulator::{SensorModel, plateau};
@@ -50,7 +49,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let outside = |(channel, of): &(Channel, Oddity)| {
         format!("outside the library, on {channel}: {} ({:.0} nats)", of.what, of.nats)
     };
-    let foreign: Vec<String> = foreign(found).into_iter().chain(odd.iter().map(outside)).collect();
+    let foreign: Vec<String> = odd.iter().map(outside).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
     let causes = causes(&named, &remains.channels, total, discrepancy.closed);
@@ -110,24 +109,14 @@ struct Remains {
 
 /// Where something remains, and how much of it.
 fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
-    let of_odd = odd.iter().map(|(channel, of)| Remnant {
-        channel: *channel,
-        nats: of.nats,
-        p_value: (-of.nats).exp(),
-        band: None,
-    });
-    let of_steps = foreign_steps(found).map(|(channel, step, _)| {
-        let own = found.channels.iter().find(|own| own.prepared.channel == channel);
-        let band = own.and_then(|own| own.bands.kinds.get(&step.kind)).copied();
-        Remnant { channel, nats: step.gain, p_value: (step.price - step.gain).exp().min(1.0), band }
-    });
+    let of_odd =
+        odd.iter().map(|(channel, of)| Remnant { channel: *channel, nats: of.nats, p_value: (-of.nats).exp() });
     let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
         channel: *channel,
         nats: remainder::bounded(*nats, found.samples as f64),
         p_value: *p_value,
-        band: None,
     });
-    let mut remnants: Vec<Remnant> = of_steps.chain(of_odd).collect();
+    let mut remnants: Vec<Remnant> = of_odd.collect();
     for of in of_statistics {
         if remnants.iter().all(|other| other.channel != of.channel) {
             remnants.push(of);
@@ -139,7 +128,7 @@ fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<
 fn remains(found: &Found, named: &[Named]) -> Remains {
     let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
     let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
-    let mut channels: BTreeSet<Channel> = foreign_steps(found).map(|(channel, ..)| channel).collect();
+    let mut channels = BTreeSet::new();
     let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
     for of in &found.channels {
         let step = of.prepared.facts.step.or(of.prepared.step);
@@ -209,20 +198,6 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
     let clock = stamps(real).and_then(|stamps| stamps.wanders);
     all.extend(found.channels.first().zip(clock).map(|(of, odd)| (of.prepared.channel, odd)));
     all
-}
-
-/// Steps of the search that no effect of the library is, with their channels and what they mean.
-fn foreign_steps(found: &Found) -> impl Iterator<Item = (Channel, &Step, &'static str)> {
-    let steps = found.channels.iter().flat_map(|of| of.steps.iter().map(move |step| (of.prepared.channel, step)));
-    steps.filter_map(|(channel, step)| Some((channel, step, step.kind.foreign()?)))
-}
-
-/// What explains something and is no effect of the library.
-fn foreign(found: &Found) -> Vec<String> {
-    let said = |(channel, step, meaning): (Channel, &Step, &str)| {
-        format!("outside the library, on {channel}: {meaning} ({:.0} nats; chance gives {:.0})", step.gain, step.price)
-    };
-    foreign_steps(found).map(said).collect()
 }
 
 /// ln of the square of N as `noise` finds it, of a law and what its model has besides: the plateau of the spectrum in terms of
@@ -403,9 +378,6 @@ fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
         for step in &of.steps {
             for (kind, score) in &step.others {
                 let effect = kind.effect();
-                if kind.foreign().is_some() {
-                    continue;
-                }
                 let same = named.iter().any(|one| one.effect.name() == effect && one.channel == of.prepared.channel);
                 if same || effect == step.kind.effect() {
                     continue;

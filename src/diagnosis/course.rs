@@ -27,6 +27,9 @@ pub enum Follow {
     /// With play of so many °C: it stays until the temperature has moved by as much (a backlash; Visintin 1994, Differential
     /// Models of Hysteresis, section III.2).
     Play(f64),
+    /// The rate at which it changes behind a lag of so many samples, °C a sample
+    /// ([`crate::effects::TemperatureBias::per_c_per_s`]).
+    Rate(f64),
 }
 
 impl Follow {
@@ -41,6 +44,16 @@ impl Follow {
                     now
                 };
                 temperature.iter().map(&mut follow).collect()
+            }
+            Self::Rate(lag) => {
+                let share = -(-1.0 / lag).exp_m1();
+                let mut behind = temperature.first().copied().unwrap_or_default();
+                let mut rate = |t: &f64| {
+                    let off = t - behind;
+                    behind += share * off;
+                    off / lag
+                };
+                temperature.iter().map(&mut rate).collect()
             }
         };
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -59,6 +72,8 @@ pub struct Courses {
     temperature: Option<(Vec<f64>, Vec<f64>)>,
     /// Transforms of what else may follow it.
     follows: OnceLock<Vec<(Follow, Vec<f64>)>>,
+    /// Of [`Follow::Rate`], samples.
+    lag: f64,
 }
 
 impl Courses {
@@ -66,9 +81,9 @@ impl Courses {
     pub const KEPT: usize = 4096;
 
     /// For records as long as the transform's; `temperature` is the sensor's at every sample about some reference, °C, if it
-    /// was measured: rounded readings are to be smoothed before.
+    /// was measured: rounded readings are to be smoothed before. `lag`: that behind which a level follows its rate, samples.
     #[must_use]
-    pub fn new(transform: &mut Cosines, temperature: Option<&[f64]>) -> Self {
+    pub fn new(transform: &mut Cosines, temperature: Option<&[f64]>, lag: f64) -> Self {
         let samples = transform.length();
         let kept = Self::KEPT.min(samples);
         let mut ramp: Vec<f64> = (0..samples).map(|t| ramp(t, samples)).collect();
@@ -80,7 +95,7 @@ impl Courses {
             coefficients.truncate(kept);
             (values.to_vec(), coefficients)
         });
-        Self { samples, kept, ramp, temperature, follows: OnceLock::new() }
+        Self { samples, kept, ramp, temperature, follows: OnceLock::new(), lag }
     }
 
     /// How a level may follow this record's temperature, where it moves enough to tell.
@@ -94,7 +109,7 @@ impl Courses {
             return Vec::new();
         }
         let plays = SHARES.into_iter().map(|share| Follow::Play(share * (high - low)));
-        [Follow::Square].into_iter().chain(plays).collect()
+        [Follow::Square, Follow::Rate(self.lag)].into_iter().chain(plays).collect()
     }
 
     fn transformed(&self, way: Follow) -> Vec<f64> {
@@ -222,7 +237,7 @@ mod tests {
         for n in [37usize, 500, 5001] {
             let mut transform = Cosines::new(n);
             let warm: Vec<f64> = (0..n).map(|t| 25.0 + (t as f64 * 0.01).sin()).collect();
-            let courses = Courses::new(&mut transform, Some(&warm));
+            let courses = Courses::new(&mut transform, Some(&warm), 400.0);
             for course in [
                 Course::Ramp,
                 Course::Temperature,

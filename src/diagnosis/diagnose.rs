@@ -21,6 +21,7 @@ use super::series::Series;
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
+use crate::effects::temperature_bias::RATE_LAG_S;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use std::collections::BTreeSet;
@@ -164,9 +165,9 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
     let tails = options.tails.cloned().unwrap_or_else(|| Tails::shipped(samples));
-    let wanted = |kind: Kind| kind.foreign().is_some() || options.wants(kind.effect());
+    let wanted = |kind: Kind| options.wants(kind.effect());
     let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
-    let halves = Halves::new(samples, ready.courses.temperature());
+    let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
     let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
     options.workers.each(ready.channels.len(), &|index| {
         let found = explain(&ready, sim, index, &prices, &halves, options.believed);

@@ -1,7 +1,7 @@
 //! Explanation: what makes a series, as far as it is known.
 
 use super::course::Course;
-use super::law::{Law, Shape};
+use super::law::Law;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 
@@ -166,14 +166,6 @@ impl Explanation {
         places.sort_unstable();
         places.dedup();
         Cow::Owned(places)
-    }
-
-    /// Without what no effect of the library is.
-    #[must_use]
-    pub fn within_library(mut self) -> Self {
-        self.courses.retain(|(course, _)| !matches!(course, Course::Follows(_)));
-        self.law.terms.retain(|term| !matches!(term.shape, Shape::Slope(_)));
-        self
     }
 
     /// Noise alone.

@@ -39,16 +39,16 @@ pub struct Halves {
 }
 
 impl Halves {
-    /// Of a record of `samples`, its temperature about its mean.
+    /// Of a record of `samples`, its temperature about its mean, and the lag behind which a level follows its rate, samples.
     #[must_use]
-    pub fn new(samples: usize, temperature: Option<&[f64]>) -> Self {
+    pub fn new(samples: usize, temperature: Option<&[f64]>, lag: f64) -> Self {
         let middle = samples / 2;
         let ranges = [(0, middle), (middle, samples)];
         let mut transforms = ranges.map(|(from, to)| Cosines::new(to - from));
         let mut at = 0;
         let courses = ranges.map(|(from, to)| {
             at += 1;
-            Courses::new(&mut transforms[at - 1], temperature.map(|t| &t[from..to]))
+            Courses::new(&mut transforms[at - 1], temperature.map(|t| &t[from..to]), lag)
         });
         Self { ranges, transforms, courses }
     }
@@ -173,8 +173,6 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
     let known = |half: usize| part(whole.known, halves[half].0, halves[half].1, total);
     let found = |half: usize| part(whole.found, halves[half].0, halves[half].1, total);
-    // What no effect of the library explains is in the ceiling only.
-    let known_effects = |half: usize| found(half).within_library();
     let carried = known(1).outliers.len();
     let scored = |series: &Series<'_>, known: &Explanation| {
         let more = besides(series, known, &found(1), carried) / BLOCKS as f64;
@@ -188,7 +186,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         + 3 * best.explanation.sines.len();
     let ceiling = scored(&best, &known(1));
     let samples_scored = total - middle;
-    let full = Series::new(&first, transforms[0].clone(), samples(0), known_effects(0));
+    let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
     let quiet = full.average_variance().ln();
     let full = full.explanation;
     // The levels of the first half, fitted beside the effects: without them they would take an effect's part.
@@ -199,7 +197,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     if whole.found.adds_nothing_to(whole.known) {
         return Scores { declared, effects: parameters.clone(), parameters, ceiling, numbers, samples: samples_scored };
     }
-    let mut carried_over = known_effects(1);
+    let mut carried_over = found(1);
     carried_over.law = full.law.clone();
     for (course, factor) in &mut carried_over.courses {
         let same =
@@ -208,7 +206,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
             (Course::Ramp, Some((_, learned))) => {
                 *factor = learned * (halves[1].1 - halves[1].0) as f64 / (halves[0].1 - halves[0].0) as f64;
             }
-            (Course::Temperature, Some((_, learned))) => *factor = *learned,
+            (Course::Temperature | Course::Follows(_), Some((_, learned))) => *factor = *learned,
             (Course::WarmUp(tau), Some((_, learned))) => *factor = learned * (-(middle as f64) / tau).exp(),
             _ => {}
         }

@@ -20,14 +20,16 @@ pub enum Shape {
     LowPass(u64),
     /// ln of the white noise after it over that before it.
     MovingAverage(u64),
-    /// A density that falls as a power of the frequency, as no effect of the library does: ln of it (per sample) at a
-    /// hundredth of the rate, exponent; which of [`Shape::SLOPES`].
+    /// A density that falls as a power of the frequency: ln of it (per sample) at [`Shape::MIDDLE`] of the rate, exponent; which
+    /// of [`Shape::SLOPES`].
     Slope(usize),
 }
 
 impl Shape {
     /// Exponents between those of white noise, flicker and random walk, and beyond.
-    pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.3, 3.5)];
+    pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 2.49)];
+    /// Where a slope's density is given, over the rate.
+    pub(super) const MIDDLE: f64 = 0.01;
 }
 
 /// One spectral effect in a law.
@@ -43,7 +45,7 @@ impl Term {
     /// The term of a spectral effect of a model; none of what shapes no spectrum.
     ///
     /// `scale`: U per unit of the series; `white`: N of the channel, U/√Hz.
-    pub(super) fn of(effect: &dyn Effect, scale: f64, white: f64) -> Option<Self> {
+    pub(super) fn of(effect: &dyn Effect, scale: f64, white: f64, rate_hz: f64) -> Option<Self> {
         let number = |name: &str| effect.number(name);
         let level = |value: f64| 2.0 * (value / scale).max(f64::MIN_POSITIVE).ln();
         let behind = || {
@@ -57,6 +59,12 @@ impl Term {
             "resonance" => {
                 let numbers = vec![level(number("sigma")?), number("frequency_hz")?, number("bandwidth_hz")?.ln()];
                 (Shape::Resonance, numbers)
+            }
+            "power_law" => {
+                let alpha = number("alpha")?;
+                let which = Shape::SLOPES.iter().position(|(low, high)| (*low..=*high).contains(&alpha))?;
+                let density = effect.psd(Shape::MIDDLE * rate_hz, rate_hz)?;
+                (Shape::Slope(which), vec![level((density * rate_hz).sqrt()), alpha])
             }
             "low_pass" => (Shape::LowPass(whole("order")?), vec![number("cutoff_hz")?.ln(), behind()]),
             "moving_average" => (Shape::MovingAverage(whole("window")?), vec![behind()]),
@@ -84,7 +92,7 @@ impl Term {
         self.numbers.get(index).copied().unwrap_or_default()
     }
 
-    /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of what is outside the library.
+    /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of a slope, which depends on the rate.
     pub(super) fn effect(&self) -> Option<Box<dyn Effect>> {
         let at = |index: usize| self.at(index);
         Some(match self.shape {
@@ -101,17 +109,16 @@ impl Term {
 
     /// Whether it adds noise of its own that has a time it is correlated for.
     pub(super) fn adds(&self) -> bool {
-        matches!(self.shape, Shape::GaussMarkov | Shape::Resonance)
+        matches!(self.shape, Shape::GaussMarkov | Shape::Resonance | Shape::Slope(_))
     }
 
     /// Power per sample that it adds at each frequency.
     pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        const MIDDLE: f64 = 0.01;
         match self.effect() {
             Some(effect) => frequencies_hz.iter().map(|f| rate_hz * effect.psd(*f, rate_hz).unwrap_or(0.0)).collect(),
             None => {
                 let (level, exponent) = (self.at(0), self.at(1));
-                frequencies_hz.iter().map(|f| (level - exponent * (f / (MIDDLE * rate_hz)).ln()).exp()).collect()
+                frequencies_hz.iter().map(|f| (level - exponent * (f / (Shape::MIDDLE * rate_hz)).ln()).exp()).collect()
             }
         }
     }

@@ -89,7 +89,11 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);
-    let same = |kind: Kind| of.steps.iter().filter(move |step| step.kind == kind && step.has_term());
+    // A level that follows the temperature otherwise than along a line is the same effect.
+    let is = |step: &super::search::Step, kind: Kind| {
+        step.kind == kind || (step.kind == Kind::TemperatureCurve && kind == Kind::TemperatureBias)
+    };
+    let same = |kind: Kind| of.steps.iter().filter(move |step| is(step, kind) && step.has_term());
     let standing = declared::stands_for(&effects, &of.steps, model);
     let superfluous = declared::left_out(of, model, &standing, level);
     let found_here = effects

@@ -1,6 +1,5 @@
 //! Places: where each cause, each parameter that is off and what remains has its part of the gap.
 
-use super::bands::Band;
 use super::diagnose::{Findings, Found};
 use super::evidence::Kind;
 use super::named::Named;
@@ -19,8 +18,6 @@ pub(super) struct Remnant {
     pub(super) channel: Channel,
     pub(super) nats: f64,
     pub(super) p_value: f64,
-    /// Where an effect outside the library acts.
-    pub(super) band: Option<Band>,
 }
 
 /// Where an effect acts on a channel.
@@ -134,7 +131,7 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
 
 /// Whether an effect shapes the spectrum, so that its band was measured against the model's.
 fn is_shape(effect: &dyn Effect) -> bool {
-    matches!(effect.name(), "gauss_markov" | "quantization_noise" | "low_pass" | "moving_average")
+    matches!(effect.name(), "gauss_markov" | "quantization_noise" | "power_law" | "low_pass" | "moving_average")
 }
 
 /// Whether an effect makes less of a difference than another of its name.
@@ -185,7 +182,9 @@ fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
             harmonics.collect()
         }
         "rate_ramp" => vec![of_band(Kind::RateRamp)],
-        "temperature_bias" => vec![of_band(Kind::TemperatureBias)],
+        "temperature_bias" if band(Kind::TemperatureBias).is_some() => vec![of_band(Kind::TemperatureBias)],
+        "temperature_bias" => vec![of_band(Kind::TemperatureCurve)],
+        "power_law" => vec![of_band(Kind::Slope)],
         "warm_up" => {
             let to_s = (3.0 * number("tau_s").unwrap_or(length_s)).min(length_s);
             vec![Spot { time_s: [0.0, to_s], ..of_band(Kind::WarmUp) }]
@@ -226,7 +225,7 @@ fn loudest(profile: &[[f64; 2]]) -> Option<[f64; 2]> {
 }
 
 /// Where on a channel something remains: in the rectangle of time and frequency that holds most of it, where chance makes such a
-/// one rarely, else where what is outside the library acts, else anywhere.
+/// one rarely, else anywhere.
 fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> Place {
     /// How rarely noise makes a rectangle that is a place.
     const RARE: f64 = 0.01;
@@ -238,8 +237,12 @@ fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> 
             (spot, one.excess, channels * one.p_value)
         }
         None => {
-            let band_hz = of.band.map_or([0.0, 0.5 * real.rate_hz], |band| band.hz);
-            let spot = Spot { band_hz, time_s: [0.0, real.length_s()], weight: 1.0, is_louder: true };
+            let spot = Spot {
+                band_hz: [0.0, 0.5 * real.rate_hz],
+                time_s: [0.0, real.length_s()],
+                weight: 1.0,
+                is_louder: true,
+            };
             (spot, of.nats, of.p_value)
         }
     };

@@ -1,6 +1,6 @@
 //! Polish: numbers that were found before all else was known are found once more beside it.
 
-use super::course::Course;
+use super::course::{Course, Follow};
 use super::evidence::loudness;
 use super::explanation::{Explanation, Scedasticity};
 use super::series::Series;
@@ -9,6 +9,7 @@ use super::series::Series;
 /// the model itself lacks.
 pub(super) fn polish(series: &mut Series<'_>, start: &Explanation) {
     warm_up(series, start.courses.len());
+    play(series, start.courses.len());
     if start.scedasticity.is_none() {
         scedasticity(series);
     }
@@ -50,6 +51,37 @@ fn warm_up(series: &mut Series<'_>, known: usize) {
         if series.fitted.log_posterior < kept.fitted.log_posterior {
             *series = kept;
             return;
+        }
+    }
+}
+
+/// The width of a play, and whether the level follows the temperature along a straight line besides.
+fn play(series: &mut Series<'_>, known: usize) {
+    /// Nats that the straight line has to give.
+    const LEAST: f64 = 3.0;
+    let place = |series: &Series<'_>, wanted: fn(&Course) -> bool| {
+        let courses = &series.explanation.courses;
+        (known..courses.len()).find(|at| wanted(&courses[*at].0))
+    };
+    let is_play = |of: &Course| matches!(of, Course::Follows(Follow::Play(_)));
+    let Some(at) = place(series, is_play) else { return };
+    for by in [1.25, 1.1, 1.04] {
+        for share in [by, 1.0 / by] {
+            let Course::Follows(Follow::Play(width)) = series.explanation.courses[at].0 else { return };
+            let mut other = series.clone();
+            other.explanation.courses[at].0 = Course::Follows(Follow::Play(width * share));
+            other.rebuild(false);
+            if other.fitted.log_posterior > series.fitted.log_posterior {
+                *series = other;
+            }
+        }
+    }
+    if let Some(line) = place(series, |of| *of == Course::Temperature) {
+        let mut other = series.clone();
+        other.explanation.courses.remove(line);
+        other.rebuild(false);
+        if series.fitted.log_posterior - other.fitted.log_posterior < LEAST {
+            *series = other;
         }
     }
 }

@@ -11,6 +11,7 @@ use super::recording::Recording;
 use super::rounded;
 use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
+use crate::effects::temperature_bias::RATE_LAG_S;
 use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
@@ -119,7 +120,7 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
     let about: Option<Vec<f64>> =
         temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
-    let courses = Courses::new(&mut transform, about.as_deref());
+    let courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz);
     let repeats = repeats(real, &wanted);
     let mut channels = Vec::new();
     for channel in wanted {
@@ -326,7 +327,8 @@ fn channel_of(
     let coarse =
         step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, model.n * sim.rate_hz.sqrt())?)));
     let mut samples = values.to_vec();
-    let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.is_some());
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.map(mean));
     subtract_others(&mut samples, model, &shifts, sim.rate_hz, temperature);
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     let mut middle = there.clone();
@@ -365,7 +367,7 @@ fn channel_of(
         limits,
         declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
         beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
-        spectral: terms_of(model, scale),
+        spectral: terms_of(model, scale, sim.rate_hz),
         sines,
         lines,
         shifts,
@@ -431,11 +433,14 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
 
 /// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list;
 /// those after them are taken as they are stated.
-fn terms_of(model: &ChannelModel, scale: f64) -> Vec<(usize, Term)> {
+fn terms_of(model: &ChannelModel, scale: f64, rate_hz: f64) -> Vec<(usize, Term)> {
     /// Each is compared by a fit of its own at every step of a search.
     const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
-    listed.filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n)?))).take(MOST).collect()
+    listed
+        .filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n, rate_hz)?)))
+        .take(MOST)
+        .collect()
 }
 
 /// A robust standard deviation of what is white, U: from differences of neighbours.

@@ -47,7 +47,7 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::HeavyTails, Kind::Spikes, 0.0),
     (Kind::LowPass, Kind::MovingAverage, 6.0),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
-    // What is outside the library has to be clearly better than what is in it.
+    // What is rarer has to be clearly better.
     (Kind::Slope, Kind::GaussMarkov, 3.0),
     (Kind::Slope, Kind::QuantizationNoise, 3.0),
     (Kind::Slope, Kind::LowPass, 3.0),
@@ -180,7 +180,9 @@ fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>
 /// The candidate to be added next of those that were not named yet, None where nothing is worth its price.
 fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
     // What is named is named once: more of the same would be a failure to explain it.
-    let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect());
+    let curve = |kind: Kind| kind == Kind::TemperatureCurve;
+    let apart = |step: &Step, of: &Candidate| curve(step.kind) != curve(of.kind);
+    let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect() || apart(step, of));
     candidates.retain(|of| of.of_model.is_some() || of.kind.repeats() || is_new(of));
     let (step, place) = choose(&candidates, prices)?;
     Some((step, candidates.swap_remove(place)))
@@ -291,10 +293,10 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     *series = kept;
 }
 
-/// Several processes and filters that were named one after the other may be one density that is none of the library's: where
-/// that does the work of all of them it is what there is.
+/// Several processes and filters that were named one after the other may be one density that falls as a power: where that does
+/// the work of all of them it is what there is.
 fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    /// Nats that what is outside the library has to be better by.
+    /// Nats that it has to be better by.
     const CLEARLY: f64 = 3.0;
     let replaced = |kind: Kind| {
         let spectral = [

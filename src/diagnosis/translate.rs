@@ -1,14 +1,14 @@
 //! Translation: an explanation in a series' scale becomes effects of the contract, in the channel's unit.
 
-use super::course::Course;
+use super::course::{Course, Follow};
 use super::evidence::Kind;
 use super::explanation::{Explanation, Loud, Scedasticity};
 use super::law::{Shape, Term};
 use super::prepare::Prepared;
 use super::spread::Spread;
 use crate::effects::{
-    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, QuantizationNoise, RateRamp,
-    Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
+    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, PowerLaw, QuantizationNoise,
+    RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
 };
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -116,6 +116,8 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         found.push(Translated { kind, effect, ci95 });
     };
     let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
+    // What follows the temperature without play is one effect.
+    let mut warm: Option<(TemperatureBias, Vec<(&'static str, [f64; 2])>)> = None;
     for ((course, factor), (error, second)) in courses {
         let (size, error) = (factor * scale, error * scale);
         match course {
@@ -127,12 +129,25 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
                     vec![("R", about(size * per_s, error * per_s))],
                 );
             }
-            Course::Temperature => {
-                let effect = TemperatureBias::linear(size, temperature_c);
+            Course::Temperature | Course::Follows(Follow::Square | Follow::Rate(_)) => {
+                let (name, factor) = match course {
+                    Course::Follows(Follow::Square) => ("per_c2", 1.0),
+                    Course::Follows(_) => ("per_c_per_s", 1.0 / rate_hz),
+                    _ => ("per_c", 1.0),
+                };
+                let bias = warm.get_or_insert_with(|| (TemperatureBias::linear(0.0, temperature_c), Vec::new()));
+                let number = match name {
+                    "per_c2" => &mut bias.0.per_c2,
+                    "per_c_per_s" => &mut bias.0.per_c_per_s,
+                    _ => &mut bias.0.per_c,
+                };
+                *number = factor * size;
+                bias.1.push((name, about(factor * size, factor * error)));
+            }
+            Course::Follows(Follow::Play(play_c)) => {
+                let effect = TemperatureBias { play_c: *play_c, ..TemperatureBias::linear(size, temperature_c) };
                 add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
             }
-            // No effect of the library.
-            Course::Follows(_) => {}
             Course::WarmUp(tau) => {
                 let tau_s = tau / rate_hz;
                 let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
@@ -148,14 +163,19 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
             }
         }
     }
+    if let Some((bias, ci95)) = warm {
+        add(Kind::TemperatureBias, Arc::new(bias), ci95);
+    }
     let white = (0.5 * explanation.law.levels[0]).exp() * scale;
     let terms = explanation.law.terms.iter().zip(&spread.terms);
-    let spectral: Vec<Spectral> = terms.filter_map(|(term, errors)| spectral(term, errors, scale, white)).collect();
+    let spectral: Vec<Spectral> =
+        terms.filter_map(|(term, errors)| spectral(term, errors, [scale, white, rate_hz])).collect();
     let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
     // The same a standard error off.
     let off = |(term, errors): (&Term, &Vec<f64>)| {
         let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
-        self::spectral(&Term { shape: term.shape, numbers }, errors, scale, white).map(|(_, effect, _)| effect)
+        self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz])
+            .map(|(_, effect, _)| effect)
     };
     let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
     let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
@@ -276,8 +296,9 @@ struct LineFound {
 /// An effect of the spectrum with the intervals of its parameters.
 type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
 
-/// A term in the channel's unit; `white`: N of the channel, U/√Hz.
-fn spectral(term: &Term, errors: &[f64], scale: f64, white: f64) -> Option<Spectral> {
+/// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, and the rate in Hz.
+fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {
+    let [scale, white, rate_hz] = units;
     /// White noise behind a filter of less than this part of N (ln of the squares) is none: nothing tells it.
     const SILENT: f64 = -16.0;
     let behind = term.floor().filter(|floor| floor.ln() > SILENT).map_or(0.0, |floor| white * floor.sqrt());
@@ -315,8 +336,13 @@ fn spectral(term: &Term, errors: &[f64], scale: f64, white: f64) -> Option<Spect
             let effect = MovingAverage { window, white_behind: behind };
             (Kind::MovingAverage, Arc::new(effect), of_behind(error(0)).into_iter().collect())
         }
-        // No effect of the library.
-        Shape::Slope(_) => return None,
+        Shape::Slope(_) => {
+            let alpha = at(1);
+            let density = size(0).powi(2) / rate_hz;
+            let effect = PowerLaw { alpha, at_hz: Shape::MIDDLE * rate_hz, density };
+            let ci95 = vec![("alpha", about(alpha, error(1))), ("density", times(density, error(0)))];
+            (Kind::Slope, Arc::new(effect), ci95)
+        }
     })
 }
 

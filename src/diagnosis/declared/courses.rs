@@ -1,6 +1,6 @@
 //! Courses: a model's drifts, steps and changes of variance, held against what a channel has of them.
 
-use crate::diagnosis::course::Course;
+use crate::diagnosis::course::{Course, Follow};
 use crate::diagnosis::evidence::Kind;
 use crate::diagnosis::evidence::loudness;
 use crate::diagnosis::explanation::{Explanation, Scedasticity};
@@ -10,6 +10,7 @@ use crate::diagnosis::series::{Series, Setting};
 use crate::diagnosis::spread::Spread;
 use crate::diagnosis::transform::Cosines;
 use crate::effects::Effect;
+use crate::effects::temperature_bias::RATE_LAG_S;
 use crate::simulator::ChannelModel;
 use std::collections::BTreeMap;
 
@@ -154,24 +155,44 @@ pub(in crate::diagnosis) fn shifts_of(
     model: &ChannelModel,
     samples: usize,
     rate_hz: f64,
-    with_temperature: bool,
+    temperature_c: Option<f64>,
 ) -> Vec<(usize, Course, f64)> {
     /// All are fitted together, in a time that grows with the square of their number.
     const MOST: usize = 64;
     let of = |(place, effect): (usize, &std::sync::Arc<dyn Effect>)| {
-        let number = |name: &str| effect.number(name);
-        let (course, factor) = match effect.name() {
-            "rate_ramp" => (Course::Ramp, number("R")? * samples as f64 / rate_hz),
-            "temperature_bias" if with_temperature => (Course::Temperature, number("per_c")?),
-            "warm_up" => (Course::WarmUp(number("tau_s")? * rate_hz), number("amplitude")?),
-            "bias_step" => {
-                let at = (number("at_s")? * rate_hz).ceil().max(0.0) as usize;
-                // What is over before the record, or comes after it, is its level.
-                (Course::Step(at), number("size").filter(|_| (1..samples).contains(&at))?)
+        let number = |name: &str| effect.number(name).unwrap_or_default();
+        let courses = match effect.name() {
+            "rate_ramp" => vec![(Course::Ramp, number("R") * samples as f64 / rate_hz)],
+            "temperature_bias" => {
+                let of = |mean_c: f64| of_temperature(&number, mean_c - number("reference_c"), rate_hz);
+                temperature_c.map(of).unwrap_or_default()
             }
-            _ => return None,
+            "warm_up" => vec![(Course::WarmUp(number("tau_s") * rate_hz), number("amplitude"))],
+            "bias_step" => {
+                let at = (number("at_s") * rate_hz).ceil().max(0.0) as usize;
+                // What is over before the record, or comes after it, is its level.
+                let inside = (1..samples).contains(&at);
+                inside.then(|| (Course::Step(at), number("size"))).into_iter().collect()
+            }
+            _ => Vec::new(),
         };
-        Some((place, course, factor))
+        courses.into_iter().map(move |(course, factor)| (place, course, factor))
     };
-    model.effects.iter().enumerate().filter_map(of).take(MOST).collect()
+    model.effects.iter().enumerate().flat_map(of).take(MOST).collect()
+}
+
+/// How a level follows the temperature about its mean, which is `off_c` from where the effect vanishes.
+fn of_temperature(number: &impl Fn(&str) -> f64, off_c: f64, rate_hz: f64) -> Vec<(Course, f64)> {
+    let (slope, curvature) = (number("per_c"), number("per_c2"));
+    let about_mean = slope + 2.0 * curvature * off_c;
+    let line = match number("play_c") {
+        play if play > 0.0 => Course::Follows(Follow::Play(play)),
+        _ => Course::Temperature,
+    };
+    let further = [
+        (Course::Follows(Follow::Square), curvature),
+        (Course::Follows(Follow::Rate(RATE_LAG_S * rate_hz)), number("per_c_per_s") * rate_hz),
+    ];
+    let further = further.into_iter().filter(|(_, factor)| *factor != 0.0);
+    [(line, about_mean)].into_iter().chain(further).collect()
 }

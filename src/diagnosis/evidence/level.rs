@@ -44,7 +44,7 @@ pub fn curve(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     // With play it follows a straight line as well: that comes first.
-    of_ways(series, |way| way == Follow::Square || has(series, |course| *course == Course::Temperature))
+    of_ways(series, |way| !matches!(way, Follow::Play(_)) || has(series, |course| *course == Course::Temperature))
 }
 
 /// The same without asking whether the straight line was found.

@@ -48,9 +48,9 @@ pub enum Kind {
     VariancePerDegree,
     /// Variance over time.
     VarianceProfile,
-    /// The level follows the temperature with play, or its square: outside the library.
+    /// The level follows the temperature with play, its square, or its rate.
     TemperatureCurve,
-    /// A density as another power of the frequency: outside the library.
+    /// A density as another power of the frequency.
     Slope,
 }
 
@@ -77,12 +77,12 @@ impl Kind {
         Self::Slope,
     ];
 
-    /// The contract's effect; of what is outside the library a name that is not one of the contract's.
+    /// The contract's effect.
     #[must_use]
     pub fn effect(self) -> &'static str {
         match self {
             Self::RateRamp => "rate_ramp",
-            Self::TemperatureBias => "temperature_bias",
+            Self::TemperatureBias | Self::TemperatureCurve => "temperature_bias",
             Self::WarmUp => "warm_up",
             Self::BiasStep => "bias_step",
             Self::Tone => "tone",
@@ -95,8 +95,7 @@ impl Kind {
             Self::HeavyTails => "heavy_tails",
             Self::Bursts => "bursts",
             Self::VarianceInterval | Self::VariancePerDegree | Self::VarianceProfile => "variance_change",
-            Self::TemperatureCurve => "temperature_curve",
-            Self::Slope => "slope",
+            Self::Slope => "power_law",
         }
     }
 }
@@ -106,16 +105,6 @@ impl Kind {
     #[must_use]
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
-    }
-
-    /// What it is, if no effect of the library is it: it is looked for so that it is not taken for one of them.
-    #[must_use]
-    pub fn foreign(self) -> Option<&'static str> {
-        match self {
-            Self::TemperatureCurve => Some("the level follows the temperature, but not along a straight line at once"),
-            Self::Slope => Some("a density that falls as a power of the frequency that no effect has"),
-            _ => None,
-        }
     }
 
     /// Whether there may be several of it.

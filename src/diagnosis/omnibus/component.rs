@@ -42,7 +42,7 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
         }
         found = found.max(half_square(kurtosis_score(moment(4), count / fourth)));
         // A narrow band's third moment is next to nothing, whatever it is.
-        if term.shape == Shape::GaussMarkov && third > 0.0 {
+        if term.shape != Shape::Resonance && third > 0.0 {
             found = found.max(half_square(moment(3) / (6.0 * third / count).sqrt()));
         }
     }
