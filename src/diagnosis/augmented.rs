@@ -5,7 +5,8 @@ use super::diagnose::{Findings, Found};
 use super::named::Named;
 use super::report::Sense;
 use super::shared::Shared;
-use crate::effects::{CommonMode, Stage};
+use crate::effects::{CommonMode, SpectralNoise, Stage};
+use crate::sample::Channel;
 use crate::simulator::SensorModel;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -16,8 +17,8 @@ fn spread(of: &Findings, level: usize) -> Option<f64> {
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
-/// The model with what was found.
-pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> SensorModel {
+/// The model with what was found; on channels where something `remains` with its density as well, as far as it is louder.
+pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remains: &BTreeSet<Channel>) -> SensorModel {
     let mut model = sim.clone();
     for of in &found.channels {
         let Some(channel) = model.channels.get_mut(&of.prepared.channel) else { continue };
@@ -65,6 +66,11 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named]) -> Se
                     channel.set_interval("N", ends.map(own));
                 }
             }
+        }
+        if remains.contains(&of.prepared.channel) && !of.nameless.is_empty() {
+            let square = of.prepared.scale.powi(2);
+            let density = of.nameless.iter().map(|(hz, density)| (*hz, density * square)).collect();
+            channel.push_effect(Arc::new(SpectralNoise { density, level: Vec::new() }), &[]);
         }
         // Removes what the model states wrongly, the last first, so that places stay valid.
         let gone: BTreeSet<usize> = own().filter_map(|one| Some(one.declared.as_ref()?.0)).collect();

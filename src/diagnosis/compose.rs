@@ -30,6 +30,8 @@ const REMAINS_ELSEWHERE: f64 = 1e-4;
 /// The part of causes that were right on sealed cases of which the search was sure (docs/validation.md): where nothing remained
 /// on their channels, and where something outside the library did.
 const RIGHT: [f64; 2] = [0.99, 0.6];
+/// Effects of the model that are another one at any time.
+const CHANGING: [&str; 4] = ["modulated_band", "intermittent", "wandering_line", "spectrum"];
 /// A parameter is off from so many standard errors on.
 const OFF: f64 = 4.0;
 /// And from this part of itself on, of a rate in 10⁴.
@@ -65,7 +67,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     notes.extend(foreign);
     notes.extend(of_worst.map(|what| format!("what remains {what}")));
     notes.extend(pairs::notes(found, &named, real));
-    let augmented = augmented(found, sim, &named);
+    let augmented = augmented(found, sim, &named, &remains.channels);
     let per_channel = found.channels.iter().map(|of| {
         let samples = of.scores.samples as f64;
         let sum = |blocks: &[f64]| blocks.iter().sum::<f64>();
@@ -141,6 +143,9 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             .iter()
             .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
             || step.is_some_and(|step| step > 0.6 * of.white);
+        // What the model has come and go does so otherwise in every record.
+        let changes = of.prepared.has.iter().any(|name| CHANGING.contains(name))
+            || own.iter().any(|one| CHANGING.contains(&one.effect.name()));
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the value in the middle is met most.
@@ -149,7 +154,8 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             let coarse = step.is_some_and(|step| step > 1.2 * of.white);
             let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
             let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
-            if lattice || skewed || (marginal && statistic.is_marginal()) {
+            let expected = changes && statistic.is_of_changes();
+            if lattice || skewed || expected || (marginal && statistic.is_marginal()) {
                 continue;
             }
             // The most conspicuous of all other channels.

@@ -9,7 +9,9 @@ use super::explanation::Explanation;
 use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::Fitted;
+use super::modulated::{self, Levels};
 use super::motion::Residuals;
+use super::nameless;
 use super::omnibus::{self, Statistic};
 use super::prepare::{self, Prepared, Ready};
 use super::prices::{Prices, Tails};
@@ -72,10 +74,12 @@ impl Options<'_> {
     /// Whether an effect is looked for.
     #[must_use]
     pub fn wants(&self, effect: &str) -> bool {
-        // Lines at multiples of one another are found as tones.
-        let lines = ["tone", "comb"];
-        let as_line = |names: &[&str]| lines.contains(&effect) && lines.iter().any(|line| names.contains(line));
-        self.effects.is_none_or(|names| names.contains(&effect) || as_line(names))
+        // Lines at multiples of one another are found as tones, bands whose level changes as bands.
+        let alike = [["tone", "comb"], ["resonance", "modulated_band"]];
+        let same = |names: &[&str]| {
+            alike.iter().any(|both| both.contains(&effect) && both.iter().any(|one| names.contains(one)))
+        };
+        self.effects.is_none_or(|names| names.contains(&effect) || same(names))
     }
 }
 
@@ -125,6 +129,10 @@ pub(super) struct Findings {
     pub(super) held: [f64; 3],
     /// In which frequencies what was found is gained.
     pub(super) bands: Bands,
+    /// The density of what is louder than everything found: points in Hz and the series' scale squared a Hz.
+    pub(super) nameless: Vec<(f64, f64)>,
+    /// Bands whose level changes.
+    pub(super) levels: Vec<Levels>,
     /// Where everything found still fails.
     pub(super) after: Tiles,
     pub(super) statistics: Vec<(Statistic, f64)>,
@@ -259,6 +267,9 @@ fn explain(
     });
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
+    let nameless = nameless::density(&series);
+    let has_bands = prepared.has.iter().any(|name| matches!(*name, "resonance" | "modulated_band"));
+    let levels = if has_bands { Vec::new() } else { modulated::levels(&mut series) };
     let after = Tiles::of(&series);
     let model = sim.channels.get(&prepared.channel);
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
@@ -306,6 +317,8 @@ fn explain(
             fitted,
             held,
             bands,
+            nameless,
+            levels,
             after,
             statistics,
             scores,

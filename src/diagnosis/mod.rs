@@ -36,8 +36,10 @@ mod intervals;
 pub mod law;
 #[cfg(test)]
 mod located;
+mod modulated;
 pub mod motion;
 mod named;
+mod nameless;
 mod oddities;
 pub mod omnibus;
 mod owned;

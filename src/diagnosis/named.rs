@@ -86,6 +86,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         samples: found.samples,
         temperature_c: found.temperature_c,
         average_variance: of.average_variance,
+        levels: &of.levels,
         sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);

@@ -166,7 +166,7 @@ fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
     };
     match effect.name() {
         "tone" => vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), 0.0), ..whole }],
-        "resonance" => {
+        "resonance" | "modulated_band" => {
             let width_hz = number("bandwidth_hz").unwrap_or_default();
             vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), width_hz), ..whole }]
         }

@@ -413,7 +413,7 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
     let is_filter = |effect: &&Arc<dyn Effect>| effect.stage() == Stage::Bandwidth;
     let of_effect = |(place, effect): (usize, &Arc<dyn Effect>)| -> Vec<(Sine, (usize, f64))> {
         let own = effect.lines();
-        if own.is_empty() {
+        if own.is_empty() || effect.stationary(record).is_some() {
             return Vec::new();
         }
         let effects = effects.iter().filter(is_filter).chain([effect]).cloned().collect();
@@ -570,7 +570,8 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
     let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
     let listed = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
     let left = listed.iter().enumerate().filter(|(place, _)| !without.contains(place));
-    let effects: Vec<Arc<dyn Effect>> = left.map(|(_, effect)| effect.clone()).collect();
+    let effects: Vec<Arc<dyn Effect>> =
+        left.map(|(_, effect)| effect.stationary(record).unwrap_or_else(|| effect.clone())).collect();
     let bandwidth = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
     let filters: Vec<Arc<dyn Effect>> =
         bandwidth.clone().map(|effect| effect.noiseless().unwrap_or_else(|| Arc::clone(effect))).collect();

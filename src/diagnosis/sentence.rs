@@ -141,10 +141,11 @@ fn words(effect: &str, first: Option<&Value>) -> String {
             number("amplitude").unwrap_or_default()
         ),
         "comb" => format!("a comb of {:.3} Hz{more}", number("fundamental_hz").unwrap_or_default()),
-        "resonance" => format!(
-            "a band of vibration at {:.2} Hz, {:.2} Hz wide{more}",
+        "resonance" | "modulated_band" => format!(
+            "a band of vibration at {:.2} Hz, {:.2} Hz wide{}{more}",
             number("frequency_hz").unwrap_or_default(),
-            number("bandwidth_hz").unwrap_or_default()
+            number("bandwidth_hz").unwrap_or_default(),
+            if effect == "modulated_band" { ", whose level changes" } else { "" }
         ),
         "resolution" => format!("values in steps of {}", with("step", "")),
         "rate_ramp" => format!("a drift of {}", with("R", " a second")),

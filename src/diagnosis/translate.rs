@@ -4,11 +4,12 @@ use super::course::{Course, Follow};
 use super::evidence::Kind;
 use super::explanation::{Explanation, Loud, Scedasticity};
 use super::law::{Shape, Term};
+use super::modulated::Levels;
 use super::prepare::Prepared;
 use super::spread::Spread;
 use crate::effects::{
-    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, MovingAverage, PowerLaw, QuantizationNoise,
-    RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
+    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage, PowerLaw,
+    QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
 };
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +17,7 @@ use std::sync::Arc;
 
 /// What is needed besides the explanation.
 #[derive(Debug, Clone, Copy)]
-pub struct Units<'a> {
+pub(super) struct Units<'a> {
     /// The channel.
     pub prepared: &'a Prepared,
     /// Samples.
@@ -25,6 +26,8 @@ pub struct Units<'a> {
     pub temperature_c: f64,
     /// The white part's mean variance over that where nothing changes it.
     pub average_variance: f64,
+    /// Bands whose level changes.
+    pub levels: &'a [Levels],
     /// The model, and the rate of what it sends.
     pub sim: &'a SensorModel,
 }
@@ -105,8 +108,8 @@ const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// The effects of an explanation; those that the model has already are left out.
 #[must_use]
-pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, samples, temperature_c, average_variance, sim } = units;
+pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
+    let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
     let rate_hz = sim.rate_hz;
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
@@ -167,9 +170,14 @@ pub fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> 
         add(Kind::TemperatureBias, Arc::new(bias), ci95);
     }
     let white = (0.5 * explanation.law.levels[0]).exp() * scale;
-    let terms = explanation.law.terms.iter().zip(&spread.terms);
-    let spectral: Vec<Spectral> =
-        terms.filter_map(|(term, errors)| spectral(term, errors, [scale, white, rate_hz])).collect();
+    let terms = explanation.law.terms.iter().zip(&spread.terms).enumerate();
+    let spectral: Vec<Spectral> = terms
+        .filter_map(|(place, (term, errors))| {
+            let found = spectral(term, errors, [scale, white, rate_hz])?;
+            let level = levels.iter().find(|levels| levels.term == place);
+            Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
+        })
+        .collect();
     let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
     // The same a standard error off.
     let off = |(term, errors): (&Term, &Vec<f64>)| {
@@ -295,6 +303,14 @@ struct LineFound {
 
 /// An effect of the spectrum with the intervals of its parameters.
 type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
+
+/// A band whose level changes.
+fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {
+    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let band = Resonance { sigma: (0.5 * at(0)).exp() * scale, frequency_hz: at(1), bandwidth_hz: at(2).exp() };
+    let level = levels.points.iter().map(|(sample, factor)| (sample / rate_hz, *factor)).collect();
+    (kind, Arc::new(ModulatedBand { band, level }), ci95)
+}
 
 /// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, and the rate in Hz.
 fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {

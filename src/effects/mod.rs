@@ -277,6 +277,13 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     /// `None` where it depends on more than the parameters: on the other noise, the temperature's course or the record.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
 
+    /// Of an effect that is another one at any time: the one that is the same all the time and has its mean density over
+    /// `record`, exactly or about. `None` for all whose [`Effect::psd`] says it.
+    fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
+        let _ = record;
+        None
+    }
+
     /// Lines in the spectrum of what the effect adds.
     fn lines(&self) -> Vec<Line> {
         Vec::new()

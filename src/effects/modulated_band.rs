@@ -65,6 +65,10 @@ impl Effect for ModulatedBand {
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
     }
+    fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
+        let square = profile::mean_power_of(&self.level, record.length_s(), 2);
+        Some(Arc::new(Resonance { sigma: self.band.sigma * square.sqrt(), ..self.band }))
+    }
     fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
         None
     }

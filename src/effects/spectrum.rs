@@ -107,6 +107,11 @@ impl Effect for SpectralNoise {
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         self.level.is_empty().then(|| self.at(frequency_hz))
     }
+    fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
+        let square = profile::mean_power_of(&self.level, record.length_s(), 2);
+        let density = self.density.iter().map(|(hz, density)| (*hz, density * square)).collect();
+        (!self.level.is_empty()).then(|| Arc::new(Self { density, level: Vec::new() }) as Arc<dyn Effect>)
+    }
     /// `None` with a level, likewise.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         if !self.level.is_empty() {

@@ -3,7 +3,7 @@
 use super::gauss_markov::lorentzian;
 use super::spec::{Kind, Range, number};
 use super::stream::number as streams;
-use super::{Effect, Line, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
+use super::{Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Temperature, sampled};
 use serde_json::Value;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -156,6 +156,17 @@ impl Effect for WanderingLine {
             -(-forgotten).exp_m1() + 2.0 * (-forgotten).exp() * (0.5 * turn).sin().powi(2)
         };
         Some(0.5 * self.amplitude * self.amplitude * sampled::allan_variance(m, structure))
+    }
+    /// Where the frequency wanders slowly: a band as wide as the distribution of the frequency, at half its height.
+    fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
+        const HALF_HEIGHT: f64 = 2.354_820_045;
+        self.psd(self.frequency_hz, record.rate_hz).is_none().then(|| {
+            Arc::new(Resonance {
+                frequency_hz: self.frequency_hz,
+                bandwidth_hz: HALF_HEIGHT * self.frequency_sigma_hz,
+                sigma: self.amplitude * std::f64::consts::FRAC_1_SQRT_2,
+            }) as Arc<dyn Effect>
+        })
     }
     fn moments(&self, _record: Record) -> Option<Moments> {
         // E A⁴ over (E A²)² is e^(4s²).

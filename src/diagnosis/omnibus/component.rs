@@ -4,25 +4,25 @@
 //! probable course shows two levels, or one amplitude, where a normal process shows neither.
 
 use super::half_square;
-use crate::diagnosis::law::Shape;
+use crate::diagnosis::law::{Shape, Term};
 use crate::diagnosis::plans;
 use crate::diagnosis::series::Series;
 
 /// Fewest independent values of which moments say something.
 const FEWEST: f64 = 24.0;
 
-/// Half the square of the most conspicuous moment's deviation, over its standard deviation, of all terms.
-pub(super) fn worst(series: &mut Series<'_>) -> f64 {
+/// What each term that adds noise has most probably made of a record, and its power in each coefficient.
+pub(in crate::diagnosis) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)> {
     let terms = series.explanation.law.terms.clone();
-    let (rate_hz, n) = (series.setting().rate_hz, series.len());
+    let rate_hz = series.setting().rate_hz;
     let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
     // Filters act behind it.
     let mut gain = series.data().base.gain.clone();
     for filter in terms.iter().filter(|term| term.is_filter()) {
         gain.iter_mut().zip(filter.gains(&hz, rate_hz)).for_each(|(all, one)| *all *= one);
     }
-    let mut found = 0.0f64;
-    for term in terms.iter().filter(|term| term.adds()) {
+    let mut found = Vec::new();
+    for term in terms.into_iter().filter(Term::adds) {
         let added = term.added(&hz, rate_hz).into_iter().zip(&gain);
         let logarithms: Vec<f64> = added.map(|(power, gain)| (power * gain).max(f64::MIN_POSITIVE).ln()).collect();
         let own = series.grid.fill(&logarithms);
@@ -33,6 +33,16 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
         // Nothing is known of a record's mean.
         (course[0], power[0]) = (0.0, 0.0);
         series.transform().backward(&mut course);
+        found.push((term, course, power));
+    }
+    found
+}
+
+/// Half the square of the most conspicuous moment's deviation, over its standard deviation, of all terms.
+pub(super) fn worst(series: &mut Series<'_>) -> f64 {
+    let n = series.len();
+    let mut found = 0.0f64;
+    for (term, course, power) in courses(series) {
         let Some((third, fourth)) = correlations(&power, n) else { continue };
         let count = n as f64;
         let variance = course.iter().map(|x| x * x).sum::<f64>() / count;

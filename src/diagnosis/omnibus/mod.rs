@@ -1,6 +1,6 @@
 //! The omnibus: whether a residual is white, normal and the same throughout, whatever it might be otherwise.
 
-mod component;
+pub(super) mod component;
 pub mod crosstalk;
 mod flashes;
 mod rectangles;
@@ -103,6 +103,12 @@ impl Statistic {
             Self::Flashes => "short flashes of narrow bands",
             Self::Crosstalk => "samples that resemble another channel's a while before",
         }
+    }
+
+    /// Whether noise that is stationary but for what comes, goes or wanders may show it.
+    #[must_use]
+    pub fn is_of_changes(self) -> bool {
+        !matches!(self, Self::Skewness | Self::Atom | Self::Crosstalk | Self::Echo)
     }
 
     /// Whether it looks at single samples' distribution, which rounding, limits and tails change.
