@@ -1,11 +1,12 @@
 //! Composition: what was found becomes a verdict, a report and a corrected model.
 
 use super::augmented::augmented;
+use super::confidence::Surroundings;
 use super::diagnose::{Findings, Found, Options, Outcome};
 use super::discrepancy::discrepancy;
 use super::evidence::Kind;
 use super::hints;
-use super::law::{Law, Shape};
+use super::law::{Law, Shape, Term};
 use super::named::{self, Named, is_fact, stamps};
 use super::oddities::{self, Oddity};
 use super::omnibus::Statistic;
@@ -27,9 +28,6 @@ use std::sync::Arc;
 const REMAINS: f64 = 0.005;
 /// The same on a channel of which nothing was named while others have their causes.
 const REMAINS_ELSEWHERE: f64 = 1e-4;
-/// The part of causes that were right on sealed cases of which the search was sure (docs/validation.md): where nothing remained
-/// on their channels, and where something outside the library did.
-const RIGHT: [f64; 2] = [0.99, 0.6];
 /// Effects of the model that are another one at any time.
 const CHANGING: [&str; 4] = ["modulated_band", "intermittent", "wandering_line", "spectrum"];
 /// A parameter is off from so many standard errors on.
@@ -54,7 +52,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let foreign: Vec<String> = odd.iter().map(outside).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
-    let causes = causes(&named, &remains.channels, total, discrepancy.closed);
+    let mut causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
     let remnants =
         if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains, &odd) } else { Vec::new() };
@@ -62,6 +60,10 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
     let what = foreign.iter().cloned().chain(of_worst.clone()).collect();
     let remainder = Remainder::of(&places, what, (found.samples * found.channels.len()) as f64);
+    let surroundings = Surroundings { places: &places, remains: &remains.channels, length_s: real.length_s() };
+    for (index, cause) in causes.iter_mut().enumerate() {
+        cause.confidence *= surroundings.right(index, cause);
+    }
     let has_parameters = parameters.iter().any(|of| of.parameter != "bias");
     let verdict = remainder::verdict(remainder.as_ref(), options.unknown_above, !named.is_empty(), has_parameters);
     notes.extend(foreign);
@@ -143,9 +145,9 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             .iter()
             .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
             || step.is_some_and(|step| step > 0.6 * of.white);
-        // What the model has come and go does so otherwise in every record.
-        let changes = of.prepared.has.iter().any(|name| CHANGING.contains(name))
-            || own.iter().any(|one| CHANGING.contains(&one.effect.name()));
+        // What the model has come and go does so otherwise in every record; a band whose level changes does not move.
+        let changes = of.prepared.has.iter().any(|name| CHANGING.contains(name));
+        let swells = own.iter().any(|one| one.effect.name() == "modulated_band");
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the value in the middle is met most.
@@ -154,7 +156,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             let coarse = step.is_some_and(|step| step > 1.2 * of.white);
             let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
             let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
-            let expected = changes && statistic.is_of_changes();
+            let expected = statistic.is_of_changes() && (changes || (swells && *statistic != Statistic::Sweep));
             if lattice || skewed || expected || (marginal && statistic.is_marginal()) {
                 continue;
             }
@@ -195,6 +197,13 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
                 .map(|(_, v)| *v)
                 .collect();
             all.extend(oddities::of_codes(&there, step).map(|odd| (channel, odd)));
+        }
+    }
+    for of in &found.channels {
+        let steep = |term: &Term| matches!(term.shape, Shape::Slope(_)) && !Shape::POWER_LAW.contains(&term.numbers[1]);
+        if of.explanation.law.terms.iter().any(steep) {
+            let nats = of.steps.iter().filter(|step| step.kind == Kind::Slope).map(|step| step.gain).sum();
+            all.push((of.prepared.channel, Oddity { what: "a density that falls steeper than any effect's", nats }));
         }
     }
     for (channels, repeats) in &found.repeats {
@@ -332,7 +341,7 @@ fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>
 }
 
 /// The same effect in the same sense on several channels is one cause.
-fn causes(named: &[Named], remains: &BTreeSet<Channel>, total: f64, closed: Option<f64>) -> Vec<Cause> {
+fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
     let mut groups: BTreeMap<(&'static str, Sense), Vec<&Named>> = BTreeMap::new();
     for of in named {
         groups.entry((of.effect.name(), of.sense)).or_default().push(of);
@@ -353,8 +362,7 @@ fn causes(named: &[Named], remains: &BTreeSet<Channel>, total: f64, closed: Opti
                     list.push(entry.into());
                 }
             }
-            let right = RIGHT[usize::from(group.iter().any(|of| remains.contains(&of.channel)))];
-            let confidence = right * group.iter().map(|of| of.confidence).fold(0.0, f64::max);
+            let confidence = group.iter().map(|of| of.confidence).fold(0.0, f64::max);
             let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
             let mut said = BTreeSet::new();
             evidence.retain(|sentence| said.insert(sentence.clone()));

@@ -27,7 +27,9 @@ pub enum Shape {
 
 impl Shape {
     /// Exponents between those of white noise, flicker and random walk, and beyond.
-    pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 2.49)];
+    pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 3.5)];
+    /// Exponents that noise of a power law may have: at the ends of what is searched for it is something else, mostly a drift.
+    pub(super) const POWER_LAW: std::ops::Range<f64> = 0.31..2.49;
     /// Where a slope's density is given, over the rate.
     pub(super) const MIDDLE: f64 = 0.01;
 }

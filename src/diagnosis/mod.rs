@@ -17,6 +17,7 @@ mod censored;
 #[cfg(test)]
 mod cliffs;
 mod compose;
+mod confidence;
 pub mod course;
 mod declared;
 pub mod diagnose;

