@@ -225,7 +225,7 @@ impl Db3Reader {
         let filled = self.fill_from_cache(wanted);
         if filled.is_err() {
             // SQLite checks a page once: what stays in its cache would pass the next time.
-            self.database.execute_batch("PRAGMA shrink_memory")?;
+            self.database.pragma_query(None, "shrink_memory", |_| Ok(()))?;
         }
         filled
     }
