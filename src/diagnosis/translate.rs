@@ -101,6 +101,30 @@ fn times(value: f64, error: f64) -> [f64; 2] {
 
 /// Part of a filter's delay by which a step's place behind it may be wrong.
 const DELAY_ERROR: f64 = 0.25;
+/// Samples by which the middle of a step's rise may be off though no sample of it is seen.
+const RISE: f64 = 4.0;
+
+/// The first and last sample of a step's rise: those about it that are left out, one beside the other.
+fn rise(left_out: &[usize], at: usize) -> (usize, usize) {
+    /// Samples between two that belong to one rise, and the longest rise to either side.
+    const APART: usize = 2;
+    const LONGEST: usize = 40;
+    let middle = left_out.partition_point(|own| *own < at);
+    let mut first = at;
+    for own in left_out[..middle].iter().rev().take_while(|own| at - **own <= LONGEST) {
+        if first - own <= APART {
+            first = *own;
+        }
+    }
+    let mut last = at;
+    for own in left_out[middle..].iter().take_while(|own| **own - at <= LONGEST) {
+        if own - last <= APART {
+            last = own + 1;
+        }
+    }
+    (first, last)
+}
+
 /// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
 pub(super) const LEAST_PASSED: f64 = 1e-4;
 /// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the difference.
@@ -159,8 +183,12 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
             Course::Step(at) => {
                 // It is seen half way up, behind all filters.
                 let delay_s = units.delay_s(explanation);
-                let at_s = (*at as f64 / rate_hz - delay_s).max(0.0);
-                let at_error = second / rate_hz + DELAY_ERROR * delay_s;
+                let (first, last) = rise(&explanation.outliers, *at);
+                let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
+                let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
+                // Nobody knows what it does until it is over.
+                let rises_s = (0.5 * (last - first) as f64).max(RISE) / rate_hz / NORMAL_95;
+                let at_error = (second / rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
                 let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
                 add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
             }
