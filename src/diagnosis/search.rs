@@ -97,7 +97,46 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     samples_again(series, prices, &mut steps, &start);
     believe_again(series);
     polish(series, &start);
+    tails_and_bursts_again(series, prices, &mut steps, &start);
     steps
+}
+
+/// Takes back tails and bursts that are not worth their price any more: a variance, a step or a limit whose numbers were not yet
+/// those that they are now leaves both.
+fn tails_and_bursts_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
+    /// Nats beyond the price beside others that leave them.
+    const CLEARLY: f64 = 6.0;
+    let leaves = |step: &Step| {
+        use Kind::{BiasStep, VarianceInterval, VariancePerDegree, VarianceProfile};
+        matches!(
+            step.kind,
+            BiasStep | VarianceInterval | VariancePerDegree | VarianceProfile | Kind::Bursts | Kind::Spikes
+        )
+    };
+    for kind in [Kind::HeavyTails, Kind::Bursts] {
+        let Some(at) = steps.iter().position(|step| step.kind == kind && step.of_model.is_none()) else { continue };
+        let beside = series.is_cut() || steps.iter().any(|step| step.kind != kind && leaves(step));
+        if !beside {
+            continue;
+        }
+        let mut without = series.clone();
+        if kind == Kind::HeavyTails {
+            without.explanation.tails = start.tails;
+        } else {
+            let (samples, known) = (series.len(), start.loud.len());
+            let mut place = 0;
+            without.explanation.loud.retain(|loud| {
+                place += 1;
+                place <= known || loud.is_interval(samples)
+            });
+        }
+        without.rebuild(false);
+        let again = evidence::of_samples(&mut without).into_iter().find(|of| of.kind == kind);
+        if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
+            *series = without;
+            steps.remove(at);
+        }
+    }
 }
 
 /// What the model may lack, and what it may have otherwise than the series.
