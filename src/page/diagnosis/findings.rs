@@ -2,7 +2,7 @@
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
-use super::{Cause, Driver, Hint, Offset, Parameter, Place, Report, Sense};
+use super::{Cause, Driver, Hint, Offset, Parameter, Place, Remainder, Report, Sense};
 use crate::sample::Channel;
 use serde::Deserialize as _;
 use serde_json::Value;
@@ -159,6 +159,16 @@ pub(super) fn hints(out: &mut String, hints: &[Hint]) {
     *out += "<h2>What the sizes may mean</h2><ul>";
     for of in hints {
         let _ = write!(out, "<li>{}: {}</li>", escaped(&of.about), escaped(&of.text));
+    }
+    *out += "</ul>";
+}
+
+pub(super) fn remainder(out: &mut String, of: Option<&Remainder>) {
+    let Some(Remainder { share, channels, what }) = of else { return };
+    let on = escaped(&channels.join(", "));
+    let _ = write!(out, "<h2>Without a name</h2><p>{:.2} % of the gap, on {on}</p><ul>", 100.0 * share);
+    for one in what {
+        let _ = write!(out, "<li>{}</li>", escaped(one));
     }
     *out += "</ul>";
 }

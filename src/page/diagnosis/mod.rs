@@ -33,6 +33,8 @@ struct Report {
     #[serde(default)]
     causes: Vec<Cause>,
     #[serde(default)]
+    remainder: Option<Remainder>,
+    #[serde(default)]
     alternatives: Vec<Alternative>,
     #[serde(default)]
     per_channel: BTreeMap<String, Gap>,
@@ -42,6 +44,15 @@ struct Report {
     software: String,
     #[serde(default)]
     inputs: BTreeMap<String, String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Remainder {
+    share: f64,
+    #[serde(default)]
+    channels: Vec<String>,
+    #[serde(default)]
+    what: Vec<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -200,6 +211,7 @@ fn body(report: &Report, drawn: &Drawn, links: Links<'_>) -> String {
     findings::off(&mut out, &report.parameters);
     findings::offsets(&mut out, &report.offsets);
     findings::hints(&mut out, &report.hints);
+    findings::remainder(&mut out, report.remainder.as_ref());
     drawn::heat(&mut out, drawn);
     findings::places(&mut out, report);
     drawn::motion(&mut out, report, drawn);

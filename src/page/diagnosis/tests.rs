@@ -82,6 +82,16 @@ fn the_sentence_comes_first_and_every_part_is_there_without_anything_from_elsewh
 }
 
 #[test]
+fn what_has_no_name_is_shown_with_its_share() {
+    let mut own = report();
+    own["remainder"] = json!({"share": 0.0123, "nats": 1e-4, "channels": ["mag_x"], "what": ["power <in> one octave"]});
+    let page = diagnosis(&own.to_string(), "{}", &[]).unwrap();
+    assert!(page.contains("Without a name") && page.contains("1.23 % of the gap, on mag_x"), "{page}");
+    assert!(page.contains("power &lt;in&gt; one octave"), "{page}");
+    assert!(!diagnosis(&report().to_string(), "{}", &[]).unwrap().contains("Without a name"));
+}
+
+#[test]
 fn a_report_of_little_is_shown_and_no_report_is_refused() {
     let mut little = report();
     for key in ["where", "parameters", "causes", "alternatives", "notes", "per_channel", "software", "inputs"] {
