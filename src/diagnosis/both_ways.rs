@@ -262,3 +262,24 @@ fn a_model_of_thousands_of_steps_and_bands_decides_neither_time_nor_memory() {
     let found = diagnose(&recording(&model(None), 311, 8_000), &declared, &Options::default()).unwrap().diagnosis;
     assert!(found.causes.is_empty(), "{:#?}", found.causes);
 }
+
+/// A level that follows the temperature otherwise than along a line is the model's own as well, with its mean.
+#[test]
+fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
+    for (further, seed) in [("per_c2", 61), ("play_c", 62), ("per_c_per_s", 63)] {
+        let mut effect = json!({"effect": "temperature_bias", "per_c": 0.01, "reference_c": 5.0});
+        effect[further] = match further {
+            "play_c" => 2.0,
+            "per_c2" => 5e-4,
+            _ => 0.02,
+        }
+        .into();
+        let sim = model(Some(&effect));
+        let found = diagnose(&recording(&sim, seed, 32_000), &sim, &Options::default()).unwrap().diagnosis;
+        assert_eq!(found.verdict, Verdict::NoGap, "{further}: {found:#?}");
+        assert!(found.offsets.is_empty(), "{further}: {:?}", found.offsets);
+        let plain = diagnose(&recording(&sim, seed, 32_000), &model(None), &Options::default()).unwrap().diagnosis;
+        let cause = plain.causes.iter().find(|cause| cause.effect == "temperature_bias");
+        assert!(cause.is_some(), "{further}: {plain:#?}");
+    }
+}

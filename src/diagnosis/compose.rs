@@ -28,8 +28,6 @@ use std::sync::Arc;
 const REMAINS: f64 = 0.005;
 /// The same on a channel of which nothing was named while others have their causes.
 const REMAINS_ELSEWHERE: f64 = 1e-4;
-/// Effects of the model that are another one at any time.
-const CHANGING: [&str; 4] = ["modulated_band", "intermittent", "wandering_line", "spectrum"];
 /// A parameter is off from so many standard errors on.
 const OFF: f64 = 4.0;
 /// And from this part of itself on, of a rate in 10⁴.
@@ -146,7 +144,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
             || step.is_some_and(|step| step > 0.6 * of.white);
         // What the model has come and go does so otherwise in every record; a band whose level changes does not move.
-        let changes = of.prepared.has.iter().any(|name| CHANGING.contains(name));
+        let changes = of.prepared.changes;
         let swells = own.iter().any(|one| one.effect.name() == "modulated_band");
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
@@ -189,12 +187,17 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
         let quiet = |one: &Named| {
             one.channel != channel || matches!(one.effect.name(), "resolution" | "timing" | "common_mode")
         };
-        if let Some(step) = of.prepared.facts.step.filter(|_| named.iter().all(quiet)) {
+        const LIVELY: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
+        let lively = of.prepared.limits.iter().any(Option::is_some)
+            || of.prepared.has.iter().any(|name| LIVELY.contains(name))
+            || !of.explanation.sines.is_empty();
+        if let Some(step) = of.prepared.facts.step.filter(|_| named.iter().all(quiet) && !lively) {
             let there: Vec<f64> = sent
                 .iter()
                 .enumerate()
                 .filter(|(t, _)| !real.missing.get(*t).copied().unwrap_or(false))
                 .map(|(_, v)| *v)
+                .filter(|value| value.is_finite())
                 .collect();
             all.extend(oddities::of_codes(&there, step).map(|odd| (channel, odd)));
         }
@@ -203,7 +206,11 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
         let steep = |term: &Term| matches!(term.shape, Shape::Slope(_)) && !Shape::POWER_LAW.contains(&term.numbers[1]);
         if of.explanation.law.terms.iter().any(steep) {
             let nats = of.steps.iter().filter(|step| step.kind == Kind::Slope).map(|step| step.gain).sum();
-            all.push((of.prepared.channel, Oddity { what: "a density that falls steeper than any effect's", nats }));
+            let what = match of.explanation.law.terms.iter().any(|term| steep(term) && term.numbers[1] > 1.0) {
+                true => "a density that falls steeper than any effect's",
+                false => "a density that falls less than any effect's",
+            };
+            all.push((of.prepared.channel, Oddity { what, nats }));
         }
     }
     for (channels, repeats) in &found.repeats {

@@ -19,12 +19,12 @@ pub enum Course {
     Follows(Follow),
 }
 
-/// How a level may follow the temperature as no effect of the library does.
+/// How a level may follow the temperature otherwise than along a straight line ([`crate::effects::TemperatureBias`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Follow {
     /// Its square, °C².
     Square,
-    /// With play of so many °C: it stays until the temperature has moved by as much (a backlash; Visintin 1994, Differential
+    /// With play of so many °C: it stays while the temperature is within half of that from it (a backlash; Visintin 1994, Differential
     /// Models of Hysteresis, section III.2).
     Play(f64),
     /// The rate at which it changes behind a lag of so many samples, °C a sample
@@ -35,7 +35,15 @@ pub enum Follow {
 impl Follow {
     /// The values at each sample, about their mean.
     fn values(self, temperature: &[f64]) -> Vec<f64> {
-        let mut values: Vec<f64> = match self {
+        let mut values = self.raw(temperature);
+        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+        values.iter_mut().for_each(|value| *value -= mean);
+        values
+    }
+
+    /// The values at each sample of a temperature, °C.
+    pub(super) fn raw(self, temperature: &[f64]) -> Vec<f64> {
+        match self {
             Self::Square => temperature.iter().map(|t| t * t).collect(),
             Self::Play(width) => {
                 let mut now = temperature.first().copied().unwrap_or_default();
@@ -55,10 +63,7 @@ impl Follow {
                 };
                 temperature.iter().map(&mut rate).collect()
             }
-        };
-        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        values.iter_mut().for_each(|value| *value -= mean);
-        values
+        }
     }
 }
 

@@ -303,7 +303,8 @@ fn explain(
     let spread = Spread::of(&series);
     let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
-    let level = prepared.level + series.mean * prepared.scale - courses::constant(&prepared, model, ready.reference_c);
+    let level = prepared.level + series.mean * prepared.scale
+        - courses::constant(&prepared, model, ready.reference_c, ready.courses.temperature());
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
     (

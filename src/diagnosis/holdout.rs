@@ -200,8 +200,11 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let mut carried_over = found(1);
     carried_over.law = full.law.clone();
     for (course, factor) in &mut carried_over.courses {
-        let same =
-            full.courses.iter().find(|(other, _)| std::mem::discriminant(other) == std::mem::discriminant(course));
+        let alike = |other: &Course| match (other, &*course) {
+            (Course::Follows(one), Course::Follows(other)) => one == other,
+            (one, other) => std::mem::discriminant(one) == std::mem::discriminant(other),
+        };
+        let same = full.courses.iter().find(|(other, _)| alike(other));
         match (*course, same) {
             (Course::Ramp, Some((_, learned))) => {
                 *factor = learned * (halves[1].1 - halves[1].0) as f64 / (halves[0].1 - halves[0].0) as f64;

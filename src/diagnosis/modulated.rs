@@ -3,6 +3,7 @@
 use super::law::Shape;
 use super::omnibus::component;
 use super::series::Series;
+use crate::effects::profile::mean_power_of;
 use std::f64::consts::TAU;
 
 /// A band's level in stretches of the record, 1 on average of its square: the middle of each in samples, and the factor on the
@@ -29,6 +30,11 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
     /// Levels below this are none, of the average.
     const SILENT: f64 = 0.01;
     let (n, rate_hz) = (series.len(), series.setting().rate_hz);
+    let is_band = series.explanation.law.terms.iter().any(|term| term.shape == Shape::Resonance);
+    // White noise whose variance changes is heard in every band.
+    if !is_band || !series.variance.is_empty() {
+        return Vec::new();
+    }
     let bands: Vec<usize> =
         series.explanation.law.terms.iter().enumerate().filter(|(_, term)| term.adds()).map(|(at, _)| at).collect();
     let mut found = Vec::new();
@@ -51,7 +57,11 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
         let nats: f64 = ratios.iter().map(|ratio| each * (ratio - 1.0 - ratio.ln())).sum();
         if nats > ALL + EACH * ratios.len() as f64 {
             let middle = |at: usize| (at as f64 + 0.5) * size as f64;
-            let points = ratios.iter().enumerate().map(|(at, ratio)| (middle(at), ratio.sqrt())).collect();
+            let mut points: Vec<(f64, f64)> =
+                ratios.iter().enumerate().map(|(at, ratio)| (middle(at), ratio.sqrt())).collect();
+            // Between the middles of stretches the level is a straight line.
+            let square = mean_power_of(&points, n as f64, 2);
+            points.iter_mut().for_each(|point| point.1 /= square.sqrt());
             found.push(Levels { term, points, nats });
         }
     }

@@ -2,8 +2,10 @@
 
 use super::series::Series;
 
-/// Coefficients of the finest bands, and by how much bands grow.
+/// Coefficients of the finest bands at least, the part of the band that they are at least (the effect that stands for it resolves no
+/// less), and by how much bands grow.
 const WIDTH: usize = 64;
+const PARTS: usize = 125;
 const WIDER: usize = 4;
 /// Standard errors by which a band has to be louder.
 const LOUDER: f64 = 6.0;
@@ -21,9 +23,10 @@ pub(super) fn density(series: &Series<'_>) -> Vec<(f64, f64)> {
     let gain = series.filters();
     let mut taken = vec![false; n];
     let mut bands: Vec<(usize, usize, f64)> = Vec::new();
-    let mut width = WIDTH;
+    let finest = WIDTH.max(n / PARTS);
+    let mut width = finest;
     while 4 * width < n && bands.len() < MOST {
-        for from in (WIDTH..n - width).step_by(width) {
+        for from in (finest..n - width).step_by(width) {
             let to = from + width;
             if taken[from..to].contains(&true) || bands.len() == MOST {
                 continue;
@@ -40,7 +43,7 @@ pub(super) fn density(series: &Series<'_>) -> Vec<(f64, f64)> {
     }
     bands.sort_unstable_by_key(|(from, ..)| *from);
     let mut points: Vec<(f64, f64)> = Vec::new();
-    let edge_hz = 1e-3 * hz(WIDTH);
+    let edge_hz = 1e-3 * hz(finest);
     for (from, to, density) in bands {
         let (low, high) = (hz(from), hz(to));
         match points.last_mut() {

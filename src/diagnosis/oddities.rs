@@ -114,6 +114,9 @@ pub(super) fn of_repeats(places: &[usize]) -> Option<Oddity> {
     }
     let distances: Vec<usize> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let count = distances.len() as f64;
+    if distances.iter().all(|distance| *distance == 1) {
+        return None;
+    }
     let ln_other = (-count / distances.iter().sum::<usize>() as f64).ln_1p();
     // The chance of a distance of this or more.
     let from = |distance: usize| (ln_other * (distance - 1) as f64).exp();
@@ -123,8 +126,8 @@ pub(super) fn of_repeats(places: &[usize]) -> Option<Oddity> {
     let (mut nats, mut bins, mut first) = (0.0, 0.0, 1);
     for (place, own) in met.iter().enumerate() {
         // The distances of a bin are those up to where the next begins.
-        let end = ((-((place + 1) as f64) / BINS as f64).ln_1p() / ln_other).ceil() as usize + 1;
-        let last = if place + 1 == BINS { usize::MAX } else { end.max(first) };
+        let end = ((-((place + 1) as f64) / BINS as f64).ln_1p() / ln_other).ceil() as usize;
+        let last = if place + 1 == BINS { usize::MAX } else { end.saturating_add(1).max(first) };
         let chance = from(first) - if last == usize::MAX { 0.0 } else { from(last) };
         first = last;
         if *own > 0.0 && chance > 0.0 {

@@ -136,8 +136,20 @@ fn is_shape(effect: &dyn Effect) -> bool {
 
 /// Whether an effect makes less of a difference than another of its name.
 fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
-    const SIZES: [&str; 10] =
-        ["amplitude", "sigma", "R", "size", "per_c", "step", "factor", "probability", "jitter_s", "degrees_of_freedom"];
+    const SIZES: [&str; 12] = [
+        "per_c2",
+        "per_c_per_s",
+        "amplitude",
+        "sigma",
+        "R",
+        "size",
+        "per_c",
+        "step",
+        "factor",
+        "probability",
+        "jitter_s",
+        "degrees_of_freedom",
+    ];
     if one.name() == "comb" {
         let power = |of: &dyn Effect| of.lines().iter().map(|line| line.power).sum::<f64>();
         return power(one) < power(other);

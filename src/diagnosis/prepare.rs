@@ -65,6 +65,8 @@ pub struct Prepared {
     pub reach: usize,
     /// Names of the effects that it has.
     pub has: Vec<&'static str>,
+    /// Whether an effect of it comes, goes or wanders, so that no two records are alike.
+    pub changes: bool,
     /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
     pub white_shift: f64,
     /// The part of the information on the white noise that was sent: a step wider than the noise hides some.
@@ -374,6 +376,7 @@ fn channel_of(
         loud,
         scedasticity,
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
+        changes: model.effects.iter().any(|effect| changes(&**effect, values.len(), sim.rate_hz)),
         has: model.effects.iter().map(|effect| effect.name()).collect(),
         white_shift,
         share: coarse.map_or(1.0, |(_, white)| white.share),
@@ -535,6 +538,12 @@ fn variance_of(
         }
     }
     (loud, scedasticity)
+}
+
+/// Whether an effect is another one at any time.
+fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
+    let by_name = matches!(effect.name(), "intermittent" | "wandering_line");
+    by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
 }
 
 /// Straight between points, constant beyond them.

@@ -131,7 +131,7 @@ fn tails_and_bursts_again(series: &mut Series<'_>, prices: &Prices, steps: &mut 
             });
         }
         without.rebuild(false);
-        let again = evidence::of_samples(&mut without).into_iter().find(|of| of.kind == kind);
+        let again = evidence::of_samples(&without).into_iter().find(|of| of.kind == kind);
         if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
             *series = without;
             steps.remove(at);

@@ -151,7 +151,10 @@ fn words(effect: &str, first: Option<&Value>) -> String {
         "rate_ramp" => format!("a drift of {}", with("R", " a second")),
         "warm_up" => format!("a warm-up of {} in {}", with("amplitude", ""), with("tau_s", " s")),
         "bias_step" => format!("a step of {} at {:.1} s{more}", with("size", ""), number("at_s").unwrap_or_default()),
-        "temperature_bias" => format!("a level that moves by {} per °C", with("per_c", "")),
+        "temperature_bias" if number("per_c").is_some_and(|slope| slope != 0.0) => {
+            format!("a level that moves by {} per °C", with("per_c", ""))
+        }
+        "temperature_bias" => "a level that follows the temperature, but not along a line".to_owned(),
         "low_pass" => format!("a low-pass filter at {:.2} Hz", number("cutoff_hz").unwrap_or_default()),
         "held_samples" => format!("samples sent twice, {} of all,", with("probability", "")),
         other => other.replace('_', " "),

@@ -71,7 +71,7 @@ impl Spread {
         };
         let per_degree = match &explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {
-                // Slow noise, which temperature does not change, is not told from white noise at each instant.
+                // Nothing separates slow noise, which temperature does not change, from white noise at each instant.
                 const OTHERS: f64 = 0.01;
                 let about = courses.temperature().unwrap_or_default();
                 let mean = about.iter().sum::<f64>() / n;

@@ -53,14 +53,15 @@ impl Units<'_> {
         let own = self.sim.channels.get(&self.prepared.channel).map(|model| model.effects.as_slice());
         let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
         let rate_hz = self.sim.rate_hz;
+        let internal_hz = self.sim.internal_rate_hz(rate_hz);
         let found = explanation.law.terms.iter().filter_map(Term::effect);
-        own.map(|(_, effect)| delay_s(&**effect, rate_hz)).sum::<f64>()
+        own.map(|(_, effect)| delay_s(&**effect, internal_hz)).sum::<f64>()
             + found.map(|of| delay_s(&*of, rate_hz)).sum::<f64>()
     }
 }
 
 /// By how much a filter delays what changes slowly, s: (w − 1)/2 samples of a moving average; of Butterworth's filter of order n
-/// and cutoff ω the sum of its poles' 1/(ω·sin(π/2n)).
+/// and cutoff ω 1/(ω·sin(π/2n)).
 fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
     let number = |name: &str| effect.number(name);
     match effect.name() {
@@ -144,7 +145,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     };
     let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
     // What follows the temperature without play is one effect.
-    let mut warm: Option<(TemperatureBias, Vec<(&'static str, [f64; 2])>)> = None;
+    let mut warm: Option<(TemperatureBias, Intervals)> = None;
     for ((course, factor), (error, second)) in courses {
         let (size, error) = (factor * scale, error * scale);
         match course {
@@ -329,8 +330,10 @@ struct LineFound {
     amplitude_error: f64,
 }
 
+/// 95 % intervals of parameters by their names.
+type Intervals = Vec<(&'static str, [f64; 2])>;
 /// An effect of the spectrum with the intervals of its parameters.
-type Spectral = (Kind, Arc<dyn Effect>, Vec<(&'static str, [f64; 2])>);
+type Spectral = (Kind, Arc<dyn Effect>, Intervals);
 
 /// A band whose level changes.
 fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {

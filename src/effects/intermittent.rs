@@ -193,15 +193,11 @@ impl Effect for Intermittent {
             }
         })
     }
-    /// About: a tone is broadened by 1/π over the length of its stays.
+    /// Inside intervals, about: a tone is broadened by 1/π over the length of its stays.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
+        let Times::Intervals(intervals) = &self.times else { return None };
         let variance = self.moments(record)?.variance;
-        let per_s = match &self.times {
-            Times::Random { on_s, off_s } => telegraph(*on_s, *off_s).1,
-            Times::Intervals(intervals) => {
-                intervals.len() as f64 / intervals.iter().map(|(from_s, to_s)| to_s - from_s).sum::<f64>()
-            }
-        };
+        let per_s = intervals.len() as f64 / intervals.iter().map(|(from_s, to_s)| to_s - from_s).sum::<f64>();
         let width_hz = per_s / std::f64::consts::PI;
         let band = |frequency_hz: f64, bandwidth_hz: f64| {
             Arc::new(Resonance { frequency_hz, bandwidth_hz, sigma: variance.sqrt() }) as Arc<dyn Effect>

@@ -18,6 +18,8 @@ pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
 /// Mean over 0…`length_s` of the `power`th power of a `factor` of time that is a straight line between any two of `cuts`
 /// (rising, in s); each piece by Gauss's three points, which is exact up to the fifth power.
 pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: impl Fn(f64) -> f64) -> f64 {
+    // Of no time at all that of its first instant.
+    let length_s = length_s.max(f64::MIN_POSITIVE);
     cuts.retain(|cut| *cut > 0.0 && *cut < length_s);
     cuts.insert(0, 0.0);
     cuts.push(length_s);
@@ -31,7 +33,8 @@ pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: 
 }
 
 /// [`mean_power`] of a profile's points.
-pub(super) fn mean_power_of(points: &[(f64, f64)], length_s: f64, power: i32) -> f64 {
+#[must_use]
+pub fn mean_power_of(points: &[(f64, f64)], length_s: f64, power: i32) -> f64 {
     mean_power(points.iter().map(|point| point.0).collect(), length_s, power, |time_s| factor(points, time_s))
 }
 

@@ -127,7 +127,7 @@ impl Effect for SpectralNoise {
                 let bend = -2.0 * (0.5 * turn * (f0 + f1)).sin() * (0.5 * turn * (f1 - f0)).sin();
                 (s1 - s0) / (f1 - f0) * bend
             };
-            2.0 * knots.windows(2).map(line).sum::<f64>() / (turn * turn)
+            2.0 * knots.windows(2).filter(|two| two[0].1 != two[1].1).map(line).sum::<f64>() / (turn * turn)
         };
         Some(sampled::allan_variance(m, |k| variance - covariance(k)))
     }
@@ -140,7 +140,11 @@ impl Effect for SpectralNoise {
         })
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        let taps = taps(self.taps(rate_hz), |cycles| (self.at(cycles * rate_hz) * rate_hz).sqrt());
+        let mut taps = taps(self.taps(rate_hz), |cycles| (self.at(cycles * rate_hz) * rate_hz).sqrt());
+        // Smoothing an amplitude loses power.
+        let power = taps.iter().map(|tap| tap * tap).sum::<f64>();
+        let scale = (self.variance(rate_hz) / power.max(f64::MIN_POSITIVE)).sqrt();
+        taps.iter_mut().for_each(|tap| *tap *= scale);
         let stationary = Box::new(FilteredSampler::new(&taps, stream));
         if self.level.is_empty() {
             stationary

@@ -139,14 +139,30 @@ pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Off]) {
 }
 
 /// What the model's own shifts that are as it says add to the level all the time, U: a temperature bias about another
-/// temperature than the record's mean.
-pub(in crate::diagnosis) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64) -> f64 {
-    let own = of.shifts.iter().filter(|(_, course, _)| *course == Course::Temperature);
-    own.filter_map(|(place, ..)| {
+/// temperature than the record's mean, of which courses have no mean.
+pub(in crate::diagnosis) fn constant(
+    of: &Prepared,
+    model: Option<&ChannelModel>,
+    mean_c: f64,
+    about_c: Option<&[f64]>,
+) -> f64 {
+    let about = about_c.unwrap_or_default();
+    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let own = of.shifts.iter().filter_map(|(place, course, factor)| {
         let effect = model?.effects.get(*place)?;
-        Some(effect.number("per_c")? * (mean_c - effect.number("reference_c")?))
-    })
-    .sum()
+        let number = |name: &str| effect.number(name).unwrap_or_default();
+        let off_c = mean_c - number("reference_c");
+        match course {
+            Course::Temperature => Some(number("per_c") * off_c + number("per_c2") * off_c * off_c),
+            Course::Follows(Follow::Play(play_c)) => {
+                let behind = mean(Follow::Play(*play_c).raw(about));
+                Some(number("per_c") * (off_c + behind) + number("per_c2") * off_c * off_c)
+            }
+            Course::Follows(way) => Some(factor * mean(way.raw(about))),
+            _ => None,
+        }
+    });
+    own.sum()
 }
 
 /// The first drifts and steps of a model's channel, each with its place in the model's list and its factor, U;

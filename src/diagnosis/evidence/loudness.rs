@@ -25,9 +25,16 @@ fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
 /// How the variance depends on time or temperature, found again where it is known about.
 pub(in crate::diagnosis) fn again(series: &Series<'_>, now: &Scedasticity) -> Option<Scedasticity> {
     let (mut means, size) = blocks(series);
-    // The residual's variance has been divided out.
-    let known = series.variance.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64);
-    means.iter_mut().zip(known).for_each(|(mean, variance)| *mean *= variance);
+    // What this makes of the variance has been divided out of the residual; what stretches make stays out.
+    let n = series.len();
+    let temperature = series.setting().courses.temperature().unwrap_or_default();
+    let known = |t: usize| match now {
+        Scedasticity::PerDegree(slope) => (slope * temperature.get(t).copied().unwrap_or_default()).exp(),
+        Scedasticity::Profile(values) => crate::diagnosis::explanation::profile(values, t, n).exp(),
+    };
+    for (block, mean) in means.iter_mut().enumerate() {
+        *mean *= (block * size..(block + 1) * size).map(known).sum::<f64>() / size as f64;
+    }
     match now {
         Scedasticity::PerDegree(_) => {
             let (_, slopes) = regression(&means, &[temperatures(series, size)?], size)?;
