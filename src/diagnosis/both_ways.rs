@@ -278,6 +278,14 @@ fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
         let found = diagnose(&recording(&sim, seed, 32_000), &sim, &Options::default()).unwrap().diagnosis;
         assert_eq!(found.verdict, Verdict::NoGap, "{further}: {found:#?}");
         assert!(found.offsets.is_empty(), "{further}: {:?}", found.offsets);
+        // A bias of 0.2 m/s² more would be a turn-on bias: the level itself has to be the model's.
+        let mut shifted = sim.clone();
+        shifted.channels.values_mut().for_each(|of| of.bias = of.bias.map(|bias| bias - 0.28));
+        let moved = diagnose(&recording(&shifted, seed, 32_000), &sim, &Options::default()).unwrap().diagnosis;
+        assert!(moved.offsets.is_empty(), "{further}: {:?}", moved.offsets);
+        shifted.channels.values_mut().for_each(|of| of.bias = of.bias.map(|bias| bias + 0.56));
+        let moved = diagnose(&recording(&shifted, seed, 32_000), &sim, &Options::default()).unwrap().diagnosis;
+        assert!(moved.offsets.is_empty(), "{further}: {:?}", moved.offsets);
         let plain = diagnose(&recording(&sim, seed, 32_000), &model(None), &Options::default()).unwrap().diagnosis;
         let cause = plain.causes.iter().find(|cause| cause.effect == "temperature_bias");
         assert!(cause.is_some(), "{further}: {plain:#?}");

@@ -158,7 +158,8 @@ pub(in crate::diagnosis) fn constant(
                 let behind = mean(Follow::Play(*play_c).raw(about));
                 Some(number("per_c") * (off_c + behind) + number("per_c2") * off_c * off_c)
             }
-            Course::Follows(way) => Some(factor * mean(way.raw(about))),
+            // Factors are in the series' scale.
+            Course::Follows(way) => Some(of.scale * factor * mean(way.raw(about))),
             _ => None,
         }
     });
