@@ -181,37 +181,8 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
 fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
     let mut all = Vec::new();
     for of in &found.channels {
-        let channel = of.prepared.channel;
-        let sent = real.sent(channel).or_else(|| real.values(channel)).unwrap_or_default();
-        // What moves by steps and more makes a distribution of codes that is none of noise.
-        let quiet = |one: &Named| {
-            one.channel != channel || matches!(one.effect.name(), "resolution" | "timing" | "common_mode")
-        };
-        const LIVELY: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
-        let lively = of.prepared.limits.iter().any(Option::is_some)
-            || of.prepared.has.iter().any(|name| LIVELY.contains(name))
-            || !of.explanation.sines.is_empty();
-        if let Some(step) = of.prepared.facts.step.filter(|_| named.iter().all(quiet) && !lively) {
-            let there: Vec<f64> = sent
-                .iter()
-                .enumerate()
-                .filter(|(t, _)| !real.missing.get(*t).copied().unwrap_or(false))
-                .map(|(_, v)| *v)
-                .filter(|value| value.is_finite())
-                .collect();
-            all.extend(oddities::of_codes(&there, step).map(|odd| (channel, odd)));
-        }
-    }
-    for of in &found.channels {
-        let steep = |term: &Term| matches!(term.shape, Shape::Slope(_)) && !Shape::POWER_LAW.contains(&term.numbers[1]);
-        if of.explanation.law.terms.iter().any(steep) {
-            let nats = of.steps.iter().filter(|step| step.kind == Kind::Slope).map(|step| step.gain).sum();
-            let what = match of.explanation.law.terms.iter().any(|term| steep(term) && term.numbers[1] > 1.0) {
-                true => "a density that falls steeper than any effect's",
-                false => "a density that falls less than any effect's",
-            };
-            all.push((of.prepared.channel, Oddity { what, nats }));
-        }
+        let odd = [odd_codes(of, named, real), odd_slope(of)];
+        all.extend(odd.into_iter().flatten().map(|odd| (of.prepared.channel, odd)));
     }
     for (channels, repeats) in &found.repeats {
         let odd = oddities::of_repeats(&repeats.places);
@@ -220,6 +191,35 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
     let clock = stamps(real).and_then(|stamps| stamps.wanders);
     all.extend(found.channels.first().zip(clock).map(|(of, odd)| (of.prepared.channel, odd)));
     all
+}
+
+/// Codes that are left out. A channel that something moves by steps and more has another distribution of codes than noise has.
+fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
+    const STILL: [&str; 3] = ["resolution", "timing", "common_mode"];
+    const MOVING: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
+    let channel = of.prepared.channel;
+    let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.name()))
+        || of.prepared.has.iter().any(|name| MOVING.contains(name))
+        || of.prepared.limits.iter().any(Option::is_some)
+        || !of.explanation.sines.is_empty();
+    let step = of.prepared.facts.step.filter(|_| !moves)?;
+    let sent = real.sent(channel).or_else(|| real.values(channel))?;
+    let is_missing = |t: usize| real.missing.get(t).copied().unwrap_or(false);
+    let there = sent.iter().enumerate().filter(|(t, value)| !is_missing(*t) && value.is_finite());
+    oddities::of_codes(&there.map(|(_, value)| *value).collect::<Vec<f64>>(), step)
+}
+
+/// A slope that no power law has.
+fn odd_slope(of: &Findings) -> Option<Oddity> {
+    let exponent = |term: &Term| matches!(term.shape, Shape::Slope(_)).then(|| term.numbers.get(1).copied()).flatten();
+    let exponents = of.explanation.law.terms.iter().filter_map(exponent);
+    let odd = exponents.into_iter().find(|exponent| !Shape::POWER_LAW.contains(exponent))?;
+    let what = match odd > 1.0 {
+        true => "a density that falls steeper than any effect's",
+        false => "a density that falls less than any effect's",
+    };
+    let nats = of.steps.iter().filter(|step| step.kind == Kind::Slope).map(|step| step.gain).sum();
+    Some(Oddity { what, nats })
 }
 
 /// ln of the square of N as `noise` finds it, of a law and what its model has besides: the plateau of the spectrum in terms of

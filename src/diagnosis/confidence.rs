@@ -10,9 +10,16 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
-/// The part of causes that were right: those that make a tenth of the gap or more and beside which nothing remains; those that
-/// make a hundredth or more; smaller ones; narrow bands; those on a channel where something remains.
-const RIGHT: [f64; 5] = [0.98, 0.93, 0.85, 0.75, 0.5];
+/// The part of causes that were right of those that make a large part of the gap and beside which nothing remains.
+const RIGHT_LARGE: f64 = 0.98;
+/// The same of those that make a smaller part.
+const RIGHT_SMALLER: f64 = 0.93;
+/// The same of those that make a small part.
+const RIGHT_SMALL: f64 = 0.85;
+/// The same of narrow bands.
+const RIGHT_NARROW: f64 = 0.75;
+/// The same of those on a channel on which something remains.
+const RIGHT_BESIDE: f64 = 0.5;
 /// Parts of the gap.
 const LARGE: f64 = 0.1;
 const SMALL: f64 = 0.01;
@@ -35,12 +42,12 @@ impl Surroundings<'_> {
         let share: f64 = own.map(|place| place.share).sum();
         let remains = self.remains.iter().any(|channel| cause.channels.iter().any(|own| own == channel.name()));
         let by_share = match share {
-            share if share >= LARGE => RIGHT[0],
-            share if share >= SMALL => RIGHT[1],
-            _ => RIGHT[2],
+            share if share >= LARGE => RIGHT_LARGE,
+            share if share >= SMALL => RIGHT_SMALLER,
+            _ => RIGHT_SMALL,
         };
-        let narrow = if cause.effect == "resonance" && self.is_narrow(cause) { RIGHT[3] } else { 1.0 };
-        let remainder = if remains { RIGHT[4] } else { 1.0 };
+        let narrow = if cause.effect == "resonance" && self.is_narrow(cause) { RIGHT_NARROW } else { 1.0 };
+        let remainder = if remains { RIGHT_BESIDE } else { 1.0 };
         by_share.min(narrow).min(remainder)
     }
 
@@ -73,20 +80,7 @@ mod tests {
             uncertainty: serde_json::Map::new(),
             evidence: Vec::new(),
         };
-        let place = |share: f64| Place {
-            of: Of::Cause(0),
-            channel: "gyro_x".to_owned(),
-            band_hz: [0.0, 20.0],
-            tau_s: [0.025, 1000.0],
-            from_s: 0.0,
-            to_s: 1000.0,
-            temperature_c: None,
-            at: None,
-            share,
-            nats: 1.0,
-            p_value: 0.0,
-            sign: "real noisier",
-        };
+        let place = |share: f64| Place::in_tests(Of::Cause(0), share);
         let right = |share: f64, remains: bool, cause: &Cause| {
             let remains: BTreeSet<Channel> = remains.then_some(Channel::GyroX).into_iter().collect();
             Surroundings { places: &[place(share)], remains: &remains, length_s: 1000.0 }.right(0, cause)

@@ -6,13 +6,12 @@ use super::series::Series;
 use crate::effects::profile::mean_power_of;
 use std::f64::consts::TAU;
 
-/// A band's level in stretches of the record, 1 on average of its square: the middle of each in samples, and the factor on the
-/// amplitude. Beside the term's place among the law's terms, and the nats that it gives.
+/// A band whose level changes: the place of its term in the law, and the middles of stretches of the record in samples, each with
+/// the factor on the band's amplitude there. The mean square of the level is 1.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Levels {
     pub(super) term: usize,
     pub(super) points: Vec<(f64, f64)>,
-    pub(super) nats: f64,
 }
 
 /// The bands of the law whose levels change clearly.
@@ -62,7 +61,7 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
             // Between the middles of stretches the level is a straight line.
             let square = mean_power_of(&points, n as f64, 2);
             points.iter_mut().for_each(|point| point.1 /= square.sqrt());
-            found.push(Levels { term, points, nats });
+            found.push(Levels { term, points });
         }
     }
     found

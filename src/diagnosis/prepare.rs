@@ -12,7 +12,7 @@ use super::rounded;
 use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
 use crate::effects::temperature_bias::RATE_LAG_S;
-use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White};
+use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White, profile};
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -529,7 +529,7 @@ fn variance_of(
                         .collect();
                     let at = |instant: usize| {
                         let time_s = instant as f64 / (INSTANTS - 1) as f64 * samples as f64 / rate_hz;
-                        2.0 * interpolated(&pairs, time_s).max(1e-6).ln()
+                        2.0 * profile::factor(&pairs, time_s).max(1e-6).ln()
                     };
                     scedasticity = Some((place, Scedasticity::Profile((0..INSTANTS).map(at).collect())));
                 }
@@ -544,16 +544,6 @@ fn variance_of(
 fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
     let by_name = matches!(effect.name(), "intermittent" | "wandering_line");
     by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
-}
-
-/// Straight between points, constant beyond them.
-fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
-    let next = points.partition_point(|point| point.0 <= at);
-    match (next.checked_sub(1).and_then(|last| points.get(last)), points.get(next)) {
-        (Some(from), Some(to)) => from.1 + (at - from.0) / (to.0 - from.0) * (to.1 - from.1),
-        (Some(one), None) | (None, Some(one)) => one.1,
-        (None, None) => 1.0,
-    }
 }
 
 /// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. Where it is decimated

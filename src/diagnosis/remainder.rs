@@ -40,27 +40,15 @@ pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn place(of: Of, share: f64) -> Place {
-        Place {
-            of,
-            channel: "gyro_x".to_owned(),
-            band_hz: [0.0, 20.0],
-            tau_s: [0.025, 100.0],
-            from_s: 0.0,
-            to_s: 100.0,
-            temperature_c: None,
-            at: None,
-            share,
-            nats: 1000.0 * share,
-            p_value: 0.0,
-            sign: "real noisier",
-        }
-    }
-
     #[test]
     fn only_a_material_remainder_is_unknown() {
-        let of =
-            |share| Remainder::of(&[place(Of::Cause(0), 1.0 - share), place(Of::Remainder, share)], [].into(), 1e4);
+        let of = |share| {
+            Remainder::of(
+                &[Place::in_tests(Of::Cause(0), 1.0 - share), Place::in_tests(Of::Remainder, share)],
+                [].into(),
+                1e4,
+            )
+        };
         let decide = |share: f64| verdict(of(share).as_ref(), MATERIAL, share < 1.0, false);
         assert_eq!(decide(0.5), Verdict::UnknownEffect);
         assert_eq!(decide(0.019), Verdict::Effects);
@@ -69,7 +57,7 @@ mod tests {
         assert_eq!(verdict(None, MATERIAL, false, false), Verdict::NoGap);
         let remainder = of(0.5).unwrap();
         assert_eq!((remainder.share, remainder.nats, remainder.channels), (0.5, 0.05, vec!["gyro_x".to_owned()]));
-        assert_eq!(Remainder::of(&[place(Of::Cause(0), 1.0)], ["x".to_owned()].into(), 1.0), None);
+        assert_eq!(Remainder::of(&[Place::in_tests(Of::Cause(0), 1.0)], ["x".to_owned()].into(), 1.0), None);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::gauss_markov::lorentzian;
 use super::spec::{Form, Kind, Need, Parameter, Range, Values, number};
 use super::stream::number as streams;
 use super::{
-    Bursts, Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Temperature, Tone, White,
+    Bursts, Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone, White, profile,
     sampled,
 };
 use serde_json::{Map, Value, json};
@@ -269,7 +269,7 @@ impl Effect for Intermittent {
             }
         };
         let of = self.of.effect().sampler(rate_hz, record_length_s, stream);
-        Box::new(GatedSampler { of, gate, made: Vec::with_capacity(BLOCK) })
+        Box::new(profile::Weighted::new(of, gate))
     }
 }
 
@@ -282,9 +282,9 @@ enum Gate {
     Ranges { ranges: Vec<(u64, u64)>, index: u64 },
 }
 
-impl Gate {
-    fn next(&mut self) -> bool {
-        match self {
+impl profile::Factor for Gate {
+    fn next(&mut self) -> f64 {
+        let is_there = match self {
             Self::Random { is_on, leaves, comes, stream } => {
                 let now = *is_on;
                 *is_on = if now { stream.uniform() >= *leaves } else { stream.uniform() < *comes };
@@ -298,32 +298,8 @@ impl Gate {
                 *index += 1;
                 now
             }
-        }
-    }
-}
-
-/// Samples that are made at a time.
-const BLOCK: usize = 256;
-
-#[derive(Debug)]
-struct GatedSampler {
-    of: Box<dyn Sampler>,
-    gate: Gate,
-    made: Vec<f64>,
-}
-
-impl Sampler for GatedSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for block in values.chunks_mut(BLOCK) {
-            self.made.clear();
-            self.made.resize(block.len(), 0.0);
-            self.of.apply(&mut self.made);
-            for (value, made) in block.iter_mut().zip(&self.made) {
-                if self.gate.next() {
-                    *value += made;
-                }
-            }
-        }
+        };
+        f64::from(u8::from(is_there))
     }
 }
 

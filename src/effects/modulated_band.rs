@@ -73,16 +73,11 @@ impl Effect for ModulatedBand {
         None
     }
     fn moments(&self, record: Record) -> Option<Moments> {
-        let of = |power| profile::mean_power_of(&self.level, record.length_s(), power);
-        let (square, fourth) = (of(2), of(4));
-        Some(Moments {
-            variance: self.band.sigma * self.band.sigma * square,
-            kurtosis: (square > 0.0).then(|| 3.0 * fourth / (square * square)),
-        })
+        Some(profile::moments(self.band.sigma * self.band.sigma, &self.level, record.length_s()))
     }
     fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         let band = self.band.sampler(rate_hz, record_length_s, stream);
-        Box::new(profile::Weighted::new(band, &self.level, rate_hz))
+        Box::new(profile::Weighted::new(band, profile::Course::new(&self.level, rate_hz)))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Profiles: factors at instants, linear between them and constant before the first and after the last, and noise whose
 //! amplitude follows one.
 
-use super::{Sampler, Temperature};
+use super::{Moments, Sampler, Temperature};
 use serde_json::{Value, json};
 
 /// The factor at `time_s` of points [s, factor] whose times rise; 1 where there is no point.
@@ -46,35 +46,68 @@ pub(super) fn value(points: &[(f64, f64)]) -> Value {
 /// Samples that are made at a time.
 const BLOCK: usize = 256;
 
-/// What another sampler adds, times a profile's factor.
+/// A factor, sample by sample.
+pub(super) trait Factor: std::fmt::Debug + Send {
+    /// Gives that of the next sample.
+    fn next(&mut self) -> f64;
+}
+
+/// A profile's factor.
 #[derive(Debug)]
-pub(super) struct Weighted {
-    inner: Box<dyn Sampler>,
+pub(super) struct Course {
     level: Vec<(f64, f64)>,
     rate_hz: f64,
     index: u64,
-    added: Vec<f64>,
 }
 
-impl Weighted {
-    /// `inner` times the factor of `level` at each sample.
-    pub(super) fn new(inner: Box<dyn Sampler>, level: &[(f64, f64)], rate_hz: f64) -> Self {
-        Self { inner, level: level.to_vec(), rate_hz, index: 0, added: Vec::with_capacity(BLOCK) }
+impl Course {
+    /// Of points [s, factor] at a rate.
+    pub(super) fn new(level: &[(f64, f64)], rate_hz: f64) -> Self {
+        Self { level: level.to_vec(), rate_hz, index: 0 }
     }
 }
 
-impl Sampler for Weighted {
+impl Factor for Course {
+    fn next(&mut self) -> f64 {
+        let time_s = self.index as f64 / self.rate_hz;
+        self.index += 1;
+        factor(&self.level, time_s)
+    }
+}
+
+/// What another sampler adds, times a factor.
+#[derive(Debug)]
+pub(super) struct Weighted<F> {
+    inner: Box<dyn Sampler>,
+    factor: F,
+    added: Vec<f64>,
+}
+
+impl<F: Factor> Weighted<F> {
+    /// `inner` times the factor of each sample.
+    pub(super) fn new(inner: Box<dyn Sampler>, factor: F) -> Self {
+        Self { inner, factor, added: Vec::with_capacity(BLOCK) }
+    }
+}
+
+impl<F: Factor> Sampler for Weighted<F> {
     fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
         for block in values.chunks_mut(BLOCK) {
             self.added.clear();
             self.added.resize(block.len(), 0.0);
             self.inner.apply(&mut self.added);
             for (value, added) in block.iter_mut().zip(&self.added) {
-                *value += added * factor(&self.level, self.index as f64 / self.rate_hz);
-                self.index += 1;
+                *value += added * self.factor.next();
             }
         }
     }
+}
+
+/// Moments of normal noise of this variance times a profile's factor.
+pub(super) fn moments(variance: f64, level: &[(f64, f64)], length_s: f64) -> Moments {
+    let [square, fourth] = [2, 4].map(|power| mean_power_of(level, length_s, power));
+    let kurtosis = (square > 0.0).then(|| 3.0 * fourth / (square * square));
+    Moments { variance: variance * square, kurtosis }
 }
 
 #[cfg(test)]

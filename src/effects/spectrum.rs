@@ -132,12 +132,7 @@ impl Effect for SpectralNoise {
         Some(sampled::allan_variance(m, |k| variance - covariance(k)))
     }
     fn moments(&self, record: Record) -> Option<Moments> {
-        let of = |power| profile::mean_power_of(&self.level, record.length_s(), power);
-        let (square, fourth) = (of(2), of(4));
-        Some(Moments {
-            variance: self.variance(record.rate_hz) * square,
-            kurtosis: (square > 0.0).then(|| 3.0 * fourth / (square * square)),
-        })
+        Some(profile::moments(self.variance(record.rate_hz), &self.level, record.length_s()))
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         let mut taps = taps(self.taps(rate_hz), |cycles| (self.at(cycles * rate_hz) * rate_hz).sqrt());
@@ -149,7 +144,7 @@ impl Effect for SpectralNoise {
         if self.level.is_empty() {
             stationary
         } else {
-            Box::new(profile::Weighted::new(stationary, &self.level, rate_hz))
+            Box::new(profile::Weighted::new(stationary, profile::Course::new(&self.level, rate_hz)))
         }
     }
 }

@@ -79,9 +79,7 @@ pub fn fitted(
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
     let remains = |channel: Channel| {
-        /// Part of all that differs from which on what remains counts.
-        const MATERIAL: f64 = 0.02;
-        let of_rest = |place: &Place| place.of == Of::Remainder && place.share > MATERIAL;
+        let of_rest = |place: &Place| place.of == Of::Remainder && place.share > diagnosis::MATERIAL;
         found.verdict == Verdict::UnknownEffect
             && found.r#where.iter().any(|place| of_rest(place) && place.channel == channel.name())
     };
@@ -171,20 +169,7 @@ mod tests {
         found.r#where.clear();
         assert_eq!(refusal(&report, &plain, &model, &found), None);
         found.verdict = Verdict::UnknownEffect;
-        found.r#where = vec![Place {
-            of: Of::Remainder,
-            channel: "gyro_x".to_owned(),
-            band_hz: [1.0, 2.0],
-            tau_s: [0.25, 0.5],
-            from_s: 0.0,
-            to_s: 50.0,
-            temperature_c: None,
-            at: None,
-            share: 1.0,
-            nats: 30.0,
-            p_value: 1e-9,
-            sign: "real noisier",
-        }];
+        found.r#where = vec![Place::in_tests(Of::Remainder, 1.0)];
         assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
     }
 }
