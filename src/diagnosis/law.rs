@@ -117,7 +117,9 @@ impl Term {
     /// Power per sample that it adds at each frequency.
     pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         match self.effect() {
-            Some(effect) => frequencies_hz.iter().map(|f| rate_hz * effect.psd(*f, rate_hz).unwrap_or(0.0)).collect(),
+            Some(effect) => {
+                effect.densities(frequencies_hz, rate_hz).into_iter().map(|density| rate_hz * density).collect()
+            }
             None => {
                 let (level, exponent) = (self.at(0), self.at(1));
                 frequencies_hz.iter().map(|f| (level - exponent * (f / (Shape::MIDDLE * rate_hz)).ln()).exp()).collect()
@@ -127,9 +129,8 @@ impl Term {
 
     /// Power gain at each frequency.
     pub(super) fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        let effect = self.effect();
-        let gain = |f: &f64| effect.as_ref().map_or(1.0, |effect| effect.power_gain(*f, rate_hz));
-        frequencies_hz.iter().map(gain).collect()
+        self.effect()
+            .map_or_else(|| vec![1.0; frequencies_hz.len()], |effect| effect.power_gains(frequencies_hz, rate_hz))
     }
 
     /// Which number is the logarithm of a power that the term adds, or of the white noise after a filter.

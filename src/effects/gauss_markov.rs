@@ -38,10 +38,28 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 /// Two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay` per sample, at
 /// `cycles` per sample; `decay` may be as small as one likes.
 pub(super) fn lorentzian(cycles: f64, decay: f64, rate_hz: f64) -> f64 {
-    let half = (PI * cycles).sin();
-    // 1 + φ² − 2φ cos ω = (1 − φ)² + 4φ sin²(ω/2).
-    let below = (-decay).exp_m1().powi(2) + 4.0 * (-decay).exp() * half * half;
-    -(-2.0 * decay).exp_m1() / (below * rate_hz)
+    Lorentzian::new(decay, rate_hz).at((PI * cycles).sin())
+}
+
+/// The same as numbers that do not depend on the frequency.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lorentzian {
+    least: f64,
+    slope: f64,
+    level: f64,
+}
+
+impl Lorentzian {
+    pub(super) fn new(decay: f64, rate_hz: f64) -> Self {
+        // 1 + φ² − 2φ cos ω = (1 − φ)² + 4φ sin²(ω/2).
+        let (least, slope) = ((-decay).exp_m1().powi(2), 4.0 * (-decay).exp());
+        Self { least, slope, level: -(-2.0 * decay).exp_m1() / rate_hz }
+    }
+
+    /// The density, by the sine of half an angle a sample.
+    pub(super) fn at(&self, half: f64) -> f64 {
+        self.level / (self.least + self.slope * half * half)
+    }
 }
 
 impl Effect for GaussMarkov {

@@ -63,6 +63,18 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
     },
 };
 
+impl LowPass {
+    /// Power gain at a warped frequency over that of the cutoff.
+    fn gain_at(&self, ratio: f64) -> f64 {
+        1.0 / (1.0 + ratio.powi(2).powi(self.order as i32))
+    }
+}
+
+/// What the bilinear transform makes of a frequency.
+fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
+    (PI * frequency_hz / rate_hz).tan()
+}
+
 impl Effect for LowPass {
     fn spec(&self) -> &'static Spec {
         &SPEC
@@ -81,9 +93,11 @@ impl Effect for LowPass {
         White { n: self.white_behind }.allan_variance(m, record)
     }
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
-        let warped = |frequency_hz: f64| (PI * frequency_hz / rate_hz).tan();
-        let ratio = warped(frequency_hz) / warped(self.cutoff_hz);
-        1.0 / (1.0 + ratio.powi(2).powf(self.order as f64))
+        self.gain_at(warped(frequency_hz, rate_hz) / warped(self.cutoff_hz, rate_hz))
+    }
+    fn power_gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        let cutoff = warped(self.cutoff_hz, rate_hz);
+        frequencies_hz.iter().map(|f| self.gain_at(warped(*f, rate_hz) / cutoff)).collect()
     }
     fn noiseless(&self) -> Option<Arc<dyn Effect>> {
         Some(Arc::new(Self { white_behind: 0.0, ..*self }))

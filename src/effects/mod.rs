@@ -277,6 +277,11 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     /// `None` where it depends on more than the parameters: on the other noise, the temperature's course or the record.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
 
+    /// [`Effect::psd`] at many frequencies, 0 where it is `None`.
+    fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        frequencies_hz.iter().map(|frequency_hz| self.psd(*frequency_hz, rate_hz).unwrap_or(0.0)).collect()
+    }
+
     /// Of an effect that is another one at any time: the one that is the same all the time and has its mean density over
     /// `record`, exactly or about. `None` for all whose [`Effect::psd`] says it.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
@@ -298,6 +303,11 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let _ = (frequency_hz, rate_hz);
         1.0
+    }
+
+    /// [`Effect::power_gain`] at many frequencies.
+    fn power_gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        frequencies_hz.iter().map(|frequency_hz| self.power_gain(*frequency_hz, rate_hz)).collect()
     }
 
     /// A filter without the noise behind it; `None` for everything else.

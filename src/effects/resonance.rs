@@ -1,6 +1,6 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
-use super::gauss_markov::lorentzian;
+use super::gauss_markov::{Lorentzian, lorentzian};
 use super::spec::{Kind, Range, number};
 use super::stream::number as streams;
 use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
@@ -69,6 +69,17 @@ impl Effect for Resonance {
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let line = |centre_hz: f64| lorentzian((frequency_hz - centre_hz) / rate_hz, self.decay(rate_hz), rate_hz);
         Some(0.5 * self.sigma * self.sigma * (line(self.frequency_hz) + line(-self.frequency_hz)))
+    }
+    fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+        let line = Lorentzian::new(self.decay(rate_hz), rate_hz);
+        let (own_sine, own_cosine) = (PI * self.frequency_hz / rate_hz).sin_cos();
+        let half_power = 0.5 * self.sigma * self.sigma;
+        let at = |frequency_hz: &f64| {
+            let (sine, cosine) = (PI * frequency_hz / rate_hz).sin_cos();
+            let (near, far) = (sine * own_cosine - cosine * own_sine, sine * own_cosine + cosine * own_sine);
+            half_power * (line.at(near) + line.at(far))
+        };
+        frequencies_hz.iter().map(at).collect()
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let decay = self.decay(record.rate_hz);
