@@ -153,11 +153,12 @@ impl Case {
         self.stretch.is_none() && self.setting.stamps.is_some()
     }
 
-    /// Where somebody recorded it: its channels with nothing imposed, and the model as it was fitted to them.
+    /// Where somebody recorded it: its channels with nothing imposed, and the model with the case's N, B and K; of a case of nothing
+    /// the model as it was fitted to them.
     #[must_use]
     pub fn as_it_is(&self) -> Option<(Recording, SensorModel)> {
         let stretch = self.stretch.as_ref()?;
-        Some((stretch.as_it_is(&self.setting), stretch.model_of(&self.setting, false)))
+        Some((stretch.as_it_is(&self.setting), stretch.model_of(&self.setting, !self.has.is_empty())))
     }
 
     /// The key; cheap, no sample is made.

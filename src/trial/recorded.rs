@@ -4,7 +4,7 @@
 //! it is diagnosed as it is, what is found goes into a model, and that again, until nothing is named any more or it has been done
 //! often enough. A case has that model, with N, B and K a little wrong or far off as in made-up cases. An effect is imposed only on
 //! channels on which the stretch has none like it, since nobody could tell the two apart. What is named of the same channels
-//! as they are, under the model as it was fitted, is the recording's own and is neither right nor spurious ([`super::judge`]).
+//! as they are, under the model with the same N, B and K, is the recording's own and is neither right nor spurious ([`super::judge`]).
 //!
 //! Where the stretch has a resolution of its own, it comes after what is imposed: each value is spread evenly over its step
 //! first, which rounding takes back exactly where nothing was imposed.
