@@ -69,11 +69,7 @@ impl Series<'_> {
         if count == 0 || count * 3 > n || self.spectrum.len() != n {
             return;
         }
-        let mut kernel = vec![0.0; n];
-        kernel[n / 2] = 1.0;
-        self.precise(&mut kernel);
-        let reach = (PAIRS / (2 * count)).clamp(16, REACH);
-        let mut kernel = kernel[n / 2..(n / 2 + reach).min(n)].to_vec();
+        let mut kernel = self.kernel((PAIRS / (2 * count)).clamp(16, REACH));
         let mut left = kernel.iter().map(|value| value.abs()).sum::<f64>() * LEFT;
         while kernel.len() > 1 && left > kernel[kernel.len() - 1].abs() {
             left -= kernel.pop().unwrap_or_default().abs();
@@ -110,8 +106,17 @@ impl Series<'_> {
         }
     }
 
+    /// The law's precision matrix by distance, up to one below `reach`, in the middle of the record.
+    pub(super) fn kernel(&mut self, reach: usize) -> Vec<f64> {
+        let n = self.len();
+        let mut impulse = vec![0.0; n];
+        impulse[n / 2] = 1.0;
+        self.precise(&mut impulse);
+        impulse[n / 2..(n / 2 + reach).min(n)].to_vec()
+    }
+
     /// Multiplies values by the law's precision matrix.
-    fn precise(&mut self, values: &mut [f64]) {
+    pub(super) fn precise(&mut self, values: &mut [f64]) {
         self.transform.forward(values);
         values.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s);
         self.transform.backward(values);

@@ -1,6 +1,7 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
 use super::bands::Bands;
+use super::blank;
 use super::declared::courses::{self, Off};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
@@ -170,6 +171,8 @@ pub(super) struct Found {
 /// # Errors
 /// [`DiagnosisError`] for what cannot be compared, and where it was called off.
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
+    let blank = blank::rows(real);
+    let real = &*blank::without(real, &blank);
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
     let tails = options.tails.cloned().unwrap_or_else(|| Tails::shipped(samples));
@@ -205,7 +208,9 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         tails,
         temperature_c: ready.reference_c,
     };
-    Ok(super::compose::outcome(&found, real, sim, options))
+    let mut outcome = super::compose::outcome(&found, real, sim, options);
+    outcome.diagnosis.notes.extend(blank::note(&blank, real.rate_hz));
+    Ok(outcome)
 }
 
 /// Everything about one channel.

@@ -1,6 +1,7 @@
 //! Filling: what stands in place of samples that are no noise.
 
 use super::explanation::LOUD;
+use super::near::Near;
 use super::series::Series;
 use crate::effects::{Stream, StreamId};
 
@@ -29,7 +30,8 @@ impl Series<'_> {
     /// conditional distribution, so that they look like nothing in particular.
     ///
     /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
-    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380). Of samples at a limit is
+    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380), preconditioned by its
+    /// entries between near samples ([`Near`]). Of samples at a limit is
     /// known besides that they lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
         const ROUNDS: usize = 200;
@@ -38,6 +40,8 @@ impl Series<'_> {
         /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
         const ENOUGH: f64 = 1e-3;
         const IN_A_ROW: usize = 4;
+        /// Samples that count as near.
+        const REACH: usize = 512;
         /// Of what a record is more, nothing is left that its noise would be known of.
         const MOST: f64 = 0.9;
         let places = self.excluded();
@@ -55,16 +59,18 @@ impl Series<'_> {
         for (place, value) in places.iter().zip(guess) {
             difference[*place] = value;
         }
+        let kernel = self.kernel(REACH);
+        let near = Near::of(&kernel, &places);
+        let nearly = |residual: &[f64]| near.as_ref().map_or_else(|| residual.to_vec(), |near| near.solve(residual));
         let mut precision = |values: &[f64]| -> Vec<f64> {
             let mut c = values.to_vec();
-            self.transform.forward(&mut c);
-            c.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s);
-            self.transform.backward(&mut c);
+            self.precise(&mut c);
             places.iter().map(|place| c[*place]).collect()
         };
         let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
-        let mut direction = residual.clone();
-        let mut square: f64 = residual.iter().map(|r| r * r).sum();
+        let mut direction = nearly(&residual);
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let mut square = product(&residual, &direction);
         let mut spread = vec![0.0; n];
         let mut idle = 0;
         for _ in 0..ROUNDS.min(WORK / n) {
@@ -75,7 +81,7 @@ impl Series<'_> {
                 spread[*place] = *value;
             }
             let image = precision(&spread);
-            let curvature: f64 = direction.iter().zip(&image).map(|(d, a)| d * a).sum();
+            let curvature = product(&direction, &image);
             if curvature <= 0.0 {
                 break;
             }
@@ -85,9 +91,10 @@ impl Series<'_> {
                 difference[*place] += step * direction[at];
                 residual[at] -= step * image[at];
             }
-            let next: f64 = residual.iter().map(|r| r * r).sum();
+            let nearer = nearly(&residual);
+            let next = product(&residual, &nearer);
             let ratio = next / square;
-            direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = r + ratio * *d);
+            direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
             square = next;
         }
         for place in &places {

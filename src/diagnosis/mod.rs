@@ -10,6 +10,7 @@
 
 mod augmented;
 mod bands;
+mod blank;
 #[cfg(test)]
 mod both_ways;
 pub mod calibration;
@@ -41,6 +42,9 @@ mod modulated;
 pub mod motion;
 mod named;
 mod nameless;
+mod near;
+#[cfg(test)]
+mod not_there;
 mod oddities;
 pub mod omnibus;
 mod owned;

@@ -86,13 +86,15 @@ fn play(series: &mut Series<'_>, known: usize) {
     }
 }
 
-fn scedasticity(series: &mut Series<'_>) {
-    const ROUNDS: usize = 3;
+/// How variance follows time or temperature, beside what is known of it already.
+pub(super) fn scedasticity(series: &mut Series<'_>) {
+    const ROUNDS: usize = 4;
     for _ in 0..ROUNDS {
         let Some(now) = series.explanation.scedasticity.clone() else { return };
         let Some(next) = loudness::again(series, &now) else { return };
         let apart = match (&now, &next) {
             (Scedasticity::PerDegree(a), Scedasticity::PerDegree(b)) => (a - b).abs() / a.abs(),
+            (Scedasticity::Profile(a), Scedasticity::Profile(b)) if a.len() != b.len() => f64::INFINITY,
             (Scedasticity::Profile(a), Scedasticity::Profile(b)) => {
                 a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
             }

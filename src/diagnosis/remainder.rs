@@ -33,7 +33,8 @@ pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: boo
 /// Nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), that of one regressor among `samples`
 /// normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without end; a likelihood does not.
 pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
-    0.5 * samples * (2.0 * half_square / samples).ln_1p()
+    debug_assert!(!half_square.is_nan(), "a statistic is no number");
+    0.5 * samples * (2.0 * half_square.min(0.25 * f64::MAX) / samples).ln_1p()
 }
 
 #[cfg(test)]
@@ -64,5 +65,6 @@ mod tests {
     fn a_moment_is_worth_its_square_when_small_and_its_logarithm_when_large() {
         assert!((bounded(30.0, 65_536.0) - 30.0).abs() < 0.05);
         assert!(bounded(4e9, 40_000.0) < 3e5);
+        assert!(bounded(f64::INFINITY, 40_000.0).is_finite());
     }
 }

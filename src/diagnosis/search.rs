@@ -1,10 +1,11 @@
 //! The search: in which effects a series and its model differ, one after the other, each paid for.
 
+use super::course::Course;
 use super::evidence::declared::{self, kind_of};
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
 use super::law::{Beliefs, Data};
-use super::polish::polish;
+use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::report::Sense;
 use super::series::Series;
@@ -69,10 +70,18 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
-        let Some((step, chosen)) = best_of(everything(series, prices), prices, &steps) else { break };
+        let candidates = everything(series, prices);
+        let is_leap = |of: &&Candidate| of.kind == Kind::BiasStep && of.of_model.is_none();
+        let is_new = steps.iter().all(|step| step.kind != Kind::BiasStep);
+        let leap = candidates.iter().find(is_leap).filter(|_| is_new).cloned();
+        let Some((step, chosen)) = best_of(candidates, prices, &steps) else { break };
         if levels_do(series, &step) {
             continue;
         }
+        let (step, chosen) = match leap.and_then(|leap| leap_instead(series, prices, &step, leap)) {
+            Some(leap) => leap,
+            None => (step, chosen),
+        };
         series.explanation = chosen.explanation;
         series.rebuild(false);
         let kind = step.kind;
@@ -86,6 +95,8 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 evidence::level::join_rises(&mut series.explanation, start.courses.len());
                 leave_rises_out(series);
             }
+            // What it does not say of the variance would look like tails.
+            Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
             _ => {}
         }
     }
@@ -139,9 +150,75 @@ fn tails_and_bursts_again(series: &mut Series<'_>, prices: &Prices, steps: &mut 
     }
 }
 
+/// A large step makes a few samples of the residual loud, and the rest quiet beside them: it comes before what is loud, if it takes
+/// that away.
+fn leap_instead(series: &Series<'_>, prices: &Prices, step: &Step, leap: Candidate) -> Option<(Step, Candidate)> {
+    /// Nats beyond its price of one that is looked at.
+    const LARGE: f64 = 50.0;
+    /// Part of the gain that is left of what it takes away.
+    const LEFT: f64 = 0.5;
+    let is_loud = step.kind.is_marginal()
+        || matches!(step.kind, Kind::VarianceInterval | Kind::VarianceProfile | Kind::VariancePerDegree);
+    let price = prices.of(Kind::BiasStep);
+    let known = series.explanation.courses.len();
+    let lasts = || leap.explanation.courses[known..].iter().any(|(course, size)| is_lasting(series, *course, *size));
+    if !is_loud || step.of_model.is_some() || leap.gain < price + LARGE || !lasts() {
+        return None;
+    }
+    let mut beside = series.clone();
+    beside.explanation = leap.explanation.clone();
+    beside.rebuild(false);
+    leave_rises_out(&mut beside);
+    let left = evidence::of_squares(&beside)
+        .into_iter()
+        .filter(|of| of.kind == step.kind)
+        .map(|of| of.gain)
+        .fold(0.0, f64::max);
+    let own = Step { kind: Kind::BiasStep, gain: leap.gain, price, others: Vec::new(), of_model: None };
+    (left < LEFT * step.gain).then_some((own, leap))
+}
+
+/// Whether the level behind a step is another than that before it, and not only while something is loud.
+fn is_lasting(series: &Series<'_>, course: Course, size: f64) -> bool {
+    /// Samples that a step may take to rise, and of the levels beside it.
+    const RISE: usize = 32;
+    const LONG: usize = 512;
+    let Course::Step(at) = course else { return false };
+    let median = |from: usize, to: usize| {
+        let mut values = series.rest[from..to].to_vec();
+        let middle = values.len() / 2;
+        (values.len() >= RISE).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    let before = median(at.saturating_sub(RISE + LONG), at.saturating_sub(RISE));
+    let behind = median((at + RISE).min(series.len()), (at + RISE + LONG).min(series.len()));
+    before.zip(behind).is_some_and(|(before, behind)| ((behind - before) / size - 1.0).abs() < 0.5)
+}
+
+/// Nats of doubt about a filter that needs far more white noise in front of it than the model says: white noise of the model's size and
+/// a process that is short look like the noise behind a filter and what it lets pass.
+fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
+    /// ln of how many times as large N² may be without doubt, and of an N that is none.
+    const AS_LARGE: f64 = 2.5;
+    const NONE: f64 = -50.0;
+    const MOST: f64 = 20.0;
+    let declared = series.setting().white;
+    if declared < NONE || series.setting().beliefs == FREE {
+        return 0.0;
+    }
+    (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
+}
+
+/// Takes this doubt off what filters give.
+fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
+    for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
+        of.gain -= louder_before(series, &of.explanation);
+    }
+}
+
 /// What the model may lack, and what it may have otherwise than the series.
 fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     let mut found = evidence::all(series);
+    doubt_filters(series, &mut found);
     if !series.setting().declared.is_empty() {
         let doubtful = found.iter().any(|of| of.gain > prices.of(of.kind));
         found.extend(declared::all(series, doubtful, |kind| prices.of(kind)));
@@ -153,11 +230,17 @@ fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
 fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     /// Nats that slow noise of another form has to be better by.
     const CLEARLY: f64 = 3.0;
+    /// Sessions differ by up to 30 times. From 100 times on, 10⁴ in power, whose ln this is, there is further doubt.
+    const FAR_LARGER: f64 = 9.2;
     if series.beliefs == FREE {
         return false;
     }
     let free = series.explanation.law.fit_from_several(Data { beliefs: &FREE, ..series.data() });
-    let gain = free.log_likelihood - series.fitted.log_posterior;
+    let beyond = |(level, belief): (&f64, &Option<(f64, f64)>)| {
+        belief.map_or(0.0, |(declared, _)| (level - declared - FAR_LARGER).max(0.0))
+    };
+    let doubt: f64 = free.law.levels.iter().zip(&series.beliefs).map(beyond).sum();
+    let gain = free.log_likelihood - series.fitted.log_posterior - doubt;
     let do_as_well = match step.kind {
         Kind::GaussMarkov => gain > step.gain - CLEARLY,
         _ => gain - ANY_LEVELS > step.gain - step.price,
@@ -182,10 +265,14 @@ fn believe_again(series: &mut Series<'_>) {
     }
 }
 
-/// What a step does until it is over is no other effect.
+/// What a step does until it is over is no other effect. Of large steps the largest hide the others' until they are left out.
 fn leave_rises_out(series: &mut Series<'_>) {
-    let rises = evidence::level::rises(series);
-    if !rises.is_empty() {
+    const ROUNDS: usize = 2;
+    for _ in 0..ROUNDS {
+        let rises = evidence::level::rises(series);
+        if rises.is_empty() {
+            return;
+        }
         series.explanation.leave_out(rises);
         series.rebuild(false);
     }
@@ -318,7 +405,8 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     series.explanation.law.terms.retain(|term| !term.is_filter());
     series.rebuild(false);
     let both = [evidence::spectral::low_pass(series), evidence::spectral::moving_average(series)];
-    let candidates: Vec<Candidate> = both.into_iter().flatten().collect();
+    let mut candidates: Vec<Candidate> = both.into_iter().flatten().collect();
+    doubt_filters(series, &mut candidates);
     if let Some((step, place)) = choose(&candidates, prices)
         && let Some(best) = candidates.into_iter().nth(place)
     {

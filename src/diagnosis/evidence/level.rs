@@ -1,5 +1,6 @@
 //! Level: a ramp, a temperature's influence, a warm-up, steps.
 
+use super::leaps::leaps;
 use super::{Candidate, Kind};
 use crate::diagnosis::course::{Course, Follow};
 use crate::diagnosis::explanation::Explanation;
@@ -110,8 +111,12 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
     /// No sensor's level jumps more often: it is something else.
     const MOST: usize = 32;
     const SWEEPS: usize = 2;
-    let mut found: Vec<usize> = Vec::new();
-    let mut best: Option<Drift> = None;
+    // Leaps need no law: the search begins with them if they are worth more than chance makes.
+    let mut found = leaps(&series.rest);
+    let mut best = (!found.is_empty()).then(|| with_steps(series, &found)).filter(|best| best.gain > FURTHER);
+    if best.is_none() {
+        found.clear();
+    }
     while found.len() <= MOST {
         let at = further(series, &found, best.as_ref(), None);
         let with: Vec<usize> = found.iter().copied().chain([at]).collect();

@@ -8,6 +8,11 @@ use nalgebra::{DMatrix, DVector};
 /// Squares above this say nothing about a variance that changes slowly: they are outliers.
 const LARGEST: f64 = 16.0;
 
+/// Cosines of a course of ln variance over the record, at first.
+const COSINES: usize = 12;
+/// ln of how many times as large a variance may be at one time as at others.
+const RANGE: f64 = 12.0;
+
 /// Shortest stretch, samples.
 const SHORTEST: usize = 6;
 /// A quiet stretch is as long at least: a few rounded values are easily equal.
@@ -40,7 +45,7 @@ pub(in crate::diagnosis) fn again(series: &Series<'_>, now: &Scedasticity) -> Op
             let (_, slopes) = regression(&means, &[temperatures(series, size)?], size)?;
             Some(Scedasticity::PerDegree(slopes[0]))
         }
-        Scedasticity::Profile(_) => Some(Scedasticity::Profile(cosines(&means, size)?.1)),
+        Scedasticity::Profile(_) => Some(Scedasticity::Profile(detailed(&means, size)?)),
     }
 }
 
@@ -70,20 +75,35 @@ fn temperatures(series: &Series<'_>, size: usize) -> Option<Vec<f64>> {
 }
 
 /// The gain of a smooth course of ln variance, and the course at equally spaced instants.
-fn cosines(means: &[f64], size: usize) -> Option<(f64, Vec<f64>)> {
-    const COSINES: usize = 12;
-    const INSTANTS: usize = 61;
+fn cosines(means: &[f64], size: usize, count: usize) -> Option<(f64, Vec<f64>)> {
+    let instants = 1 + 60 * count.div_ceil(2 * COSINES).max(1);
     let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
     let column = |order: usize| -> Vec<f64> {
         (0..means.len()).map(|row| wave(order, (row as f64 + 0.5) / means.len() as f64)).collect()
     };
-    let columns: Vec<Vec<f64>> = (1..=COSINES).map(column).collect();
+    let columns: Vec<Vec<f64>> = (1..=count).map(column).collect();
     let (gain, slopes) = regression(means, &columns, size)?;
     let at = |instant: usize| {
-        let share = instant as f64 / (INSTANTS - 1) as f64;
+        let share = instant as f64 / (instants - 1) as f64;
         slopes.iter().zip(1..).map(|(slope, order)| slope * wave(order, share)).sum()
     };
-    Some((gain, (0..INSTANTS).map(at).collect()))
+    Some((gain, (0..instants).map(at).collect()))
+}
+
+/// The course of as many cosines as are worth their number: one that is far from even is seen in more detail.
+fn detailed(means: &[f64], size: usize) -> Option<Vec<f64>> {
+    /// Nats that each cosine has to give.
+    const EACH: f64 = 3.0;
+    let of = |times: usize| {
+        let count = times * COSINES;
+        if times > 1 && 4 * count > means.len() {
+            return None;
+        }
+        let (gain, values) = cosines(means, size, count)?;
+        Some((gain - EACH * count as f64, values))
+    };
+    let all = [1, 2, 4].into_iter().filter_map(of);
+    all.reduce(|a, b| if b.0 > a.0 { b } else { a }).map(|(_, values)| values)
 }
 
 /// The gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
@@ -100,23 +120,27 @@ fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, 
             if column == 0 { 1.0 } else { columns[column - 1][row] }
         },
     );
+    let factor = (design.transpose() * &design).cholesky()?;
     let mut beta = DVector::zeros(columns.len() + 1);
     beta[0] = level.ln();
     for _ in 0..30 {
-        let eta = &design * &beta;
-        let mu: Vec<f64> = eta.iter().map(|eta| eta.clamp(-6.0, 6.0).exp()).collect();
+        let eta = (&design * &beta).map(|eta| eta.clamp(-RANGE, RANGE));
+        let mu: Vec<f64> = eta.iter().map(|eta| eta.exp()).collect();
         let work = DVector::from_fn(rows, |row, _| eta[row] + (means[row] - mu[row]) / mu[row]);
-        let next = (design.transpose() * &design).cholesky()?.solve(&(design.transpose() * work));
+        let next = factor.solve(&(design.transpose() * work));
         let change = (&next - &beta).amax();
         beta = next;
         if change < 1e-7 {
             break;
         }
     }
-    let fitted: Vec<f64> = (&design * &beta).iter().map(|eta| eta.clamp(-6.0, 6.0)).collect();
+    let fitted: Vec<f64> = (&design * &beta).iter().map(|eta| eta.clamp(-RANGE, RANGE)).collect();
     let likelihood: f64 = fitted.iter().zip(means).map(|(eta, mean)| -(eta + mean / eta.exp())).sum();
     let reference = -(level.ln() + 1.0) * rows as f64;
-    Some((0.5 * size as f64 * (likelihood - reference), beta.iter().copied().skip(1).collect()))
+    let gain = 0.5 * size as f64 * (likelihood - reference);
+    // A fit that did not end is none.
+    let is_fit = gain.is_finite() && fitted.iter().all(|eta| eta.abs() < RANGE) && gain > -1.0;
+    is_fit.then(|| (gain, beta.iter().copied().skip(1).collect()))
 }
 
 /// Nats more with the best multiple of a course of ln variance, one value a sample, than with the course itself.
@@ -153,7 +177,7 @@ pub fn profile(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     let (means, size) = blocks(series);
-    let (gain, values) = cosines(&means, size)?;
+    let (gain, values) = cosines(&means, size, COSINES)?;
     let mut explanation = series.explanation.clone();
     explanation.scedasticity = Some(Scedasticity::Profile(values));
     Some(Candidate::missing(Kind::VarianceProfile, gain, explanation))

@@ -1,6 +1,7 @@
 //! Evidence: what each effect would explain of a series, in nats, the noise fitted again beside it.
 
 pub mod declared;
+mod leaps;
 pub mod level;
 pub mod line;
 pub mod loudness;
@@ -169,10 +170,14 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
         found.extend(spectral::moving_average(series));
     }
     found.extend(spectral::slope(series));
-    found.extend(samples_and_stretches(series));
-    found.extend(loudness::per_degree(series));
-    found.extend(loudness::profile(series));
+    found.extend(of_squares(series));
     found
+}
+
+/// Collects what shows in the residual's squares: outliers, tails, stretches, and variance by temperature or time.
+#[must_use]
+pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
+    samples_and_stretches(series).chain(loudness::per_degree(series)).chain(loudness::profile(series)).collect()
 }
 
 fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate> {

@@ -1,0 +1,54 @@
+//! Blank: rows that are no measurement, because whatever wrote the recording put zeros into them.
+
+use super::prepare::scale_of;
+use super::recording::Recording;
+use std::borrow::Cow;
+
+/// Finds rows that hold exactly 0 on every channel, if a channel's level is so far from 0 that no noise leads there.
+pub(super) fn rows(real: &Recording) -> Vec<usize> {
+    /// Standard deviations of the white noise.
+    const FAR: f64 = 8.0;
+    let is_blank =
+        |t: &usize| !real.is_missing(*t) && real.channels.iter().all(|(_, values)| values.get(*t) == Some(&0.0));
+    let rows: Vec<usize> = (0..real.len()).filter(is_blank).collect();
+    let is_far = |values: &[f64]| {
+        let mut there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        let middle = there.len() / 2;
+        if there.len() < 3 {
+            return false;
+        }
+        let deviation = scale_of(&there);
+        let (_, median, _) = there.select_nth_unstable_by(middle, f64::total_cmp);
+        median.abs() > FAR * deviation
+    };
+    let is_known = !rows.is_empty() && rows.len() * 2 < real.len();
+    if is_known && real.channels.iter().any(|(_, values)| is_far(values)) { rows } else { Vec::new() }
+}
+
+/// Makes these rows missing ones.
+pub(super) fn without<'a>(real: &'a Recording, rows: &[usize]) -> Cow<'a, Recording> {
+    if rows.is_empty() {
+        return Cow::Borrowed(real);
+    }
+    let mut other = real.clone();
+    if other.time_s.len() != other.len() {
+        // Stamps are those of the samples that are there.
+        let there: Vec<usize> = (0..real.len()).filter(|t| !real.is_missing(*t)).collect();
+        let kept = there.iter().zip(&real.time_s).filter(|(t, _)| rows.binary_search(t).is_err());
+        other.time_s = kept.map(|(_, time_s)| *time_s).collect();
+    }
+    other.missing.resize(other.len(), false);
+    rows.iter().for_each(|row| other.missing[*row] = true);
+    Cow::Owned(other)
+}
+
+/// Says how many there are, where the first is, and what is done about them; `None` if there is none.
+pub(super) fn note(rows: &[usize], rate_hz: f64) -> Option<String> {
+    let first_s = *rows.first()? as f64 / rate_hz;
+    let count = rows.len();
+    let (rows, hold, count_as) = if count == 1 { ("row", "holds", "counts") } else { ("rows", "hold", "count") };
+    Some(format!(
+        "{count} {rows} {hold} 0 on every channel, the first at {first_s:.2} s: no sensor at its level sends that, so {} {count_as} as missing",
+        if count == 1 { "it" } else { "they" }
+    ))
+}

@@ -1,0 +1,108 @@
+//! Near: the precision matrix among some samples, of which those that are near one another count: a preconditioner.
+
+/// The Cholesky factor of a matrix that is a function of the distance between places, tapered so that far ones have none of it.
+///
+/// Parzen's window is a positive definite function, so that the tapered matrix is positive definite where the whole one is
+/// (Schur's product theorem); its transform falls with the fourth power, so that a zero of a filter hides little beside itself.
+#[derive(Debug, Clone)]
+pub(super) struct Near {
+    /// By row: the first column, and the factor's entries from there to the diagonal.
+    rows: Vec<(usize, Vec<f64>)>,
+}
+
+impl Near {
+    /// Factors the matrix among `places` (in order); `kernel` is the matrix by distance, from 0 on. `None` if there is no factor in numbers.
+    pub(super) fn of(kernel: &[f64], places: &[usize]) -> Option<Self> {
+        /// Products that making the factor takes, about: of long runs only nearer samples are looked at.
+        const WORK: usize = 30_000_000;
+        const LEAST: usize = 8;
+        let mut reach = kernel.len();
+        let firsts = |reach: usize| {
+            let mut first = 0;
+            let of = move |place: &usize| {
+                while places[first] + reach <= *place {
+                    first += 1;
+                }
+                first
+            };
+            places.iter().map(of).collect::<Vec<usize>>()
+        };
+        let work =
+            |firsts: &[usize]| firsts.iter().enumerate().map(|(row, first)| (row - first + 1).pow(2)).sum::<usize>();
+        let mut first = firsts(reach);
+        while reach > LEAST && work(&first) > WORK {
+            reach /= 2;
+            first = firsts(reach);
+        }
+        let tapered = |distance: usize| kernel[distance] * parzen(distance as f64 / reach as f64);
+        let mut rows: Vec<(usize, Vec<f64>)> = Vec::with_capacity(places.len());
+        for (row, first) in first.into_iter().enumerate() {
+            let mut own: Vec<f64> = (first..=row).map(|column| tapered(places[row] - places[column])).collect();
+            for column in first..row {
+                let (begin, other) = &rows[column];
+                let from = first.max(*begin);
+                let both = own[from - first..column - first].iter().zip(&other[from - begin..column - begin]);
+                let sum: f64 = both.map(|(a, b)| a * b).sum();
+                own[column - first] = (own[column - first] - sum) / other[column - begin];
+            }
+            let (diagonal, before) = own.split_last_mut()?;
+            *diagonal -= before.iter().map(|value| value * value).sum::<f64>();
+            if diagonal.is_nan() || *diagonal <= 0.0 {
+                return None;
+            }
+            *diagonal = diagonal.sqrt();
+            rows.push((first, own));
+        }
+        Some(Self { rows })
+    }
+
+    /// Solves the tapered equations.
+    pub(super) fn solve(&self, right: &[f64]) -> Vec<f64> {
+        let mut x = right.to_vec();
+        for (row, (first, own)) in self.rows.iter().enumerate() {
+            let (diagonal, before) = own.split_last().map_or((1.0, &own[..0]), |(last, before)| (*last, before));
+            let sum: f64 = before.iter().zip(&x[*first..row]).map(|(a, b)| a * b).sum();
+            x[row] = (x[row] - sum) / diagonal;
+        }
+        for (row, (first, own)) in self.rows.iter().enumerate().rev() {
+            let (diagonal, before) = own.split_last().map_or((1.0, &own[..0]), |(last, before)| (*last, before));
+            x[row] /= diagonal;
+            let value = x[row];
+            x[*first..row].iter_mut().zip(before).for_each(|(x, a)| *x -= a * value);
+        }
+        x
+    }
+}
+
+/// Parzen's window at a part of its reach.
+fn parzen(part: f64) -> f64 {
+    if part <= 0.5 { 1.0 - 6.0 * part * part * (1.0 - part) } else { 2.0 * (1.0 - part).max(0.0).powi(3) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_places_are_solved_as_all_of_the_tapered_matrix_is() {
+        let kernel: Vec<f64> =
+            (0..40).map(|lag| (-0.3 * f64::from(lag)).exp() * (0.7 * f64::from(lag)).cos()).collect();
+        let places = [3, 4, 9, 30, 31, 33, 80, 120];
+        let near = Near::of(&kernel, &places).unwrap();
+        let wanted: Vec<f64> = (0..places.len()).map(|at| (at as f64 - 3.0) * 0.7).collect();
+        let entry = |i: usize, j: usize| {
+            let distance = places[i].abs_diff(places[j]);
+            if distance < 40 { kernel[distance] * parzen(distance as f64 / 40.0) } else { 0.0 }
+        };
+        let row = |i: usize| (0..places.len()).map(|j| entry(i, j) * wanted[j]).sum::<f64>();
+        let right: Vec<f64> = (0..places.len()).map(row).collect();
+        let found = near.solve(&right);
+        assert!(found.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+    }
+
+    #[test]
+    fn what_is_not_positive_definite_has_no_factor() {
+        assert!(Near::of(&[1.0, 2.0, 2.0, 2.0], &[0, 1, 2]).is_none());
+        assert!(Near::of(&[f64::NAN], &[0]).is_none());
+    }
+}

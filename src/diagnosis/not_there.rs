@@ -1,0 +1,93 @@
+//! Not there: rows that a driver filled with zeros, samples lost or cut off behind a filter, and leaps as wide as a unit turned over.
+
+use super::round_trip::{RATE_HZ, model, recording};
+use super::{Options, Outcome, Recording, Verdict, diagnose};
+use crate::effects::{Stream, StreamId};
+use crate::simulator::SensorModel;
+use serde_json::json;
+
+const SAMPLES: usize = 40_000;
+
+fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
+    diagnose(real, sim, &Options::default()).unwrap()
+}
+
+fn names(outcome: &Outcome) -> Vec<&'static str> {
+    outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
+}
+
+#[test]
+fn a_run_of_zeros_of_a_driver_is_missing_rows_and_no_cause() {
+    for (seed, from, count) in [(11, 9_990, 20), (12, 30_000, 1), (13, 200, 900)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        real.channels.iter_mut().for_each(|(_, values)| values[from..from + count].fill(0.0));
+        let found = diagnosed(&real, &model(None)).diagnosis;
+        assert!(matches!(found.verdict, Verdict::NoGap), "{}", found.summary);
+        let begins = format!("{count} row");
+        assert!(
+            found.notes.iter().any(|note| note.starts_with(&begins) && note.contains("0 on every")),
+            "{:?}",
+            found.notes
+        );
+    }
+}
+
+#[test]
+fn a_leap_of_any_size_is_a_step() {
+    for (size, seed) in [(1.0, 21), (19.6, 22), (126.0, 23), (1e4, 24)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        real.channels[2].1[25_000..].iter_mut().for_each(|value| *value += size);
+        let found = diagnosed(&real, &model(None));
+        assert_eq!(names(&found), ["bias_step"], "{size}: {}", found.diagnosis.summary);
+        assert_eq!(found.diagnosis.verdict, Verdict::Effects, "{size}");
+        let cause = &found.diagnosis.causes[0];
+        let found_size = cause.parameters["accel_z"]["size"].as_f64().unwrap();
+        assert!((found_size - size).abs() < 0.01, "{size}: {found_size}");
+        assert!(cause.confidence > 0.9, "{size}: {}", cause.confidence);
+    }
+}
+
+/// Sharp filters hide how much is behind them where samples are lost.
+#[test]
+fn samples_that_are_lost_behind_a_filter_are_no_other_filter() {
+    for filter in [
+        json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 2}),
+        json!({"effect": "low_pass", "cutoff_hz": 8.0, "order": 1}),
+        json!({"effect": "moving_average", "window": 4}),
+    ] {
+        for (share, seed) in [(3e-5, 31), (1e-3, 32), (3e-2, 33), (0.1, 34)] {
+            let sim = model(Some(&filter));
+            let mut real = recording(&sim, seed, SAMPLES);
+            let mut stream = Stream::new(seed, StreamId { owner: 91, effect: 0, instance: 0 });
+            real.missing.iter_mut().for_each(|missing| *missing = stream.uniform() < share);
+            let found = diagnosed(&real, &sim);
+            let others = names(&found).iter().filter(|name| **name != "timing").count();
+            let is_right = others == 0 && found.diagnosis.verdict != Verdict::UnknownEffect;
+            assert!(is_right, "{filter}, {share}: {}", found.diagnosis.summary);
+        }
+    }
+}
+
+#[test]
+fn samples_that_are_cut_off_behind_a_filter_are_saturation_alone() {
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 2});
+    for (limit, seed) in [(0.312, 41), (0.310, 42), (0.316, 43)] {
+        let sim = model(Some(&filter));
+        let mut real = recording(&sim, seed, SAMPLES);
+        real.channels[0].1.iter_mut().for_each(|value| *value = value.min(limit));
+        let found = diagnosed(&real, &sim);
+        assert_eq!(names(&found), ["saturation"], "{limit}: {}", found.diagnosis.summary);
+        assert!(found.diagnosis.discrepancy.before.abs() < 0.01, "{:?}", found.diagnosis.discrepancy);
+    }
+}
+
+/// K of another session is up to some tens of times the model's, and not thousands of times.
+#[test]
+fn a_process_in_a_short_record_is_no_random_walk_of_thousands_of_times_the_size() {
+    let effect = json!({"effect": "gauss_markov", "sigma": 0.28, "tc_s": 3.0});
+    for seed in 51..54 {
+        let real = recording(&model(Some(&effect)), seed, (26.0 * RATE_HZ) as usize);
+        let found = diagnosed(&real, &model(None));
+        assert_eq!(names(&found).first(), Some(&"gauss_markov"), "{seed}: {}", found.diagnosis.summary);
+    }
+}
