@@ -91,3 +91,16 @@ fn a_process_in_a_short_record_is_no_random_walk_of_thousands_of_times_the_size(
         assert_eq!(names(&found).first(), Some(&"gauss_markov"), "{seed}: {}", found.diagnosis.summary);
     }
 }
+
+/// Stamps of arrival scatter by more than a model's may: the corrected model is still one that can be read.
+#[test]
+fn a_model_of_stamps_that_scatter_by_more_than_its_own_stays_a_model() {
+    let timing = json!({"effect": "timing", "jitter_s": 0.002, "drop_probability": 0.0});
+    let sim = model(Some(&timing));
+    let mut real = recording(&sim, 61, 20_000);
+    let mut stream = Stream::new(61, StreamId { owner: 93, effect: 0, instance: 0 });
+    real.time_s.iter_mut().for_each(|time_s| *time_s += 0.02 * stream.normal());
+    let found = diagnosed(&real, &sim);
+    assert_eq!(names(&found), ["timing"], "{}", found.diagnosis.summary);
+    assert_eq!(found.augmented.check(RATE_HZ), Ok(()));
+}

@@ -5,6 +5,7 @@ use crate::diagnosis::diagnose::{Findings, Found};
 use crate::diagnosis::facts::Stamps;
 use crate::diagnosis::named::{MATERIAL_STEP, Named};
 use crate::diagnosis::report::Sense;
+use crate::effects::timing::JITTER_MAX;
 use crate::effects::{Effect, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
 use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
@@ -234,7 +235,9 @@ pub(in crate::diagnosis) fn of_stamps(
     }
     let is_there = jitter_s * sim.rate_hz > LEAST || dropped > 2;
     let drop_probability = dropped as f64 / samples.max(1) as f64;
-    let found = is_there.then(|| Arc::new(Timing { jitter_s, drop_probability }) as Arc<dyn Effect>);
+    // A model's stamps keep their order.
+    let kept_s = jitter_s.min(JITTER_MAX / sim.rate_hz);
+    let found = is_there.then(|| Arc::new(Timing { jitter_s: kept_s, drop_probability }) as Arc<dyn Effect>);
     let evidence = format!(
         "stamps scatter by {jitter_s:.2e} s, the model's by {declared_s:.2e} s; {dropped} samples are missing, the model's {:.0}",
         declared * samples as f64
