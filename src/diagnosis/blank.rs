@@ -12,7 +12,8 @@ pub(super) fn rows(real: &Recording) -> Vec<usize> {
         |t: &usize| !real.is_missing(*t) && real.channels.iter().all(|(_, values)| values.get(*t) == Some(&0.0));
     let rows: Vec<usize> = (0..real.len()).filter(is_blank).collect();
     let is_far = |values: &[f64]| {
-        let mut there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        let others = values.iter().enumerate().filter(|(t, value)| value.is_finite() && rows.binary_search(t).is_err());
+        let mut there: Vec<f64> = others.map(|(_, value)| *value).collect();
         let middle = there.len() / 2;
         if there.len() < 3 {
             return false;

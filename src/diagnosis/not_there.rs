@@ -33,6 +33,16 @@ fn a_run_of_zeros_of_a_driver_is_missing_rows_and_no_cause() {
 }
 
 #[test]
+fn zeros_now_and_then_are_rows_that_were_lost() {
+    let mut real = recording(&model(None), 14, SAMPLES);
+    let zeros = |values: &mut Vec<f64>| values.iter_mut().step_by(7).for_each(|value| *value = 0.0);
+    real.channels.iter_mut().for_each(|(_, values)| zeros(values));
+    let found = diagnosed(&real, &model(None));
+    assert_eq!(names(&found), ["timing"], "{}", found.diagnosis.summary);
+    assert!(found.diagnosis.notes.iter().any(|note| note.contains("0 on every")), "{:?}", found.diagnosis.notes);
+}
+
+#[test]
 fn a_leap_of_any_size_is_a_step() {
     for (size, seed) in [(1.0, 21), (19.6, 22), (126.0, 23), (1e4, 24)] {
         let mut real = recording(&model(None), seed, SAMPLES);
