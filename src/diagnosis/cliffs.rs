@@ -398,3 +398,29 @@ fn long_moving_averages_are_found() {
     }
     wrong.none();
 }
+
+#[test]
+fn a_leap_of_any_size_is_a_step() {
+    for (size, seed) in [(1.0, 21), (19.6, 22), (126.0, 23), (1e4, 24)] {
+        let mut real = recording(&model(None), seed, 40_000);
+        real.channels[2].1[25_000..].iter_mut().for_each(|value| *value += size);
+        let found = diagnosed(&real, &model(None));
+        assert_eq!(names(&found), ["bias_step"], "{size}: {}", found.diagnosis.summary);
+        assert_eq!(found.diagnosis.verdict, Verdict::Effects, "{size}");
+        let cause = &found.diagnosis.causes[0];
+        let found_size = cause.parameters["accel_z"]["size"].as_f64().unwrap();
+        assert!((found_size - size).abs() < 0.01, "{size}: {found_size}");
+        assert!(cause.confidence > 0.9, "{size}: {}", cause.confidence);
+    }
+}
+
+/// K of another session is up to some tens of times the model's, and not thousands of times.
+#[test]
+fn a_process_in_a_short_record_is_no_random_walk_of_thousands_of_times_the_size() {
+    let effect = json!({"effect": "gauss_markov", "sigma": 0.28, "tc_s": 3.0});
+    for seed in 51..54 {
+        let real = recording(&model(Some(&effect)), seed, (26.0 * RATE_HZ) as usize);
+        let found = diagnosed(&real, &model(None));
+        assert_eq!(names(&found).first(), Some(&"gauss_markov"), "{seed}: {}", found.diagnosis.summary);
+    }
+}

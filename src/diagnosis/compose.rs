@@ -204,8 +204,7 @@ fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity>
         || !of.explanation.sines.is_empty();
     let step = of.prepared.facts.step.filter(|_| !moves)?;
     let sent = real.sent(channel).or_else(|| real.values(channel))?;
-    let is_missing = |t: usize| real.missing.get(t).copied().unwrap_or(false);
-    let there = sent.iter().enumerate().filter(|(t, value)| !is_missing(*t) && value.is_finite());
+    let there = sent.iter().enumerate().filter(|(t, value)| !real.is_missing(*t) && value.is_finite());
     oddities::of_codes(&there.map(|(_, value)| *value).collect::<Vec<f64>>(), step)
 }
 

@@ -1,7 +1,6 @@
 //! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
 
 use super::bands::Bands;
-use super::blank;
 use super::declared::courses::{self, Off};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
@@ -24,6 +23,7 @@ use super::series::Series;
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
+use super::zero_rows;
 use crate::effects::temperature_bias::RATE_LAG_S;
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
@@ -171,8 +171,8 @@ pub(super) struct Found {
 /// # Errors
 /// [`DiagnosisError`] for what cannot be compared, and where it was called off.
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
-    let blank = blank::rows(real);
-    let real = &*blank::without(real, &blank);
+    let zeros = zero_rows::rows(real);
+    let real = &*zero_rows::without(real, &zeros);
     let ready = prepare::prepare(real, sim)?;
     let samples = real.len();
     let tails = options.tails.cloned().unwrap_or_else(|| Tails::shipped(samples));
@@ -209,7 +209,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         temperature_c: ready.reference_c,
     };
     let mut outcome = super::compose::outcome(&found, real, sim, options);
-    outcome.diagnosis.notes.extend(blank::note(&blank, real.rate_hz));
+    outcome.diagnosis.notes.extend(zero_rows::note(&zeros, real.rate_hz));
     Ok(outcome)
 }
 

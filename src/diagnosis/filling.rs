@@ -1,7 +1,7 @@
 //! Filling: what stands in place of samples that are no noise.
 
 use super::explanation::LOUD;
-use super::near::Near;
+use super::preconditioner::Preconditioner;
 use super::series::Series;
 use crate::effects::{Stream, StreamId};
 
@@ -31,7 +31,7 @@ impl Series<'_> {
     ///
     /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
     /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380), preconditioned by its
-    /// entries between near samples ([`Near`]). Of samples at a limit is
+    /// entries between near samples ([`Preconditioner`]). Of samples at a limit is
     /// known besides that they lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
         const ROUNDS: usize = 200;
@@ -60,7 +60,7 @@ impl Series<'_> {
             difference[*place] = value;
         }
         let kernel = self.kernel(REACH);
-        let near = Near::of(&kernel, &places);
+        let near = Preconditioner::of(&kernel, &places);
         let nearly = |residual: &[f64]| near.as_ref().map_or_else(|| residual.to_vec(), |near| near.solve(residual));
         let mut precision = |values: &[f64]| -> Vec<f64> {
             let mut c = values.to_vec();

@@ -10,7 +10,6 @@
 
 mod augmented;
 mod bands;
-mod blank;
 #[cfg(test)]
 mod both_ways;
 pub mod calibration;
@@ -23,6 +22,7 @@ pub mod course;
 mod declared;
 pub mod diagnose;
 mod discrepancy;
+mod dither;
 mod drawings;
 pub mod error;
 pub mod evidence;
@@ -38,13 +38,12 @@ mod intervals;
 pub mod law;
 #[cfg(test)]
 mod located;
+#[cfg(test)]
+mod missing_samples;
 mod modulated;
 pub mod motion;
 mod named;
 mod nameless;
-mod near;
-#[cfg(test)]
-mod not_there;
 mod oddities;
 pub mod omnibus;
 mod owned;
@@ -53,6 +52,7 @@ mod phase;
 mod places;
 mod plans;
 mod polish;
+mod preconditioner;
 pub mod prepare;
 pub mod prices;
 pub mod recording;
@@ -70,6 +70,7 @@ pub mod spread;
 pub mod tiles;
 pub mod transform;
 pub mod translate;
+mod zero_rows;
 
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};

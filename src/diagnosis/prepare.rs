@@ -2,10 +2,10 @@
 
 use super::course::{Course, Courses};
 use super::declared::courses::shifts_of;
+use super::dither;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
-use super::filling::stream;
 use super::grid::Grid;
 use super::law::{Base, Beliefs, Law, Term, reach};
 use super::recording::Recording;
@@ -26,8 +26,6 @@ const QUIET: f64 = 1e-6;
 /// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
 const STEPS: f64 = 15.0;
-/// Random stream of the noise that is added.
-const DITHER: u16 = 6;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone)]
@@ -388,44 +386,12 @@ fn channel_of(
         dither: 0.0,
     };
     if coarse.is_none() {
-        dither(&mut prepared, &there, model.n * sim.rate_hz.sqrt());
+        dither::dither(&mut prepared, &there, model.n * sim.rate_hz.sqrt());
     }
     if let Some((step, white)) = coarse {
         rounded::unround(&mut prepared, sim, step, white);
     }
     Ok(prepared)
-}
-
-/// Adds as much white noise to samples, some of which are left out, as these hide behind a filter with a zero; `there`: the samples
-/// that are there, U, `white`: the declared deviation of the white noise before filters, U.
-///
-/// A zero as x⁴ about half the rate, known down to a density q, is q^¼ wide. A sample that is left out has an error of its own at all
-/// frequencies, so that of m runs of them in n samples nothing is known of a density below about (m/n)⁴: neither which it is, nor what
-/// belongs in place of the samples. Noise that is known to be there takes both questions away.
-fn dither(of: &mut Prepared, there: &[f64], white: f64) {
-    const TIMES: f64 = 10.0;
-    /// Below the least what belongs in place of the samples is too far from what is seen of them for numbers.
-    const SHARES: [f64; 2] = [1e-4, 1e-2];
-    const BLOCK: usize = 8;
-    let runs =
-        of.outliers.iter().enumerate().filter(|(at, place)| *at == 0 || of.outliers[at - 1] + 1 != **place).count();
-    if runs == 0 {
-        return;
-    }
-    // White noise before a filter is white at low frequencies.
-    let means: Vec<f64> = there.chunks_exact(BLOCK).map(|block| block.iter().sum::<f64>() / BLOCK as f64).collect();
-    let white = white.min((BLOCK as f64).sqrt() * scale_of(&means)) / of.scale;
-    let share = (TIMES * runs as f64 / of.samples.len() as f64).powi(4).clamp(SHARES[0], SHARES[1]);
-    let rounding = of.step.map_or(0.0, |step| (step / of.scale).powi(2) / 12.0);
-    of.dither = (share * white * white - rounding).max(0.0);
-    let mut stream = stream(of.samples.len(), of.channel as u32, DITHER);
-    let deviation = of.dither.sqrt();
-    for (place, sample) in of.samples.iter_mut().enumerate() {
-        let added = deviation * stream.normal();
-        if of.outliers.binary_search(&place).is_err() {
-            *sample += added;
-        }
-    }
 }
 
 /// Takes what a model states of the level beyond the shifts that are fitted off samples, U.

@@ -33,8 +33,9 @@ pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: boo
 /// Nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), that of one regressor among `samples`
 /// normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without end; a likelihood does not.
 pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
-    debug_assert!(!half_square.is_nan(), "a statistic is no number");
-    0.5 * samples * (2.0 * half_square.min(0.25 * f64::MAX) / samples).ln_1p()
+    // What is no number is worth nothing, what is infinite is worth less than infinitely much.
+    let half_square = if half_square.is_nan() { 0.0 } else { half_square.min(0.25 * f64::MAX) };
+    0.5 * samples * (2.0 * half_square / samples).ln_1p()
 }
 
 #[cfg(test)]
@@ -66,5 +67,6 @@ mod tests {
         assert!((bounded(30.0, 65_536.0) - 30.0).abs() < 0.05);
         assert!(bounded(4e9, 40_000.0) < 3e5);
         assert!(bounded(f64::INFINITY, 40_000.0).is_finite());
+        assert!(bounded(f64::NAN, 40_000.0).abs() < f64::EPSILON);
     }
 }

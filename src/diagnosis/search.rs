@@ -161,7 +161,12 @@ fn leap_instead(series: &Series<'_>, prices: &Prices, step: &Step, leap: Candida
         || matches!(step.kind, Kind::VarianceInterval | Kind::VarianceProfile | Kind::VariancePerDegree);
     let price = prices.of(Kind::BiasStep);
     let known = series.explanation.courses.len();
-    let lasts = || leap.explanation.courses[known..].iter().any(|(course, size)| is_lasting(series, *course, *size));
+    let lasts = || {
+        leap.explanation.courses[known..].iter().any(|(course, size)| match course {
+            Course::Step(at) => evidence::leaps::is_lasting(&series.rest, *at, *size),
+            _ => false,
+        })
+    };
     if !is_loud || step.of_model.is_some() || leap.gain < price + LARGE || !lasts() {
         return None;
     }
@@ -176,22 +181,6 @@ fn leap_instead(series: &Series<'_>, prices: &Prices, step: &Step, leap: Candida
         .fold(0.0, f64::max);
     let own = Step { kind: Kind::BiasStep, gain: leap.gain, price, others: Vec::new(), of_model: None };
     (left < LEFT * step.gain).then_some((own, leap))
-}
-
-/// Whether the level behind a step is another than that before it, and not only while something is loud.
-fn is_lasting(series: &Series<'_>, course: Course, size: f64) -> bool {
-    /// Samples that a step may take to rise, and of the levels beside it.
-    const RISE: usize = 32;
-    const LONG: usize = 512;
-    let Course::Step(at) = course else { return false };
-    let median = |from: usize, to: usize| {
-        let mut values = series.rest[from..to].to_vec();
-        let middle = values.len() / 2;
-        (values.len() >= RISE).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-    };
-    let before = median(at.saturating_sub(RISE + LONG), at.saturating_sub(RISE));
-    let behind = median((at + RISE).min(series.len()), (at + RISE + LONG).min(series.len()));
-    before.zip(behind).is_some_and(|(before, behind)| ((behind - before) / size - 1.0).abs() < 0.5)
 }
 
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model says: white noise of the model's size and

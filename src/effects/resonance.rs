@@ -1,6 +1,6 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
-use super::gauss_markov::{Lorentzian, lorentzian};
+use super::gauss_markov::Lorentzian;
 use super::spec::{Kind, Range, number};
 use super::stream::number as streams;
 use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
@@ -67,8 +67,7 @@ impl Effect for Resonance {
         SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
     }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
-        let line = |centre_hz: f64| lorentzian((frequency_hz - centre_hz) / rate_hz, self.decay(rate_hz), rate_hz);
-        Some(0.5 * self.sigma * self.sigma * (line(self.frequency_hz) + line(-self.frequency_hz)))
+        self.densities(&[frequency_hz], rate_hz).first().copied()
     }
     fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         let line = Lorentzian::new(self.decay(rate_hz), rate_hz);

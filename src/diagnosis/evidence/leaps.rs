@@ -65,6 +65,16 @@ fn split(values: &[f64], about: usize, before: f64, behind: f64) -> usize {
     best.1
 }
 
+/// Whether the level behind a step of `size` at a place is another than that before it, and not only while something is loud.
+#[must_use]
+pub fn is_lasting(values: &[f64], at: usize, size: f64) -> bool {
+    const LONG: usize = 512;
+    let level = |from: usize, to: usize| (to - from >= STRIDE).then(|| median(&mut values[from..to].to_vec()));
+    let before = level(at.saturating_sub(STRIDE + LONG), at.saturating_sub(STRIDE));
+    let behind = level((at + STRIDE).min(values.len()), (at + STRIDE + LONG).min(values.len()));
+    before.zip(behind).is_some_and(|(before, behind)| ((behind - before) / size - 1.0).abs() < 0.5)
+}
+
 fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1

@@ -1,7 +1,7 @@
 //! Evidence: what each effect would explain of a series, in nats, the noise fitted again beside it.
 
 pub mod declared;
-mod leaps;
+pub mod leaps;
 pub mod level;
 pub mod line;
 pub mod loudness;

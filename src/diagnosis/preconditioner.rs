@@ -1,16 +1,16 @@
-//! Near: the precision matrix among some samples, of which those that are near one another count: a preconditioner.
+//! Preconditioner: the precision matrix among some samples, of which those that are near one another count.
 
 /// The Cholesky factor of a matrix that is a function of the distance between places, tapered so that far ones have none of it.
 ///
 /// Parzen's window is a positive definite function, so that the tapered matrix is positive definite where the whole one is
 /// (Schur's product theorem); its transform falls with the fourth power, so that a zero of a filter hides little beside itself.
 #[derive(Debug, Clone)]
-pub(super) struct Near {
+pub(super) struct Preconditioner {
     /// By row: the first column, and the factor's entries from there to the diagonal.
     rows: Vec<(usize, Vec<f64>)>,
 }
 
-impl Near {
+impl Preconditioner {
     /// Factors the matrix among `places` (in order); `kernel` is the matrix by distance, from 0 on. `None` if there is no factor in numbers.
     pub(super) fn of(kernel: &[f64], places: &[usize]) -> Option<Self> {
         /// Products that making the factor takes, about: of long runs only nearer samples are looked at.
@@ -88,7 +88,7 @@ mod tests {
         let kernel: Vec<f64> =
             (0..40).map(|lag| (-0.3 * f64::from(lag)).exp() * (0.7 * f64::from(lag)).cos()).collect();
         let places = [3, 4, 9, 30, 31, 33, 80, 120];
-        let near = Near::of(&kernel, &places).unwrap();
+        let near = Preconditioner::of(&kernel, &places).unwrap();
         let wanted: Vec<f64> = (0..places.len()).map(|at| (at as f64 - 3.0) * 0.7).collect();
         let entry = |i: usize, j: usize| {
             let distance = places[i].abs_diff(places[j]);
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn what_is_not_positive_definite_has_no_factor() {
-        assert!(Near::of(&[1.0, 2.0, 2.0, 2.0], &[0, 1, 2]).is_none());
-        assert!(Near::of(&[f64::NAN], &[0]).is_none());
+        assert!(Preconditioner::of(&[1.0, 2.0, 2.0, 2.0], &[0, 1, 2]).is_none());
+        assert!(Preconditioner::of(&[f64::NAN], &[0]).is_none());
     }
 }

@@ -1,4 +1,4 @@
-//! Blank: rows that are no measurement, because whatever wrote the recording put zeros into them.
+//! Zero rows: rows that are no measurement, because whatever wrote the recording put zeros into them.
 
 use super::prepare::scale_of;
 use super::recording::Recording;
