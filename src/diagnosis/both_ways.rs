@@ -257,7 +257,7 @@ fn a_model_of_thousands_of_steps_and_bands_decides_neither_time_nor_memory() {
     for at in 0..3000 {
         own.push(std::sync::Arc::new(BiasStep { at_s: 0.2 * f64::from(at), size: 1e-9 }));
         let frequency_hz = 1.0 + 0.005 * f64::from(at);
-        own.push(std::sync::Arc::new(Resonance { sigma: 1e-9, frequency_hz, bandwidth_hz: 0.1 }));
+        own.push(std::sync::Arc::new(Resonance::new(frequency_hz, 0.1, 1e-9)));
     }
     let found = diagnose(&recording(&model(None), 311, 8_000), &declared, &Options::default()).unwrap().diagnosis;
     assert!(found.causes.is_empty(), "{:#?}", found.causes);

@@ -14,7 +14,7 @@ pub enum Shape {
     QuantizationNoise,
     /// ln σ², ln Tc/s.
     GaussMarkov,
-    /// ln σ², frequency/Hz, ln bandwidth/Hz.
+    /// ln σ², frequency/Hz, ln bandwidth/Hz; asymmetry over the most that is possible, where it is not 0.
     Resonance,
     /// ln cutoff/Hz, ln of the white noise after it over the white noise before it.
     LowPass(u64),
@@ -30,6 +30,8 @@ impl Shape {
     pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 3.5)];
     /// Exponents that noise of a power law may have: at the ends of what is searched for it is something else, mostly a drift.
     pub(super) const POWER_LAW: std::ops::Range<f64> = 0.31..2.49;
+    /// How many numbers a narrow band has that is symmetric.
+    pub(super) const SYMMETRIC: usize = 3;
     /// Where a slope's density is given, over the rate.
     pub(super) const MIDDLE: f64 = 0.01;
 }
@@ -59,8 +61,11 @@ impl Term {
             "quantization_noise" => (Shape::QuantizationNoise, vec![level(number("Q")?)]),
             "gauss_markov" => (Shape::GaussMarkov, vec![level(number("sigma")?), number("tc_s")?.ln()]),
             "resonance" => {
-                let numbers = vec![level(number("sigma")?), number("frequency_hz")?, number("bandwidth_hz")?.ln()];
-                (Shape::Resonance, numbers)
+                let (frequency_hz, bandwidth_hz) = (number("frequency_hz")?, number("bandwidth_hz")?);
+                let most = Resonance::new(frequency_hz, bandwidth_hz, 1.0).most_asymmetric(rate_hz);
+                let asymmetry = number("asymmetry").filter(|asymmetry| *asymmetry != 0.0).map(|of| of / most);
+                let numbers = [level(number("sigma")?), frequency_hz, bandwidth_hz.ln()];
+                (Shape::Resonance, numbers.into_iter().chain(asymmetry).collect())
             }
             "power_law" => {
                 let alpha = number("alpha")?;
@@ -95,13 +100,14 @@ impl Term {
     }
 
     /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of a slope, which depends on the rate.
-    pub(super) fn effect(&self) -> Option<Box<dyn Effect>> {
+    pub(super) fn effect(&self, rate_hz: f64) -> Option<Box<dyn Effect>> {
         let at = |index: usize| self.at(index);
         Some(match self.shape {
             Shape::QuantizationNoise => Box::new(QuantizationNoise { q: (0.5 * at(0)).exp() }),
             Shape::GaussMarkov => Box::new(GaussMarkov { sigma: (0.5 * at(0)).exp(), tc_s: at(1).exp() }),
             Shape::Resonance => {
-                Box::new(Resonance { sigma: (0.5 * at(0)).exp(), frequency_hz: at(1), bandwidth_hz: at(2).exp() })
+                let line = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp());
+                Box::new(Resonance { asymmetry: at(3) * line.most_asymmetric(rate_hz), ..line })
             }
             Shape::LowPass(order) => Box::new(LowPass::new(at(0).exp(), order)),
             Shape::MovingAverage(window) => Box::new(MovingAverage::new(window)),
@@ -116,7 +122,7 @@ impl Term {
 
     /// Power per sample that it adds at each frequency.
     pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        match self.effect() {
+        match self.effect(rate_hz) {
             Some(effect) => {
                 effect.densities(frequencies_hz, rate_hz).into_iter().map(|density| rate_hz * density).collect()
             }
@@ -129,7 +135,7 @@ impl Term {
 
     /// Power gain at each frequency.
     pub(super) fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        self.effect()
+        self.effect(rate_hz)
             .map_or_else(|| vec![1.0; frequencies_hz.len()], |effect| effect.power_gains(frequencies_hz, rate_hz))
     }
 
@@ -152,7 +158,7 @@ impl Term {
 
     /// Samples that a filter reaches: others none.
     pub(super) fn reach(&self, rate_hz: f64) -> usize {
-        self.effect().filter(|_| self.is_filter()).map_or(0, |effect| reach(&*effect, rate_hz))
+        self.effect(rate_hz).filter(|_| self.is_filter()).map_or(0, |effect| reach(&*effect, rate_hz))
     }
 
     /// Where its numbers may be, for a record of `samples` at `rate_hz`.
@@ -161,13 +167,14 @@ impl Term {
         let longest = (samples as f64 / rate_hz / 6.0).ln();
         match self.shape {
             // Q² is an angle's: about 1/rate² of a rate's.
-            Shape::QuantizationNoise => vec![(-16.0 - 2.0 * rate_hz.ln(), 24.0)],
-            Shape::GaussMarkov => vec![level, ((6.0 / rate_hz).ln(), longest.max((12.0 / rate_hz).ln()))],
-            Shape::Resonance => vec![
-                level,
-                (0.002 * rate_hz, 0.4999 * rate_hz),
-                ((2.0 * rate_hz / samples as f64).max(1e-4 * rate_hz).ln(), (0.15 * rate_hz).ln()),
-            ],
+            Shape::QuantizationNoise => vec![(level.0 - 2.0 * rate_hz.ln(), 24.0)],
+            Shape::GaussMarkov => vec![level, ((1.5 / rate_hz).ln(), longest.max((12.0 / rate_hz).ln()))],
+            Shape::Resonance => {
+                let width = ((2.0 * rate_hz / samples as f64).max(1e-4 * rate_hz).ln(), (0.15 * rate_hz).ln());
+                let mut ranges = vec![level, (0.002 * rate_hz, 0.4999 * rate_hz), width, ASYMMETRY];
+                ranges.truncate(self.numbers.len());
+                ranges
+            }
             Shape::LowPass(_) => vec![((0.01 * rate_hz).ln(), (0.4999 * rate_hz).ln()), FLOOR],
             Shape::MovingAverage(_) => vec![FLOOR],
             Shape::Slope(which) => vec![level, Shape::SLOPES[which.min(2)]],
@@ -269,6 +276,9 @@ pub struct Data<'a> {
 
 /// Bounds of ln of the white noise's power behind a filter over that before it.
 const FLOOR: (f64, f64) = (-36.0, 0.0);
+
+/// Bounds of a line's asymmetry, over the most.
+const ASYMMETRY: (f64, f64) = (-1.0, 1.0);
 
 /// Bounds of a level, ln of power per sample.
 pub(super) const LEVELS: [(f64, f64); 3] = [(-12.0, 30.0), (-24.0, 24.0), (-40.0, 20.0)];

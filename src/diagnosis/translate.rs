@@ -54,7 +54,7 @@ impl Units<'_> {
         let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
         let rate_hz = self.sim.rate_hz;
         let internal_hz = self.sim.internal_rate_hz(rate_hz);
-        let found = explanation.law.terms.iter().filter_map(Term::effect);
+        let found = explanation.law.terms.iter().filter_map(|term| term.effect(rate_hz));
         own.map(|(_, effect)| delay_s(&**effect, internal_hz)).sum::<f64>()
             + found.map(|of| delay_s(&*of, rate_hz)).sum::<f64>()
     }
@@ -338,7 +338,7 @@ type Spectral = (Kind, Arc<dyn Effect>, Intervals);
 /// A band whose level changes.
 fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
-    let band = Resonance { sigma: (0.5 * at(0)).exp() * scale, frequency_hz: at(1), bandwidth_hz: at(2).exp() };
+    let band = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp() * scale);
     let level = levels.points.iter().map(|(sample, factor)| (sample / rate_hz, *factor)).collect();
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
 }
@@ -367,12 +367,18 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {
         }
         Shape::Resonance => {
             let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
-            let ci95 = vec![
+            let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
+            let most = line.most_asymmetric(rate_hz);
+            let asymmetry = at(3) * most;
+            let mut ci95 = vec![
                 ("sigma", times(sigma, 0.5 * error(0))),
                 ("frequency_hz", about(frequency_hz, error(1))),
                 ("bandwidth_hz", times(bandwidth_hz, error(2))),
             ];
-            (Kind::Resonance, Arc::new(Resonance { sigma, frequency_hz, bandwidth_hz }), ci95)
+            if asymmetry != 0.0 {
+                ci95.push(("asymmetry", about(asymmetry, most * error(3))));
+            }
+            (Kind::Resonance, Arc::new(Resonance { asymmetry, ..line }), ci95)
         }
         Shape::LowPass(order) => {
             let cutoff_hz = at(0).exp();

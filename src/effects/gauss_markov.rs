@@ -47,18 +47,25 @@ pub(super) struct Lorentzian {
     least: f64,
     slope: f64,
     level: f64,
+    per_hz: f64,
 }
 
 impl Lorentzian {
     pub(super) fn new(decay: f64, rate_hz: f64) -> Self {
         // 1 + φ² − 2φ cos ω = (1 − φ)² + 4φ sin²(ω/2).
         let (least, slope) = ((-decay).exp_m1().powi(2), 4.0 * (-decay).exp());
-        Self { least, slope, level: -(-2.0 * decay).exp_m1() / rate_hz }
+        Self { least, slope, level: -(-2.0 * decay).exp_m1() / rate_hz, per_hz: 1.0 / rate_hz }
     }
 
     /// The density, by the sine of half an angle a sample.
     pub(super) fn at(&self, half: f64) -> f64 {
         self.level / (self.least + self.slope * half * half)
+    }
+
+    /// The density that e^(−decay·|k|)·sin ω₀|k| has where this one is that of e^(−decay·|k|)·cos ω₀k: the spectrum of its odd part, by sine
+    /// and cosine of half an angle a sample.
+    pub(super) fn odd_at(&self, sine: f64, cosine: f64) -> f64 {
+        self.per_hz * self.slope * sine * cosine / (self.least + self.slope * sine * sine)
     }
 }
 

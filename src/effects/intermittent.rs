@@ -62,6 +62,15 @@ static OF_WHITE: Spec = Spec {
     meaning: "white noise",
 };
 
+static OF_RESONANCE: Spec = Spec {
+    name: "resonance",
+    stream: streams::NONE,
+    stage: Stage::Noise,
+    parameters: super::resonance::SYMMETRIC,
+    forms: &[],
+    meaning: "noise in a narrow band, with a symmetric Lorentzian line",
+};
+
 static SPEC: Spec = Spec {
     name: "intermittent",
     stream: streams::INTERMITTENT,
@@ -69,7 +78,7 @@ static SPEC: Spec = Spec {
     parameters: &[
         Parameter {
             name: "of",
-            form: Form::Effect(&[&super::tone::TONE_SPEC, &super::resonance::SPEC, &OF_WHITE]),
+            form: Form::Effect(&[&super::tone::TONE_SPEC, &OF_RESONANCE, &OF_WHITE]),
             need: Need::Always,
             meaning: "the effect that comes and goes",
         },
@@ -103,11 +112,9 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
         let frequency_hz = number("frequency_hz");
         let gated = match of.as_ref().map(Values::effect_name) {
             Some("tone") => Gated::Tone(Tone { frequency_hz, amplitude: number("amplitude") }),
-            Some("resonance") => Gated::Resonance(Resonance {
-                frequency_hz,
-                bandwidth_hz: number("bandwidth_hz"),
-                sigma: number("sigma"),
-            }),
+            Some("resonance") => {
+                Gated::Resonance(Resonance::new(frequency_hz, number("bandwidth_hz"), number("sigma")))
+            }
             _ => Gated::White(White { n: number("n") }),
         };
         let times = match values.optional("on_s") {
@@ -200,7 +207,7 @@ impl Effect for Intermittent {
         let per_s = intervals.len() as f64 / intervals.iter().map(|(from_s, to_s)| to_s - from_s).sum::<f64>();
         let width_hz = per_s / std::f64::consts::PI;
         let band = |frequency_hz: f64, bandwidth_hz: f64| {
-            Arc::new(Resonance { frequency_hz, bandwidth_hz, sigma: variance.sqrt() }) as Arc<dyn Effect>
+            Arc::new(Resonance::new(frequency_hz, bandwidth_hz, variance.sqrt())) as Arc<dyn Effect>
         };
         Some(match self.of {
             Gated::White(_) => Arc::new(White { n: (variance / record.rate_hz).sqrt() }),
@@ -309,7 +316,7 @@ mod tests {
     use super::*;
 
     const TONE: Tone = Tone { frequency_hz: 5.0, amplitude: 0.3 };
-    const BAND: Resonance = Resonance { frequency_hz: 7.3, bandwidth_hz: 0.5, sigma: 0.4 };
+    const BAND: Resonance = Resonance { frequency_hz: 7.3, bandwidth_hz: 0.5, sigma: 0.4, asymmetry: 0.0 };
     const NOISE: White = White { n: 0.2 };
 
     fn random(of: Gated) -> Intermittent {

@@ -40,11 +40,7 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
     spec: &SPEC,
     make: |values| {
         Arc::new(ModulatedBand {
-            band: Resonance {
-                frequency_hz: values.number("frequency_hz"),
-                bandwidth_hz: values.number("bandwidth_hz"),
-                sigma: values.number("sigma"),
-            },
+            band: Resonance::new(values.number("frequency_hz"), values.number("bandwidth_hz"), values.number("sigma")),
             level: values.pairs("level"),
         })
     },
@@ -87,7 +83,7 @@ mod tests {
     use super::*;
 
     fn modulated(level: &[(f64, f64)]) -> ModulatedBand {
-        let band = Resonance { frequency_hz: 7.3, bandwidth_hz: 2.0, sigma: 0.4 };
+        let band = Resonance::new(7.3, 2.0, 0.4);
         ModulatedBand { band, level: level.to_vec() }
     }
 

@@ -1,7 +1,7 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
 use super::gauss_markov::Lorentzian;
-use super::spec::{Kind, Range, number};
+use super::spec::{Form, Kind, Need, Parameter, Range, number};
 use super::stream::number as streams;
 use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
 use serde_json::Value;
@@ -10,8 +10,11 @@ use std::sync::Arc;
 
 /// Narrow-band noise whose spectrum has a Lorentzian line at ± its frequency.
 ///
-/// A damped oscillation that white noise drives, in both quadratures: autocovariance σ²·exp(−πw|t|)·cos(2πf₀t) with w the
-/// full width at half power, exact at the samples, stationary from the start. Its frequency and damping hold at any rate.
+/// A damped oscillation that white noise drives: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin 2πf₀|t|) with w the
+/// full width at half power and a its asymmetry, exact at the samples, stationary from the start. Its frequency and damping
+/// hold at any rate. The line is the same for any a; what is far from it differs. The displacement of a mass on a damped spring
+/// that a white force drives has a = 1, its velocity a = −1 (Wang and Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); both
+/// quadratures driven alike have 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Resonance {
     /// Centre, Hz.
@@ -20,16 +23,31 @@ pub struct Resonance {
     pub bandwidth_hz: f64,
     /// Root mean square, U.
     pub sigma: f64,
+    /// How much more there is below the line than above it; within ± [`Resonance::most_asymmetric`].
+    pub asymmetry: f64,
 }
 
-pub(super) static SPEC: Spec = Spec {
+const FREQUENCY: Parameter =
+    number("frequency_hz", Range::Above(0.0), "centre, Hz; below half the rate at which it acts");
+const BANDWIDTH: Parameter = number("bandwidth_hz", Range::Above(0.0), "full width at half power, Hz");
+const SIGMA: Parameter = number("sigma", Range::FromZero, "root mean square, U");
+/// Of a symmetric line.
+pub(super) static SYMMETRIC: &[Parameter] = &[FREQUENCY, BANDWIDTH, SIGMA];
+
+static SPEC: Spec = Spec {
     name: "resonance",
     stream: streams::RESONANCE,
     stage: Stage::Noise,
     parameters: &[
-        number("frequency_hz", Range::Above(0.0), "centre, Hz; below half the rate at which it acts"),
-        number("bandwidth_hz", Range::Above(0.0), "full width at half power, Hz"),
-        number("sigma", Range::FromZero, "root mean square, U"),
+        FREQUENCY,
+        BANDWIDTH,
+        SIGMA,
+        Parameter {
+            name: "asymmetry",
+            form: Form::Number(Range::Any),
+            need: Need::Default(0.0),
+            meaning: "0: as much noise on both sides; 1: a displacement, more below the line; -1: a velocity",
+        },
     ],
     forms: &[],
     meaning: "noise in a narrow band, with a Lorentzian line",
@@ -41,11 +59,31 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
             frequency_hz: values.number("frequency_hz"),
             bandwidth_hz: values.number("bandwidth_hz"),
             sigma: values.number("sigma"),
+            asymmetry: values.number("asymmetry"),
         })
     },
 };
 
 impl Resonance {
+    /// A symmetric line.
+    #[must_use]
+    pub fn new(frequency_hz: f64, bandwidth_hz: f64, sigma: f64) -> Self {
+        Self { frequency_hz, bandwidth_hz, sigma, asymmetry: 0.0 }
+    }
+
+    /// The largest asymmetry of a line at `rate_hz`: with a larger one no noise has the autocovariance, whose spectrum would be
+    /// negative at 0 or at half the rate.
+    #[must_use]
+    pub fn most_asymmetric(&self, rate_hz: f64) -> f64 {
+        let (decay, angle) = (self.decay(rate_hz), TAU * self.frequency_hz / rate_hz);
+        angle / decay * decay.sinh() / angle.sin()
+    }
+
+    /// The factor of the sine in the autocovariance.
+    fn odd(&self) -> f64 {
+        0.5 * self.asymmetry * self.bandwidth_hz / self.frequency_hz
+    }
+
     /// Decay of the amplitude per sample.
     fn decay(&self, rate_hz: f64) -> f64 {
         PI * self.bandwidth_hz / rate_hz
@@ -57,14 +95,23 @@ impl Effect for Resonance {
         &SPEC
     }
     fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![
+        let mut parameters = vec![
             ("frequency_hz", self.frequency_hz.into()),
             ("bandwidth_hz", self.bandwidth_hz.into()),
             ("sigma", self.sigma.into()),
-        ]
+        ];
+        if self.asymmetry != 0.0 {
+            parameters.push(("asymmetry", self.asymmetry.into()));
+        }
+        parameters
     }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
-        SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
+        SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)?;
+        let most = self.most_asymmetric(rate_hz);
+        match self.asymmetry.abs() <= most * (1.0 + 1e-9) {
+            true => Ok(()),
+            false => Err(SPEC.refuse("asymmetry", self.asymmetry, format!("{} to {most} at {rate_hz} Hz", -most))),
+        }
     }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         self.densities(&[frequency_hz], rate_hz).first().copied()
@@ -72,11 +119,17 @@ impl Effect for Resonance {
     fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         let line = Lorentzian::new(self.decay(rate_hz), rate_hz);
         let (own_sine, own_cosine) = (PI * self.frequency_hz / rate_hz).sin_cos();
-        let half_power = 0.5 * self.sigma * self.sigma;
+        let (half_power, odd) = (0.5 * self.sigma * self.sigma, self.odd());
         let at = |frequency_hz: &f64| {
             let (sine, cosine) = (PI * frequency_hz / rate_hz).sin_cos();
             let (near, far) = (sine * own_cosine - cosine * own_sine, sine * own_cosine + cosine * own_sine);
-            half_power * (line.at(near) + line.at(far))
+            let even = line.at(near) + line.at(far);
+            if odd == 0.0 {
+                return half_power * even;
+            }
+            let (near_cosine, far_cosine) =
+                (cosine * own_cosine + sine * own_sine, cosine * own_cosine - sine * own_sine);
+            half_power * (even + odd * (line.odd_at(far, far_cosine) - line.odd_at(near, near_cosine)))
         };
         frequencies_hz.iter().map(at).collect()
     }
@@ -86,7 +139,8 @@ impl Effect for Resonance {
         // 1 − e^(−ak) cos 2xk = (1 − e^(−ak)) + 2 e^(−ak) sin² xk.
         let structure = |k: u64| {
             let k = k as f64;
-            -(-decay * k).exp_m1() + 2.0 * (-decay * k).exp() * (step * k).sin().powi(2)
+            let odd = self.odd() * (2.0 * step * k).sin();
+            -(-decay * k).exp_m1() + (-decay * k).exp() * (2.0 * (step * k).sin().powi(2) - odd)
         };
         Some(self.sigma * self.sigma * sampled::allan_variance(m, structure))
     }
@@ -96,11 +150,20 @@ impl Effect for Resonance {
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let decay = self.decay(rate_hz);
         let (sine, cosine) = (TAU * self.frequency_hz / rate_hz).sin_cos();
-        let state = [self.sigma * stream.normal(), self.sigma * stream.normal()];
+        let odd = self.odd();
+        let (one, other) = (self.sigma * stream.normal(), self.sigma * stream.normal());
+        // The quadratures' covariance is σ²·[1, −o; −o, 1]; what turns and shrinks keeps a part of it, what drives makes up for it.
+        let (twice_sine, twice_cosine) = (2.0 * sine * cosine, cosine * cosine - sine * sine);
+        let kept = (-2.0 * decay).exp();
+        let (even, moved) = (-(-2.0 * decay).exp_m1(), kept * odd * twice_sine);
+        let both = -odd * (1.0 - kept * twice_cosine);
+        let first = (even - moved).max(0.0).sqrt();
+        let across = if first > 0.0 { both / first } else { 0.0 };
+        let second = (even + moved - across * across).max(0.0).sqrt();
         Box::new(ResonanceSampler {
             turn: [(-decay).exp() * cosine, (-decay).exp() * sine],
-            drive: self.sigma * (-(-2.0 * decay).exp_m1()).sqrt(),
-            state,
+            drive: [first, across, second].map(|part| self.sigma * part),
+            state: [one, (1.0 - odd * odd).max(0.0).sqrt() * other - odd * one],
             stream,
         })
     }
@@ -110,7 +173,7 @@ impl Effect for Resonance {
 #[derive(Debug)]
 struct ResonanceSampler {
     turn: [f64; 2],
-    drive: f64,
+    drive: [f64; 3],
     state: [f64; 2],
     stream: Stream,
 }
@@ -121,9 +184,10 @@ impl Sampler for ResonanceSampler {
         for value in values {
             let [x, y] = self.state;
             *value += x;
+            let (one, other) = (self.stream.normal(), self.stream.normal());
             self.state = [
-                cosine * x - sine * y + self.drive * self.stream.normal(),
-                sine * x + cosine * y + self.drive * self.stream.normal(),
+                cosine * x - sine * y + self.drive[0] * one,
+                sine * x + cosine * y + self.drive[1] * one + self.drive[2] * other,
             ];
         }
     }
@@ -136,14 +200,41 @@ mod tests {
 
     #[test]
     fn spectrum_allan_variance_and_moments_are_those_of_the_line() {
-        for bandwidth_hz in [0.1, 2.0] {
-            check::agrees_with_its_closed_forms(&Resonance { frequency_hz: 7.3, bandwidth_hz, sigma: 0.4 }, 40.0);
+        for (bandwidth_hz, asymmetry) in [(0.1, 0.0), (2.0, 0.0), (2.0, 1.0), (2.0, -1.0), (0.5, 1.2)] {
+            let line = Resonance { asymmetry, ..Resonance::new(7.3, bandwidth_hz, 0.4) };
+            check::agrees_with_its_closed_forms(&line, 40.0);
+        }
+    }
+
+    #[test]
+    fn a_displacement_is_an_autoregressive_process_of_second_order_at_a_high_rate() {
+        // x'' + 2γx' + (ω² + γ²)x = white force: density 4γ(ω² + γ²)σ² over |ω² + γ² − φ² + 2iγφ|² (Wang and Uhlenbeck, equation 39).
+        let line = Resonance { asymmetry: 1.0, ..Resonance::new(3.0, 0.4, 2.0) };
+        let (gamma, own) = (PI * 0.4, TAU * 3.0);
+        for frequency_hz in [0.01, 1.0, 2.9, 3.3, 6.0] {
+            let (turn, stiff) = (TAU * frequency_hz, own * own + gamma * gamma);
+            let expected = 16.0 * gamma * stiff / ((stiff - turn * turn).powi(2) + 4.0 * gamma * gamma * turn * turn);
+            let found = line.psd(frequency_hz, 1e5).unwrap();
+            assert!((found / expected - 1.0).abs() < 1e-3, "{frequency_hz}: {found} {expected}");
+        }
+    }
+
+    #[test]
+    fn an_asymmetry_that_no_noise_has_is_refused() {
+        let line = |asymmetry| Resonance { asymmetry, ..Resonance::new(7.3, 0.5, 0.4) };
+        let most = line(0.0).most_asymmetric(40.0);
+        assert_eq!(line(most).check(40.0), Ok(()));
+        assert_eq!(line(-1.01 * most).check(40.0).unwrap_err().parameter, "asymmetry");
+        for edge_hz in [1e-6, 20.0 - 1e-6] {
+            let least = [most, -most].map(|most| line(most).psd(edge_hz, 40.0).unwrap());
+            let flat = line(0.0).psd(edge_hz, 40.0).unwrap();
+            assert!(least.iter().all(|density| *density > -1e-9 * flat), "{least:?}");
         }
     }
 
     #[test]
     fn the_line_has_half_its_height_at_half_its_width() {
-        let line = Resonance { frequency_hz: 100.0, bandwidth_hz: 2.0, sigma: 1.0 };
+        let line = Resonance::new(100.0, 2.0, 1.0);
         let ratio = line.psd(101.0, 800.0).unwrap() / line.psd(100.0, 800.0).unwrap();
         assert!((ratio - 0.5).abs() < 1e-3, "{ratio}");
     }

@@ -161,11 +161,9 @@ impl Effect for WanderingLine {
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         const HALF_HEIGHT: f64 = 2.354_820_045;
         self.psd(self.frequency_hz, record.rate_hz).is_none().then(|| {
-            Arc::new(Resonance {
-                frequency_hz: self.frequency_hz,
-                bandwidth_hz: HALF_HEIGHT * self.frequency_sigma_hz,
-                sigma: self.amplitude * std::f64::consts::FRAC_1_SQRT_2,
-            }) as Arc<dyn Effect>
+            let bandwidth_hz = HALF_HEIGHT * self.frequency_sigma_hz;
+            let sigma = self.amplitude * std::f64::consts::FRAC_1_SQRT_2;
+            Arc::new(Resonance::new(self.frequency_hz, bandwidth_hz, sigma)) as Arc<dyn Effect>
         })
     }
     fn moments(&self, _record: Record) -> Option<Moments> {

@@ -5,6 +5,9 @@ use crate::diagnosis::law::Shape;
 use crate::diagnosis::report::Sense;
 use crate::diagnosis::series::Series;
 
+/// Nats that an asymmetry has to give.
+const LEANING: f64 = 4.0;
+
 /// What it gives to leave each of the model's spectral effects out, or to have it with other numbers where that is worth more
 /// than `worth` beyond leaving it out. `doubtful`: other numbers are looked for everywhere, not only near the model's.
 #[must_use]
@@ -19,7 +22,14 @@ pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> 
             let near = spectral::with_term(&bare, term.shape, [term.numbers.clone()])
                 .map(|found| spectral::candidate(&bare, kind, found));
             let anywhere = if doubtful { of_kind(&bare, kind) } else { None };
-            let otherwise = near.into_iter().chain(anywhere).reduce(|a, b| if b.gain > a.gain { b } else { a });
+            // A line whose sides are otherwise is no other effect.
+            let leaning = (term.shape == Shape::Resonance && term.numbers.len() == Shape::SYMMETRIC).then(|| {
+                let numbers = term.numbers.iter().copied().chain([0.0]).collect();
+                spectral::with_term(&bare, term.shape, [numbers]).map(|found| spectral::candidate(&bare, kind, found))
+            });
+            let leaning = leaning.flatten().map(|of| Candidate { gain: of.gain - LEANING, ..of });
+            let found = near.into_iter().chain(anywhere).chain(leaning);
+            let otherwise = found.reduce(|a, b| if b.gain > a.gain { b } else { a });
             match otherwise.filter(|of| of.gain > worth(kind)) {
                 Some(of) => Candidate { gain: left_out + of.gain, of_model: Some((*place, Sense::Size)), ..of },
                 None => Candidate {

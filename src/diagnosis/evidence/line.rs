@@ -148,7 +148,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let start = |share: f64, ratio: f64| {
         let bandwidth_hz = share * width_hz;
         // The peak of such a band is σ²·rate/(π·bandwidth) two-sided.
-        let unit = Resonance { frequency_hz, bandwidth_hz, sigma: 1.0 };
+        let unit = Resonance::new(frequency_hz, bandwidth_hz, 1.0);
         let top = rate_hz * unit.psd(frequency_hz, rate_hz).unwrap_or(1.0);
         let mut law = without.law.clone();
         let sigma2 = (ratio - 1.0).max(0.05) * level / top;

@@ -26,6 +26,7 @@ fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
         ("high" | "to_s", _) => 1.0 + unit,
         ("jitter_s", _) => 1e-4 * unit,
         ("amplitude_sigma", _) => 3.0 * unit,
+        ("asymmetry", _) => 2.0 * unit - 1.0,
         (_, Range::Any) => 20.0 * unit - 10.0,
         (_, Range::FromZero) => 9.0 * unit,
         (_, Range::Above(least)) => least + 0.001 + 9.0 * unit,
