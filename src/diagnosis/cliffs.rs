@@ -9,33 +9,33 @@ use crate::simulator::SensorModel;
 use serde_json::{Value, json};
 
 /// Standard deviation of the white noise of the tests' model, per sample.
-const WHITE: f64 = 0.012_649;
+pub(super) const WHITE: f64 = 0.012_649;
 
-fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
+pub(super) fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
     diagnose(real, sim, &Options::default()).unwrap()
 }
 
-fn names(outcome: &Outcome) -> Vec<&'static str> {
+pub(super) fn names(outcome: &Outcome) -> Vec<&'static str> {
     outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
 }
 
 /// What a cause has on a channel, one after the other.
-fn list(cause: &Cause, channel: &str) -> Vec<Value> {
+pub(super) fn list(cause: &Cause, channel: &str) -> Vec<Value> {
     let of = cause.parameters.get(channel);
     of.map_or(Vec::new(), |of| of.as_array().cloned().unwrap_or_else(|| vec![of.clone()]))
 }
 
 /// Collects what goes wrong in several cases, so that a failure shows all of it.
 #[derive(Debug, Default)]
-struct Wrong(Vec<String>);
+pub(super) struct Wrong(Vec<String>);
 
 impl Wrong {
-    fn expect(&mut self, right: bool, said: impl FnOnce() -> String) {
+    pub(super) fn expect(&mut self, right: bool, said: impl FnOnce() -> String) {
         if !right {
             self.0.push(said());
         }
     }
-    fn none(self) {
+    pub(super) fn none(self) {
         assert!(self.0.is_empty(), "{:#?}", self.0);
     }
 }

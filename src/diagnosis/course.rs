@@ -79,6 +79,8 @@ pub struct Courses {
     follows: OnceLock<Vec<(Follow, Vec<f64>)>>,
     /// Of [`Follow::Rate`], samples.
     lag: f64,
+    /// Step in which the temperature was read, °C; 0 if none is seen.
+    reading_c: f64,
 }
 
 impl Courses {
@@ -100,7 +102,19 @@ impl Courses {
             coefficients.truncate(kept);
             (values.to_vec(), coefficients)
         });
-        Self { samples, kept, ramp, temperature, follows: OnceLock::new(), lag }
+        Self { samples, kept, ramp, temperature, follows: OnceLock::new(), lag, reading_c: 0.0 }
+    }
+
+    /// The same with a temperature that was read in steps of so many °C.
+    #[must_use]
+    pub(super) fn read_in_steps(self, reading_c: f64) -> Self {
+        Self { reading_c, ..self }
+    }
+
+    /// Step in which the temperature was read, °C; 0 if none is seen.
+    #[must_use]
+    pub(super) fn reading_c(&self) -> f64 {
+        self.reading_c
     }
 
     /// How a level may follow this record's temperature, where it moves enough to tell.

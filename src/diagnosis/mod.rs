@@ -24,6 +24,8 @@ pub mod diagnose;
 mod discrepancy;
 mod dither;
 mod drawings;
+mod ends;
+mod equaliser;
 pub mod error;
 pub mod evidence;
 pub mod explanation;
@@ -67,6 +69,8 @@ mod sentence;
 pub mod series;
 pub mod shared;
 pub mod spread;
+#[cfg(test)]
+mod strong_effects;
 pub mod tiles;
 pub mod transform;
 pub mod translate;

@@ -110,11 +110,24 @@ pub(super) fn scedasticity(series: &mut Series<'_>) {
 
 /// The ratios of stretches that are not left out, each against what is in none.
 fn stretches(series: &mut Series<'_>, known: usize) {
-    if series.explanation.loud.len() > known {
+    const ROUNDS: usize = 8;
+    /// Change of ln of a ratio that is none.
+    const SETTLED: f64 = 0.01;
+    if series.explanation.loud.len() <= known {
+        return;
+    }
+    for _ in 0..ROUNDS {
         let ratios = loudness::ratios(series);
+        let mut moved = 0.0f64;
         for (loud, ratio) in series.explanation.loud.iter_mut().zip(ratios).skip(known) {
-            loud.ratio = ratio.unwrap_or(loud.ratio);
+            let ratio = ratio.unwrap_or(loud.ratio);
+            moved = moved.max((ratio / loud.ratio).ln().abs());
+            loud.ratio = ratio;
         }
         series.rebuild(false);
+        // What white noise is apart from the rest depends on how loud it is.
+        if moved < SETTLED || series.equaliser.is_none() {
+            break;
+        }
     }
 }

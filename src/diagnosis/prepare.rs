@@ -25,7 +25,13 @@ pub const LEAST: usize = 1000;
 const QUIET: f64 = 1e-6;
 /// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
-const STEPS: f64 = 15.0;
+const STEPS: f64 = 3.0;
+/// How fast it moves is seen in means over so many s: from reading to reading it goes to and fro between two steps.
+const MOVES_S: f64 = 10.0;
+
+/// By how much what differs from sample to sample may be above the declared white noise and be taken for it: what is louder is lines, or
+/// white noise of another unit.
+const LOUDER: f64 = 20.0;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone)]
@@ -121,11 +127,12 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let missing: Vec<usize> =
         real.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(t, _)| t).collect();
     let mut transform = Cosines::new(n);
-    let temperature = temperature(real);
+    let (temperature, reading_c) = temperature(real).unzip();
     let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
     let about: Option<Vec<f64>> =
         temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
-    let courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz);
+    let courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz)
+        .read_in_steps(reading_c.unwrap_or_default());
     let repeats = repeats(real, &wanted);
     let mut channels = Vec::new();
     for channel in wanted {
@@ -205,8 +212,8 @@ fn is_missing(real: &Recording, t: usize) -> bool {
     real.is_missing(t)
 }
 
-/// The temperature with its gaps filled, smoothed where it moves in steps; None where it does not move.
-pub(super) fn temperature(real: &Recording) -> Option<Vec<f64>> {
+/// The temperature with its gaps filled, smoothed where it moves in steps, and the step, °C; None where it does not move.
+pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
     let mut filled = read.clone();
     let mut last =
@@ -224,11 +231,13 @@ pub(super) fn temperature(real: &Recording) -> Option<Vec<f64>> {
     }
     // Wide enough for several steps of the readings, narrow enough for what the temperature does.
     let step = facts::of(&filled).step.unwrap_or(0.0);
-    let moved: f64 = filled.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
+    let block = ((MOVES_S * real.rate_hz) as usize).clamp(1, filled.len());
+    let means: Vec<f64> = filled.chunks_exact(block).map(|of| of.iter().sum::<f64>() / block as f64).collect();
+    let moved: f64 = means.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
     let per_s = moved / filled.len() as f64 * real.rate_hz;
     let wide_s = (STEPS * step / per_s.max(f64::MIN_POSITIVE)).clamp(1.0, SMOOTHED_S);
     let width = ((wide_s * real.rate_hz) as usize).min(filled.len() / 8);
-    Some(smoothed(&filled, width))
+    Some((smoothed(&filled, width), step))
 }
 
 /// Parabolas fitted to `width` samples about each (Savitzky and Golay 1964, Anal. Chem. 36), by way of means over a sixteenth
@@ -341,7 +350,9 @@ fn channel_of(
     let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
     let level = *level;
     let white = coarse.map_or_else(|| scale_of(&there), |(_, white)| white.deviation);
-    let scale = white.max(model.n * sim.rate_hz.sqrt() * 1e-3);
+    let declared = model.n * sim.rate_hz.sqrt();
+    let most = if declared > 0.0 && coarse.is_none() { LOUDER * declared } else { f64::INFINITY };
+    let scale = white.min(most).max(1e-3 * declared);
     for sample in &mut samples {
         *sample = if sample.is_finite() { (*sample - level) / scale } else { 0.0 };
     }

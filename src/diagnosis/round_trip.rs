@@ -257,6 +257,7 @@ fn an_n_that_is_off_is_reported_behind_a_steep_filter() {
             of.iter().any(|of| of.channel == **channel && of.parameter == "N" && (of.capture / 2e-3 - 1.0).abs() < 0.06)
         };
         let missing: Vec<&str> = CHANNELS.map(Channel::name).into_iter().filter(|channel| !off(channel)).collect();
-        assert!(missing.is_empty(), "seed {seed}, {missing:?}: {:#?}", outcome.diagnosis.parameters);
+        let found = &outcome.diagnosis;
+        assert!(missing.is_empty(), "seed {seed}, {missing:?}: {:#?} {:?}", found.parameters, found.causes);
     }
 }

@@ -4,7 +4,7 @@ use super::course::Course;
 use super::evidence::declared::{self, kind_of};
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
-use super::law::{Beliefs, Data};
+use super::law::{Beliefs, Data, Shape};
 use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::report::Sense;
@@ -37,6 +37,9 @@ impl Step {
     }
 }
 
+/// Nats by which a filter with a cutoff has to be better than a boxcar.
+const BOXCAR: f64 = 6.0;
+
 /// A complex kind that stands in for a simple one has to be better by some nats.
 const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::WarmUp, Kind::RateRamp, 4.0),
@@ -46,7 +49,7 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
     (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
     (Kind::HeavyTails, Kind::Spikes, 0.0),
-    (Kind::LowPass, Kind::MovingAverage, 6.0),
+    (Kind::LowPass, Kind::MovingAverage, BOXCAR),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
     // What is rarer has to be clearly better.
     (Kind::Slope, Kind::GaussMarkov, 3.0),
@@ -71,22 +74,18 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     while steps.len() < MOST {
         let candidates = everything(series, prices);
-        let is_leap = |of: &&Candidate| of.kind == Kind::BiasStep && of.of_model.is_none();
-        let is_new = steps.iter().all(|step| step.kind != Kind::BiasStep);
-        let leap = candidates.iter().find(is_leap).filter(|_| is_new).cloned();
+        let others = candidates.clone();
         let Some((step, chosen)) = best_of(candidates, prices, &steps) else { break };
         if levels_do(series, &step) {
             continue;
         }
-        let (step, chosen) = match leap.and_then(|leap| leap_instead(series, prices, &step, leap)) {
-            Some(leap) => leap,
-            None => (step, chosen),
-        };
+        let (step, chosen) = instead(series, prices, &steps, &step, others).unwrap_or((step, chosen));
         series.explanation = chosen.explanation;
         series.rebuild(false);
         let kind = step.kind;
         steps.push(step);
         match kind {
+            Kind::Resonance => lean(series),
             Kind::Tone => {
                 other_filter(series, prices, &mut steps);
                 more_tones(series, prices, &mut steps);
@@ -94,6 +93,13 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
             Kind::BiasStep => {
                 evidence::level::join_rises(&mut series.explanation, start.courses.len());
                 leave_rises_out(series);
+                drop_minor_steps(series, start.courses.len());
+            }
+            // Tails that were found before may have been of these, and of what they hid.
+            Kind::Bursts if steps.iter().any(|step| step.kind == Kind::HeavyTails && step.of_model.is_none()) => {
+                steps.retain(|step| step.kind != Kind::HeavyTails || step.of_model.is_some());
+                series.explanation.tails = start.tails;
+                series.rebuild(false);
             }
             // What it does not say of the variance would look like tails.
             Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
@@ -150,37 +156,96 @@ fn tails_and_bursts_again(series: &mut Series<'_>, prices: &Prices, steps: &mut 
     }
 }
 
-/// A large step makes a few samples of the residual loud, and the rest quiet beside them: it comes before what is loud, if it takes
-/// that away.
-fn leap_instead(series: &Series<'_>, prices: &Prices, step: &Step, leap: Candidate) -> Option<(Step, Candidate)> {
-    /// Nats beyond its price of one that is looked at.
+/// What may look like other effects as long as it is not known, and what it may look like: a large step makes a few samples of the
+/// residual loud and the rest quiet beside them; strong lines do that to parts of the spectrum, as filters do; a few values that are far
+/// out look like tails, behind a filter like bursts; loud stretches look like tails.
+const HIDDEN: [(Kind, &[Kind]); 5] = [
+    (
+        Kind::BiasStep,
+        &[
+            Kind::Spikes,
+            Kind::HeavyTails,
+            Kind::Bursts,
+            Kind::VarianceInterval,
+            Kind::VarianceProfile,
+            Kind::VariancePerDegree,
+        ],
+    ),
+    (Kind::Tone, &[Kind::LowPass, Kind::MovingAverage]),
+    (Kind::Spikes, &[Kind::Bursts]),
+    (Kind::VarianceInterval, &[Kind::HeavyTails]),
+    (Kind::Bursts, &[Kind::HeavyTails]),
+];
+
+/// What comes before the effect that would be chosen, because it takes away what that would explain; `all` is what else there is.
+fn instead(
+    series: &Series<'_>,
+    prices: &Prices,
+    steps: &[Step],
+    step: &Step,
+    all: Vec<Candidate>,
+) -> Option<(Step, Candidate)> {
+    /// Nats beyond its price of what is looked at.
     const LARGE: f64 = 50.0;
     /// Part of the gain that is left of what it takes away.
     const LEFT: f64 = 0.5;
-    let is_loud = step.kind.is_marginal()
-        || matches!(step.kind, Kind::VarianceInterval | Kind::VarianceProfile | Kind::VariancePerDegree);
-    let price = prices.of(Kind::BiasStep);
-    let known = series.explanation.courses.len();
-    let lasts = || {
-        leap.explanation.courses[known..].iter().any(|(course, size)| match course {
-            Course::Step(at) => evidence::leaps::is_lasting(&series.rest, *at, *size),
-            _ => false,
-        })
-    };
-    if !is_loud || step.of_model.is_some() || leap.gain < price + LARGE || !lasts() {
+    if step.of_model.is_some() {
         return None;
     }
-    let mut beside = series.clone();
-    beside.explanation = leap.explanation.clone();
-    beside.rebuild(false);
-    leave_rises_out(&mut beside);
-    let left = evidence::of_squares(&beside)
-        .into_iter()
-        .filter(|of| of.kind == step.kind)
-        .map(|of| of.gain)
-        .fold(0.0, f64::max);
-    let own = Step { kind: Kind::BiasStep, gain: leap.gain, price, others: Vec::new(), of_model: None };
-    (left < LEFT * step.gain).then_some((own, leap))
+    let may_be = |of: &Candidate| {
+        let hides = HIDDEN.iter().any(|(kind, looks)| *kind == of.kind && looks.contains(&step.kind));
+        let is_known = steps.iter().any(|step| step.kind == of.kind && !of.kind.repeats());
+        of.of_model.is_none() && hides && !is_known && of.gain > prices.of(of.kind) + LARGE
+    };
+    all.into_iter().filter(may_be).find_map(|of| {
+        if of.kind == Kind::BiasStep && !lasts(series, &of) {
+            return None;
+        }
+        let mut beside = series.clone();
+        beside.explanation = of.explanation.clone();
+        // What is said of tails counts only once it is asked.
+        beside.explanation.spikes = series.explanation.spikes;
+        beside.rebuild(false);
+        match of.kind {
+            Kind::BiasStep => leave_rises_out(&mut beside),
+            Kind::Tone => more_tones(&mut beside, prices, &mut Vec::new()),
+            _ => {}
+        }
+        if of.kind == Kind::Tone && !is_loud(&beside, series.explanation.sines.len()) {
+            return None;
+        }
+        let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
+        (gain_of(step.kind, &beside) < LEFT * step.gain).then_some((own, of))
+    })
+}
+
+/// Whether the sines but the first `known` ones are a good part of what a series has.
+fn is_loud(series: &Series<'_>, known: usize) -> bool {
+    const PART: f64 = 0.2;
+    let lines: f64 = series.explanation.sines[known..].iter().map(|sine| 0.5 * sine.amplitude().powi(2)).sum();
+    let rest = series.rest.iter().map(|x| x * x).sum::<f64>() / series.len() as f64;
+    lines > PART * (lines + rest)
+}
+
+/// Whether one of the steps that a candidate adds moves the level for good.
+fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
+    let known = series.explanation.courses.len();
+    let mut joined = of.explanation.clone();
+    evidence::level::join_rises(&mut joined, known);
+    joined.courses[known..].iter().any(|(course, size)| match course {
+        Course::Step(at) => evidence::leaps::is_lasting(&series.rest, *at, *size),
+        _ => false,
+    })
+}
+
+/// What a filter, or an effect on single samples and their variance, would give.
+fn gain_of(kind: Kind, series: &Series<'_>) -> f64 {
+    let found: Vec<Candidate> = match kind {
+        Kind::LowPass => evidence::spectral::low_pass(series).into_iter().collect(),
+        Kind::MovingAverage => evidence::spectral::moving_average(series).into_iter().collect(),
+        _ => evidence::of_squares(series),
+    };
+    found.into_iter().filter(|of| of.kind == kind).map(|of| of.gain).fold(0.0, f64::max)
 }
 
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model says: white noise of the model's size and
@@ -197,6 +262,19 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
 }
 
+/// Whether a candidate is slow noise that is no larger than what rounded readings of the temperature do not say of a level that follows it.
+fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
+    /// Parts of a step of the readings.
+    const UNSAID: f64 = 0.4;
+    let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
+    let per_c = of.explanation.courses.iter().map(follows).fold(0.0, f64::max);
+    let unsaid = UNSAID * series.setting().courses.reading_c() * per_c;
+    let term = of.explanation.law.terms.last().filter(|term| term.shape == Shape::GaussMarkov);
+    of.kind == Kind::GaussMarkov
+        && of.of_model.is_none()
+        && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unsaid)
+}
+
 /// Takes this doubt off what filters give.
 fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
     for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
@@ -208,6 +286,7 @@ fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
 fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     let mut found = evidence::all(series);
     doubt_filters(series, &mut found);
+    found.retain(|of| !is_of_reading(series, of));
     if !series.setting().declared.is_empty() {
         let doubtful = found.iter().any(|of| of.gain > prices.of(of.kind));
         found.extend(declared::all(series, doubtful, |kind| prices.of(kind)));
@@ -254,9 +333,60 @@ fn believe_again(series: &mut Series<'_>) {
     }
 }
 
+/// Takes back steps about a far larger one that are not needed once what that does while it rises is left out; the first `known`
+/// courses are the model's.
+fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
+    /// Samples about the larger one, and its size over theirs.
+    const NEAR: usize = 512;
+    const LARGER: f64 = 5.0;
+    /// Nats that one has to give.
+    const WORTH: f64 = 14.0;
+    let is_minor = |courses: &[(Course, f64)], at: usize| {
+        let (Course::Step(place), size) = courses[at] else { return false };
+        courses[known..].iter().any(|(course, other)| match course {
+            Course::Step(its) => its.abs_diff(place) <= NEAR && other.abs() > LARGER * size.abs(),
+            _ => false,
+        })
+    };
+    let mut at = known;
+    while at < series.explanation.courses.len() {
+        if is_minor(&series.explanation.courses, at) {
+            let mut without = series.clone();
+            without.explanation.courses.remove(at);
+            without.rebuild(false);
+            leave_rises_out(&mut without);
+            if without.fitted.log_posterior > series.fitted.log_posterior - WORTH {
+                *series = without;
+                continue;
+            }
+        }
+        at += 1;
+    }
+}
+
+/// Gives narrow bands an asymmetry where it is worth something: what is far from a strong line would look like a filter or like
+/// further noise.
+fn lean(series: &mut Series<'_>) {
+    /// Nats.
+    const WORTH: f64 = 4.0;
+    for at in 0..series.explanation.law.terms.len() {
+        let term = &series.explanation.law.terms[at];
+        if term.shape != Shape::Resonance || term.numbers.len() != Shape::SYMMETRIC {
+            continue;
+        }
+        let mut law = series.explanation.law.clone();
+        law.terms[at].numbers.push(0.0);
+        let fitted = law.fit(series.data());
+        if fitted.log_posterior > series.fitted.log_posterior + WORTH {
+            series.explanation.law = fitted.law;
+            series.rebuild(false);
+        }
+    }
+}
+
 /// What a step does until it is over is no other effect. Of large steps the largest hide the others' until they are left out.
 fn leave_rises_out(series: &mut Series<'_>) {
-    const ROUNDS: usize = 2;
+    const ROUNDS: usize = 6;
     for _ in 0..ROUNDS {
         let rises = evidence::level::rises(series);
         if rises.is_empty() {
@@ -285,7 +415,11 @@ fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>
     });
     series.rebuild(false);
     leave_rises_out(series);
-    while let Some((step, chosen)) = best_of(evidence::of_samples(series), prices, steps) {
+    loop {
+        let candidates = evidence::of_samples(series);
+        let others = candidates.clone();
+        let Some((step, chosen)) = best_of(candidates, prices, steps) else { break };
+        let (step, chosen) = instead(series, prices, steps, &step, others).unwrap_or((step, chosen));
         series.explanation = chosen.explanation;
         series.rebuild(false);
         steps.push(step);
@@ -401,7 +535,12 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     {
         series.explanation = best.explanation;
         series.rebuild(false);
-        if step.kind != steps[at].kind || series.fitted.log_posterior > kept.fitted.log_posterior {
+        let simpler = match (step.kind, steps[at].kind) {
+            (Kind::MovingAverage, Kind::LowPass) => BOXCAR,
+            (Kind::LowPass, Kind::MovingAverage) => -BOXCAR,
+            _ => 0.0,
+        };
+        if series.fitted.log_posterior + simpler > kept.fitted.log_posterior {
             steps[at] = Step { of_model: steps[at].of_model, ..step };
             return;
         }

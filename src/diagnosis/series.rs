@@ -2,6 +2,7 @@
 
 use super::censored::{self, Censored};
 use super::course::{Course, Courses};
+use super::equaliser::Equaliser;
 use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, per_product, profile, turning};
 use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
@@ -78,6 +79,8 @@ pub struct Series<'a> {
     unfiltered: Vec<f64>,
     /// The variance that the explanation gives the residual at each sample; empty where it is 1.
     pub variance: Vec<f64>,
+    /// What has made the white noise of the rest even, if it has.
+    pub(super) equaliser: Option<Equaliser>,
 }
 
 impl<'a> Series<'a> {
@@ -120,6 +123,7 @@ impl<'a> Series<'a> {
             residual: Vec::new(),
             unfiltered: Vec::new(),
             variance: Vec::new(),
+            equaliser: None,
         }
     }
 
@@ -174,6 +178,11 @@ impl<'a> Series<'a> {
         self.resolve_lines();
         self.fit_means();
         self.refit(several);
+        // What depends on the law was done by the last one.
+        if self.depends_on_law() {
+            self.fit_means();
+            self.refit(false);
+        }
         if !self.excluded().is_empty() {
             // What stands for excluded samples depends on the law, and the law on that: a little on a few samples; behind a filter,
             // whose spectrum may be next to nothing somewhere, much; on a good part of the record until both agree.
@@ -201,10 +210,10 @@ impl<'a> Series<'a> {
         }
         let mut there = self.rest.clone();
         let outliers = self.explanation.outliers.clone();
-        let kept = (self.rest.clone(), self.censored.clone(), self.mean);
+        let kept = (self.rest.clone(), self.censored.clone(), self.mean, self.equaliser.clone());
         self.fit_means_but(false);
         let own = std::mem::replace(&mut self.rest, kept.0);
-        (self.censored, self.mean) = (kept.1, kept.2);
+        (self.censored, self.mean, self.equaliser) = (kept.1, kept.2, kept.3);
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
             for t in self.spoilt(loud) {
                 if outliers.binary_search(&t).is_err() {
@@ -241,7 +250,7 @@ impl<'a> Series<'a> {
         const MOST: f64 = 1.0;
         let variance = self.variances();
         let there = 1.0 - (self.loud_samples() as f64 / self.len().max(1) as f64).min(0.9);
-        if variance.is_empty() {
+        if variance.is_empty() || self.equaliser.is_some() {
             return grid.counts().iter().map(|count| there * count).collect();
         }
         let square = variance.iter().map(|v| v * v).sum::<f64>() / variance.len() as f64;
@@ -287,7 +296,9 @@ impl<'a> Series<'a> {
                 series.spectrum = series.grid.fill(&series.fitted.logarithms);
             }
             series.whiten();
-            if series.explanation.sines.is_empty() || pass == 2 {
+            // What depends on the law needs one more.
+            let is_alone = series.explanation.sines.is_empty() && !(pass == 0 && series.depends_on_law());
+            if is_alone || pass == 2 {
                 break;
             }
             series.refine_sines();
@@ -324,11 +335,15 @@ impl<'a> Series<'a> {
 
     /// Twice the gain in nats of a slow sine at the present law, and the factors of its cosine and sine.
     pub(super) fn turn(&self, cycles: f64) -> (f64, [f64; 2]) {
-        let columns = self.setting.courses.turning(cycles);
+        self.turn_of(&self.setting.courses.turning(cycles))
+    }
+
+    /// The same of the transforms of what its cosine and sine make of the rest.
+    fn turn_of(&self, columns: &[Vec<f64>; 2]) -> (f64, [f64; 2]) {
         let product = |a: &[f64], b: &[f64]| -> f64 {
             a.iter().zip(b).zip(&self.spectrum).skip(1).map(|((a, b), s)| a * b / s).sum()
         };
-        let [cosine, sine] = &columns;
+        let [cosine, sine] = columns;
         let (aa, ab, bb) = (product(cosine, cosine), product(cosine, sine), product(sine, sine));
         let (a, b) = (product(cosine, &self.coefficients), product(sine, &self.coefficients));
         let determinant = aa * bb - ab * ab;
@@ -339,23 +354,39 @@ impl<'a> Series<'a> {
         (a * factors[0] + b * factors[1], factors)
     }
 
+    /// Whether what is fitted to depends on the law besides.
+    fn depends_on_law(&self) -> bool {
+        self.has_bands() || !self.raw_variances().is_empty()
+    }
+
     fn refine_sines(&mut self) {
         let n = self.len();
         for index in 0..self.explanation.sines.len() {
             let cycles = self.explanation.sines[index].cycles;
             if self.is_slow(cycles) {
-                let (_, [cosine, sine]) = self.turn(cycles);
+                let quadrature = |quadratures| {
+                    let mut values = vec![0.0; n];
+                    Sine { cycles, quadratures }.add(1.0, &mut values);
+                    values
+                };
+                let columns = self.equalised([[1.0, 0.0], [0.0, 1.0]].map(quadrature));
+                let (_, [cosine, sine]) = columns.map_or_else(|| self.turn(cycles), |columns| self.turn_of(&columns));
                 let own = &mut self.explanation.sines[index].quadratures;
                 (own[0], own[1]) = (own[0] + cosine, own[1] + sine);
                 continue;
             }
             let mut sums = [0.0; 2];
-            turning(cycles, n, |t, cosine, sine| {
-                sums[0] += self.residual[t] * cosine;
-                sums[1] += self.residual[t] * sine;
-            });
             let at = ((2.0 * n as f64 * cycles) as usize).clamp(1, n - 1);
-            let scale = per_product(cycles, n) * self.spectrum[at].sqrt();
+            let factors: Option<Vec<f64>> =
+                self.equaliser.as_ref().map(|equaliser| equaliser.factors(equaliser.power(at)).collect());
+            let factor = |t: usize| factors.as_ref().map_or(1.0, |factors| factors[t]);
+            turning(cycles, n, |t, cosine, sine| {
+                let there = factor(t) * self.residual[t];
+                sums[0] += there * cosine;
+                sums[1] += there * sine;
+            });
+            let square = factors.as_ref().map_or(1.0, |factors| factors.iter().map(|f| f * f).sum::<f64>() / n as f64);
+            let scale = per_product(cycles, n) * self.spectrum[at].sqrt() / square;
             let own = &mut self.explanation.sines[index].quadratures;
             own[0] += scale * sums[0];
             own[1] += scale * sums[1];
@@ -367,17 +398,60 @@ impl<'a> Series<'a> {
         if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
             return;
         }
-        let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
-        if !courses.is_empty() {
-            let drift = self.with_courses(&courses);
-            for ((_, factor), more) in self.explanation.courses.iter_mut().zip(&drift.factors) {
-                *factor += more;
+        /// Standard deviations of white noise that a level may still move by, of what is filled in for samples about a step, and it by that.
+        const SETTLED: f64 = 0.2;
+        const ROUNDS: usize = 8;
+        let has_steps = self.explanation.courses.iter().any(|(course, _)| matches!(course, Course::Step(_)));
+        let rounds = if has_steps && !self.excluded().is_empty() { ROUNDS } else { 1 };
+        for _ in 0..rounds {
+            let moved = self.refine_courses();
+            self.refine_sines();
+            self.fit_means();
+            self.interpolate();
+            self.refit(false);
+            if moved < SETTLED * self.white() {
+                break;
             }
         }
-        self.refine_sines();
-        self.fit_means();
-        self.interpolate();
-        self.refit(false);
+    }
+
+    /// Fits the factors of courses once more; the most that a step of the level moves by.
+    fn refine_courses(&mut self) -> f64 {
+        let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
+        let mut moved = 0.0f64;
+        if !courses.is_empty() {
+            let values = |course: &Course| {
+                let mut values = vec![0.0; self.samples.len()];
+                self.setting.courses.add(*course, 1.0, &mut values);
+                values
+            };
+            let columns = self.equalised(courses.iter().map(values).collect::<Vec<_>>());
+            let drift = columns.map_or_else(|| self.with_courses(&courses), |columns| self.with_columns(&columns));
+            for ((course, factor), more) in self.explanation.courses.iter_mut().zip(&drift.factors) {
+                *factor += more;
+                if matches!(course, Course::Step(_)) {
+                    moved = moved.max(more.abs());
+                }
+            }
+        }
+        moved
+    }
+
+    /// The transforms of what the equaliser makes of functions of the record; None where there is none, or where it fails.
+    fn equalised<T: AsMut<[Vec<f64>]>>(&mut self, mut functions: T) -> Option<T> {
+        let equaliser = self.equaliser.take()?;
+        let mut done = true;
+        for values in functions.as_mut() {
+            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+            values.iter_mut().for_each(|value| *value -= mean);
+            match equaliser.apply(&mut self.transform, values) {
+                Some(even) => *values = even,
+                None => done = false,
+            }
+            self.transform.forward(values);
+        }
+        self.equaliser = Some(equaliser);
+        done.then_some(functions)
     }
 
     /// A grid that resolves these and the narrow bands of the law and of the model.
@@ -459,6 +533,10 @@ impl<'a> Series<'a> {
         }
         (self.rest, self.mean) = (rest, 0.0);
         self.guess_censored(white);
+        if quiet {
+            self.equalise();
+        }
+        self.take_ends_off();
         self.centre();
     }
 
@@ -481,8 +559,10 @@ impl<'a> Series<'a> {
             phase::undo(&mut values, &gain);
             values
         });
-        for values in [&mut residual, &mut self.unfiltered] {
-            values.iter_mut().zip(&self.variance).for_each(|(value, variance)| *value /= variance.sqrt());
+        if self.equaliser.is_none() {
+            for values in [&mut residual, &mut self.unfiltered] {
+                values.iter_mut().zip(&self.variance).for_each(|(value, variance)| *value /= variance.sqrt());
+            }
         }
         self.residual = residual;
     }
@@ -537,7 +617,7 @@ impl<'a> Series<'a> {
     }
 
     /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
-    fn variances(&self) -> Vec<f64> {
+    pub(super) fn variances(&self) -> Vec<f64> {
         normalised(self.raw_variances())
     }
 

@@ -44,12 +44,12 @@ pub(super) fn each(series: &Series<'_>, stretches: usize, edges: &[usize], mut t
         let of = series.spectrum.get(span[0] * stretches..span[1] * stretches).unwrap_or_default();
         of.iter().map(|s| (white / s).min(1.0)).sum::<f64>() / of.len().max(1) as f64
     };
-    let changes = !series.variance.is_empty();
+    let changes = !series.variance.is_empty() && series.equaliser.is_none();
     let shares: Vec<f64> = edges.windows(2).map(|span| if changes { share(span) } else { 0.0 }).collect();
     for stretch in 0..stretches {
         let range = stretch * size..(stretch + 1) * size;
         let mut values = series.residual[range.clone()].to_vec();
-        let variance = series.variance.get(range);
+        let variance = series.variance.get(range).filter(|_| changes);
         if let Some(variance) = variance {
             values.iter_mut().zip(variance).for_each(|(e, v)| *e *= v.sqrt());
         }

@@ -204,11 +204,13 @@ fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
     FEW.iter().any(|(steps, most)| places.len() >= *steps && levels <= *most)
 }
 
-/// Makes one step of those in one direction that follow one another within a few samples: a real step takes some, which are
-/// left out. The first `known` courses are the model's own.
+/// Makes one step of those in one direction, or of which one is far larger, that follow one another within a few samples: a real
+/// step takes some, which are left out. The first `known` courses are the model's own.
 pub fn join_rises(explanation: &mut Explanation, known: usize) {
     /// Samples within which steps are one.
     const NEAR: usize = 40;
+    /// One that is this part of another is what that leaves while it rises.
+    const MINOR: f64 = 0.2;
     let mut steps: Vec<(usize, f64)> = Vec::new();
     for (course, factor) in explanation.courses.iter().skip(known) {
         if let Course::Step(at) = course {
@@ -216,7 +218,8 @@ pub fn join_rises(explanation: &mut Explanation, known: usize) {
         }
     }
     steps.sort_unstable_by_key(|(at, _)| *at);
-    let one = |a: &(usize, f64), b: &(usize, f64)| b.0 - a.0 <= NEAR && a.1 * b.1 > 0.0;
+    let minor = |a: f64, b: f64| a.abs().min(b.abs()) < MINOR * a.abs().max(b.abs());
+    let one = |a: &(usize, f64), b: &(usize, f64)| b.0 - a.0 <= NEAR && (a.1 * b.1 > 0.0 || minor(a.1, b.1));
     for group in steps.chunk_by(one).filter(|group| group.len() > 1) {
         let Some(largest) = group.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) else { continue };
         let (from, to) = (group[0].0, group[group.len() - 1].0);

@@ -249,13 +249,11 @@ fn gain(sum: f64, count: usize) -> f64 {
 
 /// Mean square of what is in no stretch.
 fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
-    let inside = |loud: &Loud| residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
-    let (mut sum, mut count) = (residual.iter().map(|e| e * e).sum::<f64>(), residual.len());
-    for loud in stretches {
-        sum -= inside(loud);
-        count = count.saturating_sub(loud.to - loud.from);
-    }
-    if count > 0 && sum > 0.0 { sum / count as f64 } else { 1.0 }
+    let mut outside = vec![true; residual.len()];
+    stretches.iter().for_each(|loud| outside[loud.from..loud.to].fill(false));
+    let there = residual.iter().zip(&outside).filter(|(_, outside)| **outside);
+    let (sum, count) = there.fold((0.0, 0), |(sum, count), (e, _)| (sum + e * e, count + 1));
+    if count > 0 && sum > 0.0 { sum / f64::from(count) } else { 1.0 }
 }
 
 /// The variance of the usual noise of values whose variance is 1 on average, where it is clearly another: of those that long
@@ -289,7 +287,13 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     if n < 8 * SHORTEST {
         return Vec::new();
     }
-    let residual = series.scores().into_owned();
+    let mut residual = series.scores().into_owned();
+    // What stands for what is left out says nothing.
+    let known: Vec<Loud> = series.explanation.loud.iter().filter(|loud| loud.ratio > LOUD).copied().collect();
+    let outside = level(&residual, &known);
+    for loud in &known {
+        residual[loud.from..loud.to].fill(outside.sqrt());
+    }
     let declared = (series.setting().white - series.explanation.law.levels[0]).exp();
     let mut gains: Vec<f64> = Vec::new();
     let mut found: Vec<Loud> = Vec::new();
@@ -309,6 +313,11 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         }
         let usual = usual(&even, declared / level);
         even.iter_mut().for_each(|e| *e /= usual.sqrt());
+        // What is found is even with it already.
+        for loud in &found {
+            even[loud.from..loud.to].iter_mut().for_each(|e| *e *= usual.sqrt());
+        }
+        known.iter().for_each(|loud| even[loud.from..loud.to].fill(1.0));
         let sums = Sums::of(&even);
         let limited = if usual == 1.0 { sums.limited[n] / n as f64 } else { 1.0 };
         let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };
@@ -321,6 +330,8 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
             (own, ratio, gain) = sums.split(from, to);
             genuine = sums.genuine(from, to, own, ratio);
         }
+        // What is quieter inside a loud stretch is its soft end.
+        genuine &= ratio > 1.0 || found.iter().all(|loud| loud.to <= from || to <= loud.from);
         let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
         if gain < price.max(8.0) || (!genuine && refused.len() >= REFUSED) {
             if found.is_empty() && genuine {

@@ -11,74 +11,144 @@ fn normal(square: f64, variance: f64) -> f64 {
     0.5 * square * (1.0 - 1.0 / variance) - 0.5 * variance.ln()
 }
 
+/// A mixture of two normal distributions about 0.
+struct Mixture {
+    /// Nats more than of one.
+    gain: f64,
+    /// Part of the values that are of the wide one.
+    share: f64,
+    wide: f64,
+    core: f64,
+}
+
+impl Mixture {
+    /// Of values with these squares, at its likeliest.
+    fn of(squares: &[f64]) -> Self {
+        const ROUNDS: usize = 200;
+        const LARGEST_SHARE: f64 = 0.12;
+        let n = squares.len() as f64;
+        let plain = squares.iter().sum::<f64>() / n;
+        let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
+        // From the median, so that many outliers do not hide themselves.
+        let mut sorted = squares.to_vec();
+        let middle = sorted.len() / 2;
+        let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
+        let mut core = *median / 0.454_936;
+        let mut share = (squares.iter().filter(|a| **a > 12.0 * core).count() as f64 / n).clamp(2.0 / n, LARGEST_SHARE);
+        let mut wide = 40.0 * core;
+        let mut gain = f64::NEG_INFINITY;
+        let (large, small): (Vec<f64>, Vec<f64>) = squares.iter().partition(|a| **a > LARGE * core);
+        let (small_count, small_sum) = (small.len() as f64, small.iter().sum::<f64>());
+        for _ in 0..ROUNDS {
+            let (mut total, mut weight, mut of_wide, mut of_core) = (0.0, 0.0, 0.0, 0.0);
+            let (ln_share, ln_rest) = (share.ln(), (-share).ln_1p());
+            let (half_core, half_wide) = (0.5 * core.ln(), 0.5 * wide.ln());
+            // The others are the core's: their sum is known.
+            total += small_count * (ln_rest - half_core) - 0.5 * small_sum / core + 0.5 * small_sum;
+            of_core += small_sum;
+            for a in &large {
+                let inside = ln_rest - half_core - 0.5 * a / core;
+                let outside = ln_share - half_wide - 0.5 * a / wide;
+                let difference = outside - inside;
+                // Neither form overflows, however far out the sample is.
+                let chance = 1.0 / (1.0 + (-difference).exp());
+                let log = inside.max(outside) + (-difference.abs()).exp().ln_1p();
+                total += log + 0.5 * a;
+                weight += chance;
+                of_wide += chance * a;
+                of_core += (1.0 - chance) * a;
+            }
+            let now = total - reference;
+            share = (weight / n).clamp(0.5 / n, LARGEST_SHARE);
+            wide = (of_wide / weight.max(1e-9)).max(9.0 * core);
+            core = of_core / (n - weight);
+            if (now - gain).abs() < 1e-3 {
+                gain = now;
+                break;
+            }
+            gain = now;
+        }
+        Self { gain, share, wide, core }
+    }
+
+    /// Whether a value with this square is more probably of the wide one.
+    fn is_wide(&self, square: f64) -> bool {
+        let outside = self.share.ln() - 0.5 * self.wide.ln() - 0.5 * square / self.wide;
+        outside > (-self.share).ln_1p() - 0.5 * self.core.ln() - 0.5 * square / self.core
+    }
+}
+
+/// Squares above this many times the variance of the usual ones may be of spikes.
+const LARGE: f64 = 5.0;
+
 /// Rare values of a larger variance: a mixture of two normal distributions.
+///
+/// Where they come in groups, those groups are spikes that one value stands out of; the others are stretches of noise, of which
+/// nothing is asked here.
 #[must_use]
 pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
-    const ROUNDS: usize = 200;
-    const LARGEST_SHARE: f64 = 0.12;
     let mut explanation = series.explanation.clone();
     if explanation.tails.is_some() || explanation.spikes.is_some() {
         return None;
     }
-    let squares: Vec<f64> = series.innovations().iter().map(|e| e * e).collect();
+    let mut squares: Vec<f64> = series.innovations().iter().map(|e| e * e).collect();
     let n = squares.len() as f64;
-    let plain = squares.iter().sum::<f64>() / n;
-    let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
-    // From the median, so that many outliers do not hide themselves.
-    let mut sorted: Vec<f64> = squares.clone();
-    let middle = sorted.len() / 2;
-    let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-    let mut core = *median / 0.454_936;
-    let mut share = (squares.iter().filter(|a| **a > 12.0 * core).count() as f64 / n).clamp(2.0 / n, LARGEST_SHARE);
-    let mut wide = 40.0 * core;
-    let mut gain = f64::NEG_INFINITY;
-    let (large, small): (Vec<f64>, Vec<f64>) = squares.iter().partition(|a| **a > 5.0 * core);
-    let (small_count, small_sum) = (small.len() as f64, small.iter().sum::<f64>());
-    for _ in 0..ROUNDS {
-        let (mut total, mut weight, mut of_wide, mut of_core) = (0.0, 0.0, 0.0, 0.0);
-        let (ln_share, ln_rest) = (share.ln(), (-share).ln_1p());
-        let (half_core, half_wide) = (0.5 * core.ln(), 0.5 * wide.ln());
-        // The others are the core's: their sum is known.
-        total += small_count * (ln_rest - half_core) - 0.5 * small_sum / core + 0.5 * small_sum;
-        of_core += small_sum;
-        for a in &large {
-            let inside = ln_rest - half_core - 0.5 * a / core;
-            let outside = ln_share - half_wide - 0.5 * a / wide;
-            let difference = outside - inside;
-            // Neither form overflows, however far out the sample is.
-            let chance = 1.0 / (1.0 + (-difference).exp());
-            let log = inside.max(outside) + (-difference.abs()).exp().ln_1p();
-            total += log + 0.5 * a;
-            weight += chance;
-            of_wide += chance * a;
-            of_core += (1.0 - chance) * a;
-        }
-        let now = total - reference;
-        share = (weight / n).clamp(0.5 / n, LARGEST_SHARE);
-        wide = (of_wide / weight.max(1e-9)).max(9.0 * core);
-        core = of_core / (n - weight);
-        if (now - gain).abs() < 1e-3 {
-            gain = now;
-            break;
-        }
-        gain = now;
-    }
-    let difference =
-        |a: f64| share.ln() - 0.5 * wide.ln() - 0.5 * a / wide - (-share).ln_1p() + 0.5 * core.ln() + 0.5 * a / core;
-    let flagged: Vec<usize> =
-        squares.iter().enumerate().filter(|(_, a)| difference(**a) > 0.0).map(|(t, _)| t).collect();
+    let mut mixture = Mixture::of(&squares);
+    let wide = |mixture: &Mixture, squares: &[f64]| -> Vec<usize> {
+        squares.iter().enumerate().filter(|(_, a)| mixture.is_wide(**a)).map(|(t, _)| t).collect()
+    };
+    let mut flagged = wide(&mixture, &squares);
+    let mut spoilt: Vec<usize> = Vec::new();
     if clustered(&flagged, n) {
-        // Stretches of noise, not spikes.
-        return None;
+        let flat;
+        (spoilt, flat) = beside_peaks(&flagged, &squares);
+        // They have no square that would count, nor has what is near a stretch: its ends are soft.
+        spoilt.iter().for_each(|place| squares[*place] = f64::NAN);
+        for place in flat {
+            squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
+        }
+        let there: Vec<f64> = squares.iter().copied().filter(|square| !square.is_nan()).collect();
+        mixture = Mixture::of(&there);
+        flagged = wide(&mixture, &squares);
+        if clustered(&flagged, n) {
+            return None;
+        }
     }
+    let Mixture { gain, share, wide, core } = mixture;
     // What is not worth a nat is not looked at more closely.
     let reach = series.reach();
     let hopeless =
         SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5, samples: reach.max(1) };
+    let large: Vec<f64> = squares.iter().copied().filter(|a| *a > LARGE * core).collect();
     explanation.spikes = Some(if gain < 1.0 { hopeless } else { spike_law(series, &large, core, wide) });
+    explanation.leave_out(spoilt);
     // Behind a filter each spoils as many samples as it reaches.
     explanation.leave_out(flagged.into_iter().flat_map(|at| at..(at + reach.max(1)).min(series.len())));
     Some(Candidate::missing(Kind::Spikes, gain, explanation))
+}
+
+/// Places within so many samples are one group.
+const NEAR: usize = 4;
+/// What a spike makes of its neighbours behind a filter that is not known yet reaches so far at most, samples.
+const FAR: usize = 64;
+
+/// Of places in groups: those beside the peak of a group that has one, and those of groups of many that have none.
+fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
+    /// A peak's square over the next largest one's.
+    const HIGHER: f64 = 6.0;
+    /// Two spikes may be side by side by chance.
+    const MANY: usize = 3;
+    let (mut beside, mut flat) = (Vec::new(), Vec::new());
+    for group in places.chunk_by(|a, b| b - a <= NEAR) {
+        let Some(peak) = group.iter().copied().max_by(|a, b| squares[*a].total_cmp(&squares[*b])) else { continue };
+        let next = group.iter().filter(|place| **place != peak).map(|place| squares[*place]).fold(0.0, f64::max);
+        if group.len() < MANY || squares[peak] > HIGHER * next {
+            beside.extend(group.iter().filter(|place| **place != peak));
+        } else {
+            flat.extend(group);
+        }
+    }
+    (beside, flat)
 }
 
 /// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
@@ -137,7 +207,6 @@ fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeL
 
 /// Whether places have neighbours far more often than independent ones would.
 fn clustered(places: &[usize], samples: f64) -> bool {
-    const NEAR: usize = 4;
     const FEWEST: usize = 8;
     if places.len() < FEWEST {
         return false;
@@ -148,7 +217,7 @@ fn clustered(places: &[usize], samples: f64) -> bool {
     };
     let share = (0..count).filter(|at| near(*at)).count() as f64 / count as f64;
     let expected = 1.0 - (1.0 - count as f64 / samples).powi(2 * NEAR as i32);
-    share > 0.3 + 2.0 * expected
+    share > expected + 0.3 * (1.0 - expected)
 }
 
 /// Student's t.

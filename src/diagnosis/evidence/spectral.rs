@@ -42,12 +42,12 @@ fn white(series: &Series<'_>) -> f64 {
 /// A Gauss–Markov process.
 #[must_use]
 pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
-    const STARTS: usize = 6;
+    const STARTS: usize = 7;
     if has(series, |shape| shape == Shape::GaussMarkov) {
         return None;
     }
     let rate_hz = series.setting().rate_hz;
-    let (least, most) = (12f64, series.len() as f64 / 20.0);
+    let (least, most) = (4f64, series.len() as f64 / 20.0);
     let starts = (0..STARTS).map(|at| {
         let tau = least * (most / least).powf(at as f64 / (STARTS - 1) as f64);
         // Its level at low frequencies about the white noise's.

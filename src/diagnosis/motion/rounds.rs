@@ -38,7 +38,7 @@ pub(super) fn run(
     triads: &[Triad],
     options: &Options<'_>,
 ) -> Result<Found, DiagnosisError> {
-    let temperature_c = prepare::temperature(part);
+    let temperature_c = prepare::temperature(part).map(|(values, _)| values);
     let mut still = sim.clone();
     still.triads.clear();
     let mut told = still.clone();

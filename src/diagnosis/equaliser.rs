@@ -1,0 +1,157 @@
+//! Equaliser: what makes a record whose white noise changes with time one whose white noise is even.
+
+use super::filling::stream;
+use super::series::Series;
+use super::transform::Cosines;
+
+/// The random stream of what is drawn.
+const DRAWN: u16 = 7;
+
+/// A record x is the sum of white noise w, whose variance v changes with time, and of the rest s, of spectrum S. Given x, both are
+/// drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380): of draws s' and w' from their laws, s is
+/// s' + C(C + V)⁻¹(x − s' − w') with C the covariance of S and V that of w. Then s + w/√v has the spectrum S + 1, exactly: everything
+/// that asks for the same noise all the time may be asked of it. A filter that acts behind the white noise cannot be undone
+/// so, and is left as it is.
+#[derive(Debug, Clone)]
+pub(super) struct Equaliser {
+    /// Standard deviation of the white noise at each sample; infinite where nothing is known.
+    deviation: Vec<f64>,
+    /// The same where the variance is 1.
+    white: f64,
+    /// Power of the rest in each coefficient.
+    rest: Vec<f64>,
+    /// (C + V)⁻¹(x − s' − w') of the record.
+    solution: Vec<f64>,
+}
+
+impl Equaliser {
+    /// Standard deviations of what is not known, over the largest.
+    const UNKNOWN: f64 = 1e3;
+
+    /// What becomes of values of the record; white noise as a multiple of its own deviation, at `white`. None if they were not found.
+    pub(super) fn apply(&self, transform: &mut Cosines, values: &[f64]) -> Option<Vec<f64>> {
+        let solution = self.solve(transform, values, None)?;
+        Some(self.even(transform, values, &solution))
+    }
+
+    /// The same, given (C + V)⁻¹ times the values: the rest at its most probable is C times that.
+    fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
+        let mut slow = self.filtered(transform, solution, &|s| s);
+        let places = slow.iter_mut().zip(values).zip(&self.deviation);
+        places.for_each(|((slow, x), own)| *slow += self.white * (x - *slow) / own);
+        slow
+    }
+
+    /// Values over the white noise's deviation.
+    fn whitened(&self, values: &[f64]) -> Vec<f64> {
+        values.iter().zip(&self.deviation).map(|(x, own)| x / own).collect()
+    }
+
+    /// Values whose coefficients are multiplied by a function of the rest's power.
+    fn filtered(&self, transform: &mut Cosines, values: &[f64], gain: &dyn Fn(f64) -> f64) -> Vec<f64> {
+        let mut c = values.to_vec();
+        transform.forward(&mut c);
+        c.iter_mut().zip(&self.rest).for_each(|(c, s)| *c *= gain(*s));
+        transform.backward(&mut c);
+        c
+    }
+
+    /// (1 + V^−½·C·V^−½) times values.
+    fn image(&self, transform: &mut Cosines, values: &[f64]) -> Vec<f64> {
+        let mut image = self.whitened(&self.filtered(transform, &self.whitened(values), &|s| s));
+        image.iter_mut().zip(values).for_each(|(i, x)| *i += x);
+        image
+    }
+
+    /// (C + V)⁻¹ times values, from near it where something is known.
+    ///
+    /// Conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
+    fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
+        const ROUNDS: usize = 100;
+        /// Samples that all rounds together transform.
+        const WORK: usize = 60_000_000;
+        /// Parts of the values' own square, as the residual's: one that is none any more, and the largest that may be left.
+        const ENOUGH: f64 = 1e-8;
+        const MOST: f64 = 1e-4;
+        let n = values.len();
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / n as f64).exp();
+        let nearly = |s: f64| 1.0 / (1.0 + s / usual);
+        let mut residual = self.whitened(values);
+        let all = product(&residual, &self.filtered(transform, &residual, &nearly));
+        let mut solution = match near {
+            Some(near) => near.iter().zip(&self.deviation).map(|(x, own)| x * own).collect(),
+            None => vec![0.0; n],
+        };
+        if near.is_some() {
+            let image = self.image(transform, &solution);
+            residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= i);
+        }
+        let mut direction = self.filtered(transform, &residual, &nearly);
+        let mut square = product(&residual, &direction);
+        for _ in 0..ROUNDS.min(WORK / n.max(1)) {
+            if square <= ENOUGH * all || square.is_nan() {
+                break;
+            }
+            let image = self.image(transform, &direction);
+            let step = square / product(&direction, &image);
+            solution.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
+            residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
+            let nearer = self.filtered(transform, &residual, &nearly);
+            let next = product(&residual, &nearer);
+            let ratio = next / square;
+            direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
+            square = next;
+        }
+        (square <= MOST * all).then(|| self.whitened(&solution))
+    }
+
+    /// By what a slow change of a sine's amplitude is multiplied at each sample, `power` being the rest's at its frequency.
+    pub(super) fn factors(&self, power: f64) -> impl Iterator<Item = f64> {
+        let white = self.white;
+        self.deviation.iter().map(move |own| (power + own * white) / (power + own * own))
+    }
+
+    /// Power of the rest in a coefficient.
+    pub(super) fn power(&self, place: usize) -> f64 {
+        self.rest.get(place).copied().unwrap_or_default()
+    }
+}
+
+impl Series<'_> {
+    /// Makes the white noise of the rest even where its variance is known to change, and the law is.
+    pub(super) fn equalise(&mut self) {
+        /// Ratio of variances from which on it counts.
+        const UNEVEN: f64 = 2.0;
+        let n = self.len();
+        let before = self.equaliser.take();
+        let variance = self.variances();
+        let (least, most) = variance.iter().fold((f64::MAX, 0.0f64), |(l, m), v| (l.min(*v), m.max(*v)));
+        let is_uneven = most > UNEVEN * least && least > 0.0 && most.is_finite();
+        if !is_uneven || self.spectrum.len() != n || !self.censored.is_empty() || self.filters().is_some() {
+            return;
+        }
+        let white = self.white();
+        let mut deviation: Vec<f64> = variance.iter().map(|v| white * v.sqrt()).collect();
+        for place in self.excluded() {
+            deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
+        }
+        let mut rest: Vec<f64> = self.spectrum.iter().map(|s| (s - white * white).max(0.0)).collect();
+        // Nothing is known of the mean.
+        rest[0] = rest[1];
+        let mut equaliser = Equaliser { deviation, white, rest, solution: Vec::new() };
+        let mut stream = stream(n, self.setting().owner, DRAWN);
+        let mut slow: Vec<f64> = equaliser.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
+        self.transform.backward(&mut slow);
+        let fast: Vec<f64> = (0..n).map(|_| stream.normal()).collect();
+        let drawn = slow.iter().zip(&fast).zip(&equaliser.deviation).map(|((slow, fast), own)| slow + own * fast);
+        let difference: Vec<f64> = self.rest.iter().zip(drawn).map(|(x, drawn)| x - drawn).collect();
+        let near = before.as_ref().map(|before| before.solution.as_slice());
+        let Some(solution) = equaliser.solve(&mut self.transform, &difference, near) else { return };
+        let known = equaliser.even(&mut self.transform, &difference, &solution);
+        self.rest =
+            known.iter().zip(&slow).zip(&fast).map(|((known, slow), fast)| known + slow + white * fast).collect();
+        equaliser.solution = solution;
+        self.equaliser = Some(equaliser);
+    }
+}

@@ -1,0 +1,169 @@
+//! Strong effects: what is far louder than all else is named alone, and hides nothing that is beside it.
+
+use super::cliffs::{WHITE, Wrong, diagnosed, list, names};
+use super::round_trip::{RATE_HZ, model, recording};
+use super::{Outcome, Verdict};
+use crate::effects::{Stream, StreamId};
+use crate::sample::Channel;
+use serde_json::{Value, json};
+
+const SAMPLES: usize = 40_000;
+
+/// What is found of an effect that the model lacks.
+fn found(effect: &Value, seed: u64) -> Outcome {
+    diagnosed(&recording(&model(Some(effect)), seed, SAMPLES), &model(None))
+}
+
+/// A cosine transform mirrors a record at its ends, which a strong line does not do; what is far from it depends on what it is
+/// the line of.
+#[test]
+fn a_strong_band_is_no_burst_at_the_ends_and_no_filter() {
+    let mut wrong = Wrong::default();
+    for (frequency_hz, bandwidth_hz, asymmetry) in
+        [(6.0, 0.02, 0.0), (6.0, 0.1, 1.0), (3.0, 0.5, -1.0), (14.0, 0.05, 0.0), (9.0, 0.3, 0.5)]
+    {
+        for seed in 1..3 {
+            let effect = json!({"effect": "resonance", "frequency_hz": frequency_hz, "bandwidth_hz": bandwidth_hz,
+                "sigma": 0.5, "asymmetry": asymmetry});
+            let found = found(&effect, seed);
+            let is_right = names(&found) == ["resonance"] && found.diagnosis.verdict == Verdict::Effects;
+            wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
+        }
+    }
+    wrong.none();
+}
+
+#[test]
+fn strong_lines_are_no_filter() {
+    let mut wrong = Wrong::default();
+    for (fundamental_hz, seed) in [(0.7, 1), (1.6, 2), (2.9, 3)] {
+        let comb = json!({"effect": "comb", "fundamental_hz": fundamental_hz, "amplitudes": [0.9, 1.9, 0.8, 1.2, 1.5]});
+        let found = found(&comb, seed);
+        wrong.expect(names(&found) == ["comb"], || format!("{fundamental_hz} Hz: {:?}", names(&found)));
+    }
+    wrong.none();
+}
+
+/// White noise whose variance changes lies on noise whose variance does not.
+#[test]
+fn a_variance_that_changes_a_thousandfold_is_no_other_effect() {
+    let mut wrong = Wrong::default();
+    let profile = |most: f64| -> Vec<[f64; 2]> {
+        let at = |k: u32| f64::from(k) * 25.0;
+        (0..=40).map(|k| [at(k), (most * (at(k) / 120.0).sin()).exp()]).collect()
+    };
+    for (most, seed) in [(1.5, 1), (2.5, 2), (3.5, 3)] {
+        let found = found(&json!({"effect": "variance_change", "profile": profile(most)}), seed);
+        let is_right = names(&found) == ["variance_change"] && found.diagnosis.verdict == Verdict::Effects;
+        wrong.expect(is_right, || format!("e^±{most}: {:?} {:?}", names(&found), found.diagnosis.notes));
+    }
+    for (factor, seed) in [(0.02, 4), (0.1, 5), (40.0, 6)] {
+        let effect = json!({"effect": "variance_change", "from_s": 300.0, "to_s": 420.0, "factor": factor});
+        let found = found(&effect, seed);
+        let own = found.diagnosis.causes.first().and_then(|cause| list(cause, "accel_x").first().cloned());
+        let said = own.and_then(|own| own["factor"].as_f64()).unwrap_or_default();
+        let is_right = names(&found) == ["variance_change"] && (said / factor - 1.0).abs() < 0.25;
+        wrong.expect(is_right, || format!("{factor}: {said} {:?} {:?}", names(&found), found.diagnosis.notes));
+    }
+    wrong.none();
+}
+
+#[test]
+fn steps_of_a_thousand_deviations_that_rise_slowly_are_steps_alone() {
+    let mut wrong = Wrong::default();
+    for (count, size, rise, seed) in [(1, 1000.0, 20.0, 1), (10, 600.0, 18.0, 2), (14, 100.0, 12.0, 3)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let mut truth = Vec::new();
+        let values = &mut real.channels[0].1;
+        for step in 0..count {
+            let at = (step * 2 + 1) * SAMPLES / (2 * count) + 17 * step;
+            let size = size * WHITE * if step % 3 == 1 { -1.1 } else { 1.0 };
+            truth.push(size);
+            for (t, value) in values.iter_mut().enumerate().skip(at) {
+                let done = ((t - at) as f64 / rise).min(1.0);
+                *value += 0.5 * size * (1.0 - (std::f64::consts::PI * done).cos());
+            }
+        }
+        let found = diagnosed(&real, &model(None));
+        let mut own = found.diagnosis.causes.first().map_or(Vec::new(), |cause| list(cause, "accel_x"));
+        let number = |of: &Value, name: &str| of[name].as_f64().unwrap_or_default();
+        own.sort_by(|a, b| number(a, "at_s").total_cmp(&number(b, "at_s")));
+        let sizes: Vec<f64> = own.iter().map(|of| number(of, "size")).collect();
+        let same = sizes.len() == count
+            && sizes.iter().zip(&truth).all(|(found, truth)| (found - truth).abs() < 0.01 * truth.abs() + WHITE);
+        wrong.expect(names(&found) == ["bias_step"] && same, || format!("{count}: {:?} {sizes:?}", names(&found)));
+    }
+    wrong.none();
+}
+
+#[test]
+fn large_spikes_beside_loud_stretches_and_behind_a_filter_are_spikes() {
+    let mut wrong = Wrong::default();
+    for (size, seed) in [(50.0, 1), (700.0, 2)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let mut stream = Stream::new(seed, StreamId { owner: 93, effect: 0, instance: 0 });
+        let values = &mut real.channels[0].1;
+        for from in [4_000, 17_500, 31_000] {
+            values[from..from + 45].iter_mut().for_each(|value| *value += 30.0 * WHITE * stream.normal());
+        }
+        for value in values.iter_mut() {
+            if stream.uniform() < 1.2e-3 {
+                *value += size * WHITE * (0.6 + 0.8 * stream.uniform());
+            }
+        }
+        let found = diagnosed(&real, &model(None));
+        let mut names = names(&found);
+        names.sort_unstable();
+        wrong.expect(names == ["bursts", "spikes"], || format!("{size}: {names:?}"));
+    }
+    for (size, seed) in [(3_000.0, 3), (100.0, 4)] {
+        let filter = json!({"effect": "low_pass", "cutoff_hz": 12.0, "order": 2, "white_behind": 1e-4});
+        let mut truth = model(Some(&filter));
+        let spikes = json!({"effect": "spikes", "rate_hz": 0.004, "amplitude": size * WHITE});
+        let with_spikes = model(Some(&spikes)).channels.remove(&Channel::AccelX).unwrap();
+        let own = truth.channels.get_mut(&Channel::AccelX).unwrap();
+        own.push_effect(with_spikes.effects[0].clone(), &[]);
+        let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
+        let mut names = names(&found);
+        names.sort_unstable();
+        wrong.expect(names == ["low_pass", "spikes"], || format!("{size} behind a filter: {names:?}"));
+    }
+    wrong.none();
+}
+
+/// Of tails that a long loud stretch makes the shorter ones beside it make as much.
+#[test]
+fn loud_stretches_of_all_lengths_are_no_tails() {
+    let mut real = recording(&model(None), 7, SAMPLES);
+    let mut stream = Stream::new(7, StreamId { owner: 94, effect: 0, instance: 0 });
+    let values = &mut real.channels[0].1;
+    for (from, to) in [(6_600, 6_690), (11_000, 11_075), (17_100, 17_190), (24_200, 24_330), (37_800, SAMPLES)] {
+        values[from..to].iter_mut().for_each(|value| *value += 40.0 * WHITE * stream.normal());
+    }
+    let found = diagnosed(&real, &model(None));
+    let mut names = names(&found);
+    names.sort_unstable();
+    assert_eq!(names, ["bursts", "variance_change"], "{:?}", found.diagnosis.notes);
+}
+
+#[test]
+fn a_process_of_a_few_samples_is_no_band_and_no_filter() {
+    let mut wrong = Wrong::default();
+    for (samples, sigma, seed) in [(4.0, 0.3, 1), (2.5, 0.05, 2), (5.0, 0.02, 3)] {
+        let effect = json!({"effect": "gauss_markov", "sigma": sigma, "tc_s": samples / RATE_HZ});
+        let found = found(&effect, seed);
+        wrong.expect(names(&found) == ["gauss_markov"], || format!("{samples} samples: {:?}", names(&found)));
+    }
+    wrong.none();
+}
+
+/// What rounded readings of the temperature do not say of a level that follows it steeply is no process of its own.
+#[test]
+fn a_level_that_follows_a_rounded_temperature_steeply_follows_it_alone() {
+    let mut wrong = Wrong::default();
+    for (per_c, seed) in [(0.05, 1), (0.2, 2)] {
+        let found = found(&json!({"effect": "temperature_bias", "per_c": per_c, "reference_c": 25.0}), seed);
+        wrong.expect(names(&found) == ["temperature_bias"], || format!("{per_c}: {:?}", names(&found)));
+    }
+    wrong.none();
+}
