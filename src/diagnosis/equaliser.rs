@@ -136,12 +136,19 @@ impl Series<'_> {
         for place in self.excluded() {
             deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
         }
+        // A constant is no noise that would be divided.
+        let weights = deviation.iter().map(|own| 1.0 / (own * own));
+        let (sum, all) = self.rest.iter().zip(weights).fold((0.0, 0.0), |(sum, all), (x, w)| (sum + w * x, all + w));
+        let mean = sum / all;
+        self.mean += mean;
+        self.rest.iter_mut().for_each(|value| *value -= mean);
         let mut rest: Vec<f64> = self.spectrum.iter().map(|s| (s - white * white).max(0.0)).collect();
         // Nothing is known of the mean.
         rest[0] = rest[1];
         let mut equaliser = Equaliser { deviation, white, rest, solution: Vec::new() };
         let mut stream = stream(n, self.setting().owner, DRAWN);
         let mut slow: Vec<f64> = equaliser.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
+        slow[0] = 0.0;
         self.transform.backward(&mut slow);
         let fast: Vec<f64> = (0..n).map(|_| stream.normal()).collect();
         let drawn = slow.iter().zip(&fast).zip(&equaliser.deviation).map(|((slow, fast), own)| slow + own * fast);

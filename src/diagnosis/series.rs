@@ -210,10 +210,10 @@ impl<'a> Series<'a> {
         }
         let mut there = self.rest.clone();
         let outliers = self.explanation.outliers.clone();
-        let kept = (self.rest.clone(), self.censored.clone(), self.mean, self.equaliser.clone());
+        let kept = (self.rest.clone(), self.censored.clone(), self.mean);
         self.fit_means_but(false);
         let own = std::mem::replace(&mut self.rest, kept.0);
-        (self.censored, self.mean, self.equaliser) = (kept.1, kept.2, kept.3);
+        (self.censored, self.mean) = (kept.1, kept.2);
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
             for t in self.spoilt(loud) {
                 if outliers.binary_search(&t).is_err() {
@@ -369,7 +369,7 @@ impl<'a> Series<'a> {
                     Sine { cycles, quadratures }.add(1.0, &mut values);
                     values
                 };
-                let columns = self.equalised([[1.0, 0.0], [0.0, 1.0]].map(quadrature));
+                let columns = self.equalised(|| [[1.0, 0.0], [0.0, 1.0]].map(quadrature));
                 let (_, [cosine, sine]) = columns.map_or_else(|| self.turn(cycles), |columns| self.turn_of(&columns));
                 let own = &mut self.explanation.sines[index].quadratures;
                 (own[0], own[1]) = (own[0] + cosine, own[1] + sine);
@@ -398,20 +398,23 @@ impl<'a> Series<'a> {
         if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
             return;
         }
-        /// Standard deviations of white noise that a level may still move by, of what is filled in for samples about a step, and it by that.
+        /// Standard deviations of white noise that a step may still move by: its size and what is filled in about it depend on each other.
         const SETTLED: f64 = 0.2;
         const ROUNDS: usize = 8;
         let has_steps = self.explanation.courses.iter().any(|(course, _)| matches!(course, Course::Step(_)));
         let rounds = if has_steps && !self.excluded().is_empty() { ROUNDS } else { 1 };
+        let mut before = f64::INFINITY;
         for _ in 0..rounds {
             let moved = self.refine_courses();
             self.refine_sines();
             self.fit_means();
             self.interpolate();
             self.refit(false);
-            if moved < SETTLED * self.white() {
+            // What moves more and more is left.
+            if moved < SETTLED * self.white() || moved > before {
                 break;
             }
+            before = moved;
         }
     }
 
@@ -420,12 +423,13 @@ impl<'a> Series<'a> {
         let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
         let mut moved = 0.0f64;
         if !courses.is_empty() {
+            let (setting, samples) = (self.setting, self.samples.len());
             let values = |course: &Course| {
-                let mut values = vec![0.0; self.samples.len()];
-                self.setting.courses.add(*course, 1.0, &mut values);
+                let mut values = vec![0.0; samples];
+                setting.courses.add(*course, 1.0, &mut values);
                 values
             };
-            let columns = self.equalised(courses.iter().map(values).collect::<Vec<_>>());
+            let columns = self.equalised(|| courses.iter().map(values).collect::<Vec<_>>());
             let drift = columns.map_or_else(|| self.with_courses(&courses), |columns| self.with_columns(&columns));
             for ((course, factor), more) in self.explanation.courses.iter_mut().zip(&drift.factors) {
                 *factor += more;
@@ -438,8 +442,9 @@ impl<'a> Series<'a> {
     }
 
     /// The transforms of what the equaliser makes of functions of the record; None where there is none, or where it fails.
-    fn equalised<T: AsMut<[Vec<f64>]>>(&mut self, mut functions: T) -> Option<T> {
+    fn equalised<T: AsMut<[Vec<f64>]>>(&mut self, functions: impl FnOnce() -> T) -> Option<T> {
         let equaliser = self.equaliser.take()?;
+        let mut functions = functions();
         let mut done = true;
         for values in functions.as_mut() {
             let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;

@@ -136,6 +136,7 @@ const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
     let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
     let rate_hz = sim.rate_hz;
+    let internal_hz = sim.internal_rate_hz(rate_hz);
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
     let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
@@ -202,7 +203,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     let terms = explanation.law.terms.iter().zip(&spread.terms).enumerate();
     let spectral: Vec<Spectral> = terms
         .filter_map(|(place, (term, errors))| {
-            let found = spectral(term, errors, [scale, white, rate_hz])?;
+            let found = spectral(term, errors, [scale, white, rate_hz, internal_hz])?;
             let level = levels.iter().find(|levels| levels.term == place);
             Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
         })
@@ -211,7 +212,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     // The same a standard error off.
     let off = |(term, errors): (&Term, &Vec<f64>)| {
         let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
-        self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz])
+        self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz, internal_hz])
             .map(|(_, effect, _)| effect)
     };
     let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
@@ -340,12 +341,14 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
     let band = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp() * scale);
     let level = levels.points.iter().map(|(sample, factor)| (sample / rate_hz, *factor)).collect();
+    // Such a band is symmetric.
+    let ci95 = ci95.into_iter().filter(|(name, _)| *name != "asymmetry").collect();
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
 }
 
-/// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, and the rate in Hz.
-fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {
-    let [scale, white, rate_hz] = units;
+/// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, the output's rate and the internal one in Hz.
+fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
+    let [scale, white, rate_hz, internal_hz] = units;
     /// White noise behind a filter of less than this part of N (ln of the squares) is none: nothing tells it.
     const SILENT: f64 = -16.0;
     let behind = term.floor().filter(|floor| floor.ln() > SILENT).map_or(0.0, |floor| white * floor.sqrt());
@@ -369,7 +372,9 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 3]) -> Option<Spectral> {
             let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
             let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
             let most = line.most_asymmetric(rate_hz);
-            let asymmetry = at(3) * most;
+            // What is found at the output's rate acts at the internal one.
+            let possible = line.most_asymmetric(internal_hz);
+            let asymmetry = (at(3) * most).clamp(-possible, possible);
             let mut ci95 = vec![
                 ("sigma", times(sigma, 0.5 * error(0))),
                 ("frequency_hz", about(frequency_hz, error(1))),

@@ -152,18 +152,29 @@ impl Effect for Resonance {
         let (sine, cosine) = (TAU * self.frequency_hz / rate_hz).sin_cos();
         let odd = self.odd();
         let (one, other) = (self.sigma * stream.normal(), self.sigma * stream.normal());
-        // The quadratures' covariance is σ²·[1, −o; −o, 1]; what turns and shrinks keeps a part of it, what drives makes up for it.
+        // The quadratures' covariance is σ²·[1, −o; −o, 1 + 2o²]: that of the first is as it has to be, and what drives them is possible for
+        // every asymmetry that a spectrum allows. What turns and shrinks keeps a part of it, what drives makes up for it.
         let (twice_sine, twice_cosine) = (2.0 * sine * cosine, cosine * cosine - sine * sine);
         let kept = (-2.0 * decay).exp();
-        let (even, moved) = (-(-2.0 * decay).exp_m1(), kept * odd * twice_sine);
-        let both = -odd * (1.0 - kept * twice_cosine);
-        let first = (even - moved).max(0.0).sqrt();
-        let across = if first > 0.0 { both / first } else { 0.0 };
-        let second = (even + moved - across * across).max(0.0).sqrt();
+        let fresh = -(-2.0 * decay).exp_m1();
+        let first = fresh - kept * odd * (twice_sine + 2.0 * odd * sine * sine);
+        let second = fresh + kept * odd * twice_sine + 2.0 * odd * odd * (fresh + kept * sine * sine);
+        let both = -odd * (1.0 - kept * twice_cosine) + kept * odd * odd * twice_sine;
+        // From the larger one on: of the other next to nothing may be left.
+        let root = |square: f64| square.max(0.0).sqrt();
+        let drive = if second >= first {
+            let own = root(second);
+            let across = both / own.max(f64::MIN_POSITIVE);
+            [[root(first - across * across), across], [0.0, own]]
+        } else {
+            let own = root(first);
+            let across = both / own.max(f64::MIN_POSITIVE);
+            [[own, 0.0], [across, root(second - across * across)]]
+        };
         Box::new(ResonanceSampler {
             turn: [(-decay).exp() * cosine, (-decay).exp() * sine],
-            drive: [first, across, second].map(|part| self.sigma * part),
-            state: [one, (1.0 - odd * odd).max(0.0).sqrt() * other - odd * one],
+            drive: drive.map(|of| of.map(|part| self.sigma * part)),
+            state: [one, (1.0 + odd * odd).sqrt() * other - odd * one],
             stream,
         })
     }
@@ -173,7 +184,7 @@ impl Effect for Resonance {
 #[derive(Debug)]
 struct ResonanceSampler {
     turn: [f64; 2],
-    drive: [f64; 3],
+    drive: [[f64; 2]; 2],
     state: [f64; 2],
     stream: Stream,
 }
@@ -186,8 +197,8 @@ impl Sampler for ResonanceSampler {
             *value += x;
             let (one, other) = (self.stream.normal(), self.stream.normal());
             self.state = [
-                cosine * x - sine * y + self.drive[0] * one,
-                sine * x + cosine * y + self.drive[1] * one + self.drive[2] * other,
+                cosine * x - sine * y + self.drive[0][0] * one + self.drive[0][1] * other,
+                sine * x + cosine * y + self.drive[1][0] * one + self.drive[1][1] * other,
             ];
         }
     }
@@ -203,6 +214,33 @@ mod tests {
         for (bandwidth_hz, asymmetry) in [(0.1, 0.0), (2.0, 0.0), (2.0, 1.0), (2.0, -1.0), (0.5, 1.2)] {
             let line = Resonance { asymmetry, ..Resonance::new(7.3, bandwidth_hz, 0.4) };
             check::agrees_with_its_closed_forms(&line, 40.0);
+        }
+    }
+
+    /// Far below half the rate the driving noise of a displacement acts on one quadrature alone.
+    #[test]
+    fn as_asymmetric_as_it_can_be_it_has_its_variance_at_any_rate() {
+        for (rate_hz, frequency_hz, bandwidth_hz, share) in [
+            (1000.0, 30.0, 4.0, 1.0),
+            (800.0, 60.0, 20.0, -1.0),
+            (40.0, 3.0, 0.5, 1.0),
+            (40.0, 17.0, 2.0, -1.0),
+            (40.0, 17.0, 6.0, 1.0),
+        ] {
+            let line = Resonance::new(frequency_hz, bandwidth_hz, 0.4);
+            let line = Resonance { asymmetry: share * line.most_asymmetric(rate_hz), ..line };
+            let (mut square, mut product, mut count) = (0.0, 0.0, 0.0);
+            for seed in 0..20 {
+                let values = check::draw(&line, rate_hz, 50_000, seed);
+                square += values.iter().map(|x| x * x).sum::<f64>();
+                product += values.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
+                count += values.len() as f64;
+            }
+            let (decay, angle) = (PI * bandwidth_hz / rate_hz, TAU * frequency_hz / rate_hz);
+            let next = (-decay).exp() * (angle.cos() + line.odd() * angle.sin());
+            let error = 5.0 / (count * decay).sqrt();
+            assert!((square / count / 0.16 - 1.0).abs() < error, "{line:?}: {}", square / count / 0.16);
+            assert!((product / count / 0.16 - next).abs() < error, "{line:?}: {} {next}", product / count / 0.16);
         }
     }
 

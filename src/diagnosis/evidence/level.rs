@@ -218,15 +218,18 @@ pub fn join_rises(explanation: &mut Explanation, known: usize) {
         }
     }
     steps.sort_unstable_by_key(|(at, _)| *at);
-    let minor = |a: f64, b: f64| a.abs().min(b.abs()) < MINOR * a.abs().max(b.abs());
-    let one = |a: &(usize, f64), b: &(usize, f64)| b.0 - a.0 <= NEAR && (a.1 * b.1 > 0.0 || minor(a.1, b.1));
-    for group in steps.chunk_by(one).filter(|group| group.len() > 1) {
-        let Some(largest) = group.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) else { continue };
+    for near in steps.chunk_by(|a, b| b.0 - a.0 <= NEAR).filter(|near| near.len() > 1) {
+        let Some(largest) = near.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) else { continue };
+        let is_of_it = |of: &&(usize, f64)| of.1 * largest.1 > 0.0 || of.1.abs() < MINOR * largest.1.abs();
+        let group: Vec<(usize, f64)> = near.iter().filter(is_of_it).copied().collect();
+        if group.len() < 2 {
+            continue;
+        }
         let (from, to) = (group[0].0, group[group.len() - 1].0);
         let mut place = 0;
         explanation.courses.retain(|(course, _)| {
             place += 1;
-            place <= known || !matches!(course, Course::Step(at) if (from..=to).contains(at))
+            place <= known || !matches!(course, Course::Step(at) if group.iter().any(|of| of.0 == *at))
         });
         explanation.courses.push((Course::Step(largest.0), group.iter().map(|(_, factor)| factor).sum()));
         explanation.leave_out(from..to);

@@ -108,6 +108,9 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
             squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
         }
         let there: Vec<f64> = squares.iter().copied().filter(|square| !square.is_nan()).collect();
+        if 2 * there.len() < squares.len() {
+            return None;
+        }
         mixture = Mixture::of(&there);
         flagged = wide(&mixture, &squares);
         if clustered(&flagged, n) {
@@ -117,10 +120,15 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     let Mixture { gain, share, wide, core } = mixture;
     // What is not worth a nat is not looked at more closely.
     let reach = series.reach();
-    let hopeless =
-        SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5, samples: reach.max(1) };
+    let there = squares.iter().filter(|square| !square.is_nan()).count() as f64;
+    let samples = reach.max(1) + spoilt.len().div_ceil(flagged.len().max(1));
+    let hopeless = SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5, samples };
     let large: Vec<f64> = squares.iter().copied().filter(|a| *a > LARGE * core).collect();
-    explanation.spikes = Some(if gain < 1.0 { hopeless } else { spike_law(series, &large, core, wide) });
+    explanation.spikes = Some(if gain < 1.0 {
+        hopeless
+    } else {
+        SpikeLaw { samples, ..spike_law(series, &large, [core, wide], there) }
+    });
     explanation.leave_out(spoilt);
     // Behind a filter each spoils as many samples as it reaches.
     explanation.leave_out(flagged.into_iter().flat_map(|at| at..(at + reach.max(1)).min(series.len())));
@@ -152,10 +160,9 @@ fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
 }
 
 /// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
-/// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance.
-fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeLaw {
+/// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance, of `n` samples.
+fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64) -> SpikeLaw {
     const ROUNDS: usize = 60;
-    let n = series.innovations().len() as f64;
     let spread = core.sqrt();
     let values: Vec<f64> = large.iter().map(|square| square.sqrt() / spread).collect();
     let normal = Normal::standard();
@@ -199,7 +206,7 @@ fn spike_law(series: &Series<'_>, large: &[f64], core: f64, wide: f64) -> SpikeL
     // the spectrum without them gives.
     let passed = series.filters();
     let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
-    let kernel = (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / n;
+    let kernel = (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64;
     let relative = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { 0.5 };
     let samples = series.reach().max(1);
     SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5), samples }
