@@ -32,6 +32,8 @@ impl Shape {
     pub(super) const POWER_LAW: std::ops::Range<f64> = 0.31..2.49;
     /// How many numbers a narrow band has that is symmetric.
     pub(super) const SYMMETRIC: usize = 3;
+    /// Nats that an asymmetry has to give.
+    pub(super) const LEANING: f64 = 4.0;
     /// Where a slope's density is given, over the rate.
     pub(super) const MIDDLE: f64 = 0.01;
 }

@@ -33,6 +33,7 @@ pub mod facts;
 pub mod field;
 mod filling;
 pub mod grid;
+mod hidden;
 mod hints;
 pub mod holdout;
 #[cfg(test)]

@@ -5,9 +5,6 @@ use crate::diagnosis::law::Shape;
 use crate::diagnosis::report::Sense;
 use crate::diagnosis::series::Series;
 
-/// Nats that an asymmetry has to give.
-const LEANING: f64 = 4.0;
-
 /// What it gives to leave each of the model's spectral effects out, or to have it with other numbers where that is worth more
 /// than `worth` beyond leaving it out. `doubtful`: other numbers are looked for everywhere, not only near the model's.
 #[must_use]
@@ -27,7 +24,7 @@ pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> 
                 let numbers = term.numbers.iter().copied().chain([0.0]).collect();
                 spectral::with_term(&bare, term.shape, [numbers]).map(|found| spectral::candidate(&bare, kind, found))
             });
-            let leaning = leaning.flatten().map(|of| Candidate { gain: of.gain - LEANING, ..of });
+            let leaning = leaning.flatten().map(|of| Candidate { gain: of.gain - Shape::LEANING, ..of });
             let found = near.into_iter().chain(anywhere).chain(leaning);
             let otherwise = found.reduce(|a, b| if b.gain > a.gain { b } else { a });
             match otherwise.filter(|of| of.gain > worth(kind)) {

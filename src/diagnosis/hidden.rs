@@ -1,0 +1,99 @@
+//! Hidden: effects that look like others as long as they are not known.
+
+use super::course::Course;
+use super::evidence::{self, Candidate, Kind};
+use super::prices::Prices;
+use super::search::{Step, leave_rises_out, more_tones};
+use super::series::Series;
+
+/// What may look like other effects as long as it is not known, and what it may look like: a large step makes a few samples of the
+/// residual loud and the rest quiet beside them; strong lines do that to parts of the spectrum, as filters do; a few values that are far
+/// out look like tails, behind a filter like bursts; loud stretches look like tails.
+const HIDDEN: [(Kind, &[Kind]); 5] = [
+    (
+        Kind::BiasStep,
+        &[
+            Kind::Spikes,
+            Kind::HeavyTails,
+            Kind::Bursts,
+            Kind::VarianceInterval,
+            Kind::VarianceProfile,
+            Kind::VariancePerDegree,
+        ],
+    ),
+    (Kind::Tone, &[Kind::LowPass, Kind::MovingAverage]),
+    (Kind::Spikes, &[Kind::Bursts]),
+    (Kind::VarianceInterval, &[Kind::HeavyTails]),
+    (Kind::Bursts, &[Kind::HeavyTails]),
+];
+
+/// What comes before the effect that would be chosen, because it takes away what that would explain; `all` is what else there is.
+pub(super) fn instead(
+    series: &Series<'_>,
+    prices: &Prices,
+    steps: &[Step],
+    step: &Step,
+    all: Vec<Candidate>,
+) -> Option<(Step, Candidate)> {
+    /// Nats beyond its price of what is looked at.
+    const LARGE: f64 = 50.0;
+    /// Part of the gain that is left of what it takes away.
+    const LEFT: f64 = 0.5;
+    if step.of_model.is_some() {
+        return None;
+    }
+    let may_be = |of: &Candidate| {
+        let hides = HIDDEN.iter().any(|(kind, looks)| *kind == of.kind && looks.contains(&step.kind));
+        let is_known = steps.iter().any(|step| step.kind == of.kind && !of.kind.repeats());
+        of.of_model.is_none() && hides && !is_known && of.gain > prices.of(of.kind) + LARGE
+    };
+    all.into_iter().filter(may_be).find_map(|of| {
+        if of.kind == Kind::BiasStep && !lasts(series, &of) {
+            return None;
+        }
+        let mut beside = series.clone();
+        beside.explanation = of.explanation.clone();
+        // Tails are looked for only where no spikes are named; the samples stay left out.
+        beside.explanation.spikes = series.explanation.spikes;
+        beside.rebuild(false);
+        match of.kind {
+            Kind::BiasStep => leave_rises_out(&mut beside),
+            Kind::Tone => more_tones(&mut beside, prices, &mut Vec::new()),
+            _ => {}
+        }
+        if of.kind == Kind::Tone && !is_loud(&beside, series.explanation.sines.len()) {
+            return None;
+        }
+        let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
+        (gain_of(step.kind, &beside) < LEFT * step.gain).then_some((own, of))
+    })
+}
+
+/// Whether the sines but the first `known` ones are a good part of what a series has.
+fn is_loud(series: &Series<'_>, known: usize) -> bool {
+    const PART: f64 = 0.2;
+    let lines: f64 = series.explanation.sines[known..].iter().map(|sine| 0.5 * sine.amplitude().powi(2)).sum();
+    let rest = series.rest.iter().map(|x| x * x).sum::<f64>() / series.len() as f64;
+    lines > PART * (lines + rest)
+}
+
+/// Whether one of the steps that a candidate adds moves the level for good.
+fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
+    let known = series.explanation.courses.len();
+    let mut joined = of.explanation.clone();
+    evidence::level::join_rises(&mut joined, known);
+    joined.courses[known..].iter().any(|(course, size)| match course {
+        Course::Step(at) => evidence::leaps::is_lasting(&series.rest, *at, *size),
+        _ => false,
+    })
+}
+
+/// What a filter, or an effect on single samples and their variance, would give.
+fn gain_of(kind: Kind, series: &Series<'_>) -> f64 {
+    let found: Vec<Candidate> = match kind {
+        Kind::LowPass => evidence::spectral::low_pass(series).into_iter().collect(),
+        Kind::MovingAverage => evidence::spectral::moving_average(series).into_iter().collect(),
+        _ => evidence::of_squares(series),
+    };
+    found.into_iter().filter(|of| of.kind == kind).map(|of| of.gain).fold(0.0, f64::max)
+}
