@@ -372,9 +372,9 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
             let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
             let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
             let most = line.most_asymmetric(rate_hz);
-            // What is found at the output's rate acts at the internal one.
+            // What is found at the output's rate acts at the internal one. A standard error off it may be beyond half the rate.
             let possible = line.most_asymmetric(internal_hz);
-            let asymmetry = (at(3) * most).clamp(-possible, possible);
+            let asymmetry = (at(3) * most).max(-possible).min(possible);
             let mut ci95 = vec![
                 ("sigma", times(sigma, 0.5 * error(0))),
                 ("frequency_hz", about(frequency_hz, error(1))),
@@ -445,6 +445,13 @@ fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<Line
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A filter's amplitude is looked at with every number a standard error off.
+    #[test]
+    fn a_band_beyond_half_the_rate_has_an_effect_and_no_panic() {
+        let term = Term { shape: Shape::Resonance, numbers: vec![0.0, 20.5, 0.0, 0.5] };
+        assert!(spectral(&term, &[0.1; 4], [1.0, 1.0, 40.0, 40.0]).is_some());
+    }
 
     #[test]
     fn harmonics_are_one_comb_and_others_stay_tones() {

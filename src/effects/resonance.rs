@@ -76,7 +76,7 @@ impl Resonance {
     #[must_use]
     pub fn most_asymmetric(&self, rate_hz: f64) -> f64 {
         let (decay, angle) = (self.decay(rate_hz), TAU * self.frequency_hz / rate_hz);
-        angle / decay * decay.sinh() / angle.sin()
+        angle / decay * decay.sinh() / angle.sin().abs()
     }
 
     /// The factor of the sine in the autocovariance.
