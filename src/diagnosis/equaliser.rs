@@ -14,7 +14,7 @@ const DRAWN: u16 = 7;
 /// so, and is left as it is.
 #[derive(Debug, Clone)]
 pub(super) struct Equaliser {
-    /// Standard deviation of the white noise at each sample; infinite where nothing is known.
+    /// Standard deviation of the white noise at each sample; [`Equaliser::UNKNOWN`] times the largest where nothing is known.
     deviation: Vec<f64>,
     /// The same where the variance is 1.
     white: f64,

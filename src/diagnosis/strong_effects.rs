@@ -14,6 +14,13 @@ fn found(effect: &Value, seed: u64) -> Outcome {
     diagnosed(&recording(&model(Some(effect)), seed, SAMPLES), &model(None))
 }
 
+/// Expects that an effect that the model lacks is named, and nothing else.
+fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
+    let found = found(effect, seed);
+    let is_right = names(&found) == [effect["effect"].as_str().unwrap()] && found.diagnosis.verdict == Verdict::Effects;
+    wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
+}
+
 /// A cosine transform mirrors a record at its ends, which a strong line does not do; what is far from it depends on what it is
 /// the line of.
 #[test]
@@ -25,9 +32,7 @@ fn a_strong_band_is_no_burst_at_the_ends_and_no_filter() {
         for seed in 1..3 {
             let effect = json!({"effect": "resonance", "frequency_hz": frequency_hz, "bandwidth_hz": bandwidth_hz,
                 "sigma": 0.5, "asymmetry": asymmetry});
-            let found = found(&effect, seed);
-            let is_right = names(&found) == ["resonance"] && found.diagnosis.verdict == Verdict::Effects;
-            wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
+            expect_alone(&mut wrong, &effect, seed);
         }
     }
     wrong.none();
@@ -38,8 +43,7 @@ fn strong_lines_are_no_filter() {
     let mut wrong = Wrong::default();
     for (fundamental_hz, seed) in [(0.7, 1), (1.6, 2), (2.9, 3)] {
         let comb = json!({"effect": "comb", "fundamental_hz": fundamental_hz, "amplitudes": [0.9, 1.9, 0.8, 1.2, 1.5]});
-        let found = found(&comb, seed);
-        wrong.expect(names(&found) == ["comb"], || format!("{fundamental_hz} Hz: {:?}", names(&found)));
+        expect_alone(&mut wrong, &comb, seed);
     }
     wrong.none();
 }
@@ -53,9 +57,7 @@ fn a_variance_that_changes_a_thousandfold_is_no_other_effect() {
         (0..=40).map(|k| [at(k), (most * (at(k) / 120.0).sin()).exp()]).collect()
     };
     for (most, seed) in [(1.5, 1), (2.5, 2), (3.5, 3)] {
-        let found = found(&json!({"effect": "variance_change", "profile": profile(most)}), seed);
-        let is_right = names(&found) == ["variance_change"] && found.diagnosis.verdict == Verdict::Effects;
-        wrong.expect(is_right, || format!("e^±{most}: {:?} {:?}", names(&found), found.diagnosis.notes));
+        expect_alone(&mut wrong, &json!({"effect": "variance_change", "profile": profile(most)}), seed);
     }
     for (factor, seed) in [(0.02, 4), (0.1, 5), (40.0, 6)] {
         let effect = json!({"effect": "variance_change", "from_s": 300.0, "to_s": 420.0, "factor": factor});
@@ -151,8 +153,7 @@ fn a_process_of_a_few_samples_is_no_band_and_no_filter() {
     let mut wrong = Wrong::default();
     for (samples, sigma, seed) in [(4.0, 0.3, 1), (2.5, 0.05, 2), (5.0, 0.02, 3)] {
         let effect = json!({"effect": "gauss_markov", "sigma": sigma, "tc_s": samples / RATE_HZ});
-        let found = found(&effect, seed);
-        wrong.expect(names(&found) == ["gauss_markov"], || format!("{samples} samples: {:?}", names(&found)));
+        expect_alone(&mut wrong, &effect, seed);
     }
     wrong.none();
 }
@@ -162,8 +163,7 @@ fn a_process_of_a_few_samples_is_no_band_and_no_filter() {
 fn a_level_that_follows_a_rounded_temperature_steeply_follows_it_alone() {
     let mut wrong = Wrong::default();
     for (per_c, seed) in [(0.05, 1), (0.2, 2)] {
-        let found = found(&json!({"effect": "temperature_bias", "per_c": per_c, "reference_c": 25.0}), seed);
-        wrong.expect(names(&found) == ["temperature_bias"], || format!("{per_c}: {:?}", names(&found)));
+        expect_alone(&mut wrong, &json!({"effect": "temperature_bias", "per_c": per_c, "reference_c": 25.0}), seed);
     }
     wrong.none();
 }
