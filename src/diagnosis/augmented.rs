@@ -5,9 +5,9 @@ use super::diagnose::{Findings, Found};
 use super::named::Named;
 use super::report::Sense;
 use super::shared::Shared;
-use crate::effects::{CommonMode, SpectralNoise, Stage};
+use crate::effects::{CommonMode, Effect, SpectralNoise, Stage};
 use crate::sample::Channel;
-use crate::simulator::SensorModel;
+use crate::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -15,6 +15,16 @@ use std::sync::Arc;
 fn spread(of: &Findings, level: usize) -> Option<f64> {
     let variance = of.fitted.covariance.as_ref().map(|covariance| covariance[(level, level)])?;
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+}
+
+/// Takes noise that is shared, of a standard deviation a sample, off a channel's N.
+fn without_shared(channel: &mut ChannelModel, sigma: f64, rate_hz: f64) {
+    let own = |n: f64| (n * n - sigma * sigma / rate_hz).max(0.0).sqrt();
+    let known = channel.interval("N");
+    channel.n = own(channel.n);
+    if let Some(ends) = known {
+        channel.set_interval("N", ends.map(own));
+    }
 }
 
 /// The model with what was found; on channels where something `remains` with its density as well, as far as it is louder.
@@ -38,11 +48,12 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
             }
         }
         let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
-        // What the model shares with other channels was not part of the law's white noise.
-        for (_, effect) in own().filter_map(|one| one.declared.as_ref()).filter(|(_, of)| of.name() == "common_mode") {
-            let sigma = effect.number("sigma").unwrap_or_default();
-            channel.n = (channel.n * channel.n + sigma * sigma / sim.rate_hz).sqrt();
-            channel.uncertainty = None;
+        // The law's white noise has what the model shares with other channels in it.
+        let is_common = |effect: &Arc<dyn Effect>| effect.name() == "common_mode";
+        let is_off = own().any(|one| one.declared.as_ref().is_some_and(|(_, of)| is_common(of)));
+        let shared = channel.effects.iter().find(|effect| is_common(effect) && !is_off);
+        if let Some(sigma) = shared.and_then(|effect| effect.number("sigma")) {
+            without_shared(channel, sigma, sim.rate_hz);
         }
         for one in own().filter(|one| one.sense != Sense::Superfluous) {
             if one.effect.name() == "common_mode" {
@@ -58,13 +69,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 && one.effect.name() == "common_mode"
                 && let Some(sigma) = common.1.as_f64()
             {
-                // What is shared was part of the white noise.
-                let own = |n: f64| (n * n - sigma * sigma / sim.rate_hz).max(0.0).sqrt();
-                let known = channel.interval("N");
-                channel.n = own(channel.n);
-                if let Some(ends) = known {
-                    channel.set_interval("N", ends.map(own));
-                }
+                without_shared(channel, sigma, sim.rate_hz);
             }
         }
         if remains.contains(&of.prepared.channel) && !of.nameless.is_empty() {

@@ -2,7 +2,7 @@
 
 use super::report::{Cause, Sense};
 use super::round_trip::{model, recording};
-use super::{Options, Outcome, Verdict, diagnose};
+use super::{Diagnosis, Options, Outcome, Verdict, diagnose};
 use crate::effects::{BiasStep, Resonance};
 use serde_json::{Value, json};
 
@@ -201,11 +201,14 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
 /// What the sensor lacks does not hide in N, and what the model adds to a level is no offset.
 #[test]
 fn what_is_too_much_leaves_n_and_the_level_alone() {
-    let shared = json!({"effect": "common_mode", "sigma": 0.006});
-    let outcome = compared(None, Some(&shared), 301);
-    assert!(outcome.diagnosis.parameters.is_empty(), "{:#?}", outcome.diagnosis.parameters);
-    for of in outcome.augmented.channels.values() {
-        assert!((of.n / 2e-3 - 1.0).abs() < 0.02, "{}", of.n);
+    for sigma in [0.006, 0.04, 0.6] {
+        let shared = json!({"effect": "common_mode", "sigma": sigma});
+        let outcome = compared(None, Some(&shared), 301);
+        let Diagnosis { parameters, causes, .. } = &outcome.diagnosis;
+        assert!(parameters.is_empty() && brief(causes).len() == 1, "{sigma}: {parameters:#?} {causes:#?}");
+        for of in outcome.augmented.channels.values() {
+            assert!((of.n / 2e-3 - 1.0).abs() < 0.02, "{sigma}: {}", of.n);
+        }
     }
     // At a temperature far from the one that the model refers to.
     let quieter = json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 10.0});

@@ -229,7 +229,10 @@ fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
     let without = {
         let mut sim = sim.clone();
         sim.channels.retain(|own, _| *own == channel);
-        sim.channels.values_mut().for_each(|of| of.n = 0.0);
+        for of in sim.channels.values_mut() {
+            of.n = 0.0;
+            of.effects.retain(|effect| effect.name() != "common_mode");
+        }
         plateau(&sim, channel, samples.len() as u64).powi(2)
     };
     let rounding = step.filter(|_| !has.contains(&"resolution")).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);

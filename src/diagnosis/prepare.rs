@@ -336,10 +336,11 @@ fn channel_of(
             return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
         }
     }
+    let density = white_density(model, sim.rate_hz);
     // What a coarse step hides is drawn below; then there is no rounding left.
     let step = facts.step.filter(|_| real.sent(channel).is_none());
     let coarse =
-        step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, model.n * sim.rate_hz.sqrt())?)));
+        step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, density * sim.rate_hz.sqrt())?)));
     let mut samples = values.to_vec();
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.map(mean));
@@ -350,7 +351,7 @@ fn channel_of(
     let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
     let level = *level;
     let white = coarse.map_or_else(|| scale_of(&there), |(_, white)| white.deviation);
-    let declared = model.n * sim.rate_hz.sqrt();
+    let declared = density * sim.rate_hz.sqrt();
     let most = if declared > 0.0 && coarse.is_none() { LOUDER * declared } else { f64::INFINITY };
     let scale = white.min(most).max(1e-3 * declared);
     for sample in &mut samples {
@@ -365,7 +366,7 @@ fn channel_of(
     let mean_c =
         temperature.map_or(USUAL_TEMPERATURE_C, |values| values.iter().sum::<f64>() / values.len().max(1) as f64);
     let white_shift = white_shift(model, mean_c);
-    let levels = [square(model.n) + white_shift, square(model.b), square(model.k)];
+    let levels = [square(density) + white_shift, square(model.b), square(model.k)];
     let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
     let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
     let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
@@ -397,7 +398,7 @@ fn channel_of(
         dither: 0.0,
     };
     if coarse.is_none() {
-        dither::dither(&mut prepared, &there, model.n * sim.rate_hz.sqrt());
+        dither::dither(&mut prepared, &there, declared);
     }
     if let Some((step, white)) = coarse {
         rounded::unround(&mut prepared, sim, step, white);
@@ -424,6 +425,13 @@ fn subtract_others(
         let at = At { time_s: t as f64 / rate_hz, temperature_c };
         *sample -= others.iter().map(|effect| effect.mean_response(0.0, at)).sum::<f64>();
     }
+}
+
+/// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone does not tell them apart.
+pub(super) fn white_density(model: &ChannelModel, rate_hz: f64) -> f64 {
+    let shared = model.effects.iter().filter(|effect| effect.name() == "common_mode");
+    let power: f64 = shared.filter_map(|effect| effect.psd(0.0, rate_hz)).sum();
+    (model.n * model.n + power).sqrt()
 }
 
 /// The lines of a model's channel as they are sent, in the series' scale (U per unit of it), each with the place of its effect in
@@ -459,7 +467,9 @@ fn terms_of(model: &ChannelModel, scale: f64, rate_hz: f64) -> Vec<(usize, Term)
     const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
     listed
-        .filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, model.n, rate_hz)?)))
+        .filter_map(|(place, effect)| {
+            Some((place, Term::of(&**effect, scale, white_density(model, rate_hz), rate_hz)?))
+        })
         .take(MOST)
         .collect()
 }
@@ -511,7 +521,7 @@ fn variance_of(
     const INSTANTS: usize = 241;
     let mut loud = Vec::new();
     let mut scedasticity = None;
-    let white = (model.n / scale).powi(2) * internal_hz;
+    let white = (white_density(model, rate_hz) / scale).powi(2) * internal_hz;
     let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
     for (place, effect) in model.effects.iter().enumerate() {
         let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
@@ -611,8 +621,8 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
     for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
         let with = filters.iter().cloned().chain([effect.clone()]).collect();
         let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
-        // What is cut out of the samples is not in their spectrum.
-        if !matches!(effect.name(), "bursts" | "spikes") {
+        // What is cut out of the samples is not in their spectrum; what channels share is in the level of white noise.
+        if !matches!(effect.name(), "bursts" | "spikes" | "common_mode") {
             known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
         }
     }

@@ -4,6 +4,7 @@ use crate::diagnosis::censored;
 use crate::diagnosis::diagnose::{Findings, Found};
 use crate::diagnosis::facts::Stamps;
 use crate::diagnosis::named::{MATERIAL_STEP, Named};
+use crate::diagnosis::prepare;
 use crate::diagnosis::report::Sense;
 use crate::effects::timing::JITTER_MAX;
 use crate::effects::{Effect, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
@@ -155,12 +156,12 @@ pub(in crate::diagnosis) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<
     all
 }
 
-/// Shared noise of a model's channel: place, effect, part of its white noise's standard deviation.
-type Part<'a> = (usize, &'a Arc<dyn Effect>, f64);
+/// Shared noise of a model's channel: place, effect, standard deviation and the part of all its white noise's.
+type Part<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
 
 /// Noise that channels share, more or less of it than the model says.
 pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
-    /// Greatest part of a channel's own white noise.
+    /// Of more of a channel's white noise than that no size is measured.
     const MOST: f64 = 0.9;
     let samples = found.samples as f64;
     let mut all = Vec::new();
@@ -168,14 +169,16 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         .channels
         .iter()
         .map(|of| {
-            let effects = &sim.channels.get(&of.prepared.channel)?.effects;
-            let (place, effect) = effects.iter().enumerate().find(|(_, effect)| effect.name() == "common_mode")?;
-            Some((place, effect, effect.number("sigma")? / of.white))
+            let model = sim.channels.get(&of.prepared.channel)?;
+            let (place, effect) =
+                model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "common_mode")?;
+            let sigma = effect.number("sigma")?;
+            let white = prepare::white_density(model, sim.rate_hz) * sim.rate_hz.sqrt();
+            Some((place, effect, sigma, sigma / white.max(f64::MIN_POSITIVE)))
         })
         .collect();
     for (index, of) in found.channels.iter().enumerate() {
-        // Of more than that nothing is measured.
-        let Some((place, effect, part)) = declared[index].filter(|(.., part)| part.abs() < MOST) else { continue };
+        let Some((place, effect, sigma, part)) = declared[index] else { continue };
         let other = found.shared.iter().flat_map(|shared| shared.parts.iter().zip(&shared.errors));
         let own = other.filter(|((at, _), _)| *at == index).map(|((_, part), error)| (*part, *error)).next();
         // The model's shares with the others: a correlation r gives −n/2·ln(1 − r²).
@@ -185,8 +188,11 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         let channel = of.prepared.channel;
         let (there, nats, evidence) = match own {
             Some((found, error)) => {
+                if part.abs() > MOST && found.abs() > MOST {
+                    continue;
+                }
+                let nats = 0.5 * ((found.abs() - (sigma / of.white).abs()) / error.max(1e-6)).powi(2);
                 let sigma = (found.abs() * of.white).copysign(part);
-                let nats = 0.5 * ((found.abs() - part.abs()) / error.max(1e-6)).powi(2);
                 let effect: Arc<dyn Effect> = Arc::new(crate::effects::CommonMode { sigma });
                 let share = 100.0 * found * found;
                 (Some(effect), nats, format!("{channel}: {share:.1} % of the white noise's variance is shared"))
