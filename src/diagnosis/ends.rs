@@ -1,4 +1,4 @@
-//! Ends: what a narrow band does at the ends of a record that the transform does not allow.
+//! Ends: what a narrow band or quantization noise does at the ends of a record that the transform does not allow.
 
 use super::law::{Shape, Term};
 use super::series::Series;
@@ -10,8 +10,12 @@ const WIDEST: f64 = 0.3;
 /// Correlation times after which nothing is left.
 const FORGOTTEN: f64 = 8.0;
 
-/// e^(−γ(t + ½))·sin(ω(t + ½)) of a band: what of it is odd about a record's first end. With the variance of it, in the series' scale.
+/// What of a term is odd about a record's first end, and the variance of it, in the series' scale: e^(−γ(t + ½))·sin(ω(t + ½)) of a band; of
+/// quantization noise, which is u_t − u_(t−1), what u was before the first sample.
 fn odd_part(term: &Term, rate_hz: f64, samples: usize) -> Option<(Vec<f64>, f64)> {
+    if term.shape == Shape::QuantizationNoise {
+        return term.numbers.first().map(|level| (vec![1.0], level.exp() * rate_hz * rate_hz));
+    }
     let [power, frequency_hz, width] = *term.numbers.first_chunk::<3>()?;
     let (gamma, turn) = (PI * width.exp() / rate_hz, TAU * frequency_hz / rate_hz);
     let lasts = ((FORGOTTEN / gamma) as usize).clamp(1, samples);
@@ -21,29 +25,29 @@ fn odd_part(term: &Term, rate_hz: f64, samples: usize) -> Option<(Vec<f64>, f64)
 }
 
 impl Series<'_> {
-    /// Whether the law or the model has narrow bands.
-    pub(super) fn has_bands(&self) -> bool {
-        self.bands().next().is_some()
+    /// Whether the law or the model has terms with a part that is odd about an end.
+    pub(super) fn has_odd_parts(&self) -> bool {
+        self.odd_terms().next().is_some()
     }
 
-    fn bands(&self) -> impl Iterator<Item = &Term> {
+    fn odd_terms(&self) -> impl Iterator<Item = &Term> {
         let declared = self.setting().declared.iter().filter(|(place, _)| !self.explanation.without.contains(place));
         let terms = self.explanation.law.terms.iter().chain(declared.map(|(_, term)| term));
-        terms.filter(|term| term.shape == Shape::Resonance)
+        terms.filter(|term| matches!(term.shape, Shape::Resonance | Shape::QuantizationNoise))
     }
 
-    /// Takes off the rest what narrow bands do at the ends of the record and the law does not allow.
+    /// Takes off the rest what narrow bands and quantization noise do at the ends of the record and the law does not allow.
     ///
     /// The cosine transform continues a record by its mirror image. A stationary process whose autocovariance is c has
     /// c(s − t) between samples s and t of it; the law of the transform's coefficients has c(s − t) + c(s + t + 1) at the first
     /// end, and its mirror image at the last. Of a band, c(s + t + 1) is σ²·e^(−γ(s + t + 1))·cos ω(s + t + 1): the product of its even
     /// part about the end at s and at t less that of its odd part. The law lacks the odd part, which is as large
-    /// as the even one; a strong band's looks like a burst at the end, or like a filter. The most probable course of it, given
-    /// the rest, is what is taken off.
+    /// as the even one; a strong band's looks like a burst at the end, or like a filter. Of quantization noise, c(1) is −σ²,
+    /// and the odd part is the first sample alone. The most probable course of the odd parts, given the rest, is what is taken off.
     pub(super) fn take_ends_off(&mut self) {
         let n = self.len();
         let rate_hz = self.setting().rate_hz;
-        let parts: Vec<(Vec<f64>, f64)> = self.bands().filter_map(|term| odd_part(term, rate_hz, n)).collect();
+        let parts: Vec<(Vec<f64>, f64)> = self.odd_terms().filter_map(|term| odd_part(term, rate_hz, n)).collect();
         // Of what lies behind a filter it is not known precisely enough where that lets next to nothing pass.
         if parts.is_empty() || self.spectrum.len() != n || self.filters().is_some() {
             return;

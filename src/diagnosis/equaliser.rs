@@ -119,6 +119,23 @@ impl Equaliser {
 }
 
 impl Series<'_> {
+    /// Whether the law is about as high as the record where it is white: a filter that is not known yet would be drawn apart from the
+    /// white noise, until nothing of that is left.
+    fn law_is_even(&self) -> bool {
+        const BANDS: usize = 8;
+        /// Of the record over the law.
+        const ABOUT: std::ops::Range<f64> = 0.6..1.6;
+        let high = self.len() / 2;
+        let places = self.coefficients[high..].iter().zip(&self.spectrum[high..]);
+        let ratios: Vec<f64> = places.map(|(c, s)| c * c / s).collect();
+        let size = ratios.len().div_ceil(BANDS).max(1);
+        let mut means: Vec<f64> =
+            ratios.chunks(size).map(|band| band.iter().sum::<f64>() / band.len() as f64).collect();
+        // A line that is not known yet is in one of them.
+        means.sort_unstable_by(f64::total_cmp);
+        means.iter().take(BANDS - 2).all(|mean| ABOUT.contains(mean))
+    }
+
     /// Makes the white noise of the rest even where its variance is known to change, and the law is.
     pub(super) fn equalise(&mut self) {
         /// Ratio of variances from which on it counts.
@@ -129,6 +146,9 @@ impl Series<'_> {
         let (least, most) = variance.iter().fold((f64::MAX, 0.0f64), |(l, m), v| (l.min(*v), m.max(*v)));
         let is_uneven = most > UNEVEN * least && least > 0.0 && most.is_finite();
         if !is_uneven || self.spectrum.len() != n || !self.censored.is_empty() || self.filters().is_some() {
+            return;
+        }
+        if !self.law_is_even() {
             return;
         }
         let white = self.white();

@@ -73,6 +73,10 @@ pub struct Loud {
 }
 
 impl Loud {
+    /// Nats that its own variance gives over the rest's.
+    pub(super) fn gain(&self) -> f64 {
+        0.5 * (self.to - self.from) as f64 * (self.ratio - 1.0 - self.ratio.ln())
+    }
     /// Whether it is a change of variance for a while, rather than a burst: long, or quiet.
     #[must_use]
     pub fn is_interval(&self, samples: usize) -> bool {

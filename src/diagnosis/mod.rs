@@ -72,6 +72,7 @@ pub mod shared;
 pub mod spread;
 #[cfg(test)]
 mod strong_effects;
+mod taken_back;
 pub mod tiles;
 pub mod transform;
 pub mod translate;

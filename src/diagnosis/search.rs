@@ -1,7 +1,7 @@
 //! The search: in which effects a series and its model differ, one after the other, each paid for.
 
 use super::course::Course;
-use super::evidence::declared::{self, kind_of};
+use super::evidence::declared;
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
 use super::hidden;
@@ -10,6 +10,9 @@ use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::report::Sense;
 use super::series::Series;
+use super::taken_back::{
+    drop_minor_steps, put_back, tails_and_bursts_again, take_back, weak_steps, weak_stretches, weak_tones,
+};
 
 /// An effect that was added, or one of the model's that was changed.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,8 +76,17 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
+    // What they are is asked once all else is known.
+    let peaks = evidence::peaks::peaks(&series.rest);
+    if !peaks.is_empty() {
+        series.explanation.leave_out(peaks.iter().copied());
+        series.rebuild(true);
+    }
+    // What was taken back at once would be found again.
+    let mut refused: Vec<Kind> = Vec::new();
     while steps.len() < MOST {
-        let candidates = everything(series, prices);
+        let mut candidates = everything(series, prices);
+        candidates.retain(|of| !refused.contains(&of.kind));
         let others = candidates.clone();
         let Some((step, chosen)) = best_of(candidates, prices, &steps) else { break };
         if levels_do(series, &step) {
@@ -95,66 +107,38 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 evidence::level::join_rises(&mut series.explanation, start.courses.len());
                 leave_rises_out(series);
                 drop_minor_steps(series, start.courses.len());
+                weak_steps(series, &mut steps, start.courses.len());
+                if steps.iter().all(|step| step.kind != kind) {
+                    refused.push(kind);
+                }
             }
             // Tails that were found before may have been of these, and of what they hid.
             Kind::Bursts if steps.iter().any(|step| step.kind == Kind::HeavyTails && step.of_model.is_none()) => {
                 steps.retain(|step| step.kind != Kind::HeavyTails || step.of_model.is_some());
                 series.explanation.tails = start.tails;
                 series.rebuild(false);
+                more_bursts(series, prices, &mut steps);
             }
+            Kind::Bursts => more_bursts(series, prices, &mut steps),
             // What it does not say of the variance would look like tails.
             Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
             _ => {}
         }
+        more_spikes(series);
     }
     other_filter(series, prices, &mut steps);
     one_slope(series, prices, &mut steps);
+    weak_steps(series, &mut steps, start.courses.len());
     take_back(series, prices, &mut steps);
     put_back(series, prices, &mut steps);
     weak_tones(series, prices, &mut steps, start.sines.len());
-    samples_again(series, prices, &mut steps, &start);
+    samples_again(series, prices, &mut steps, &start, &peaks);
+    weak_steps(series, &mut steps, start.courses.len());
     believe_again(series);
     polish(series, &start);
+    weak_stretches(series, &mut steps, start.loud.len());
     tails_and_bursts_again(series, prices, &mut steps, &start);
     steps
-}
-
-/// Takes back tails and bursts that are not worth their price any more: a variance, a step or a limit whose numbers were not yet
-/// those that they are now leaves both.
-fn tails_and_bursts_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
-    /// Nats beyond the price beside others that leave them.
-    const CLEARLY: f64 = 6.0;
-    let leaves = |step: &Step| {
-        use Kind::{BiasStep, VarianceInterval, VariancePerDegree, VarianceProfile};
-        matches!(
-            step.kind,
-            BiasStep | VarianceInterval | VariancePerDegree | VarianceProfile | Kind::Bursts | Kind::Spikes
-        )
-    };
-    for kind in [Kind::HeavyTails, Kind::Bursts] {
-        let Some(at) = steps.iter().position(|step| step.kind == kind && step.of_model.is_none()) else { continue };
-        let beside = series.is_cut() || steps.iter().any(|step| step.kind != kind && leaves(step));
-        if !beside {
-            continue;
-        }
-        let mut without = series.clone();
-        if kind == Kind::HeavyTails {
-            without.explanation.tails = start.tails;
-        } else {
-            let (samples, known) = (series.len(), start.loud.len());
-            let mut place = 0;
-            without.explanation.loud.retain(|loud| {
-                place += 1;
-                place <= known || loud.is_interval(samples)
-            });
-        }
-        without.rebuild(false);
-        let again = evidence::of_samples(&without).into_iter().find(|of| of.kind == kind);
-        if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
-            *series = without;
-            steps.remove(at);
-        }
-    }
 }
 
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model says: white noise of the model's size and
@@ -242,37 +226,6 @@ fn believe_again(series: &mut Series<'_>) {
     }
 }
 
-/// Takes back steps about a far larger one that are not needed once what that does while it rises is left out; the first `known`
-/// courses are the model's.
-fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
-    /// Samples about the larger one, and its size over theirs.
-    const NEAR: usize = 512;
-    const LARGER: f64 = 5.0;
-    /// Nats that one has to give.
-    const WORTH: f64 = 14.0;
-    let is_minor = |courses: &[(Course, f64)], at: usize| {
-        let (Course::Step(place), size) = courses[at] else { return false };
-        courses[known..].iter().any(|(course, other)| match course {
-            Course::Step(its) => its.abs_diff(place) <= NEAR && other.abs() > LARGER * size.abs(),
-            _ => false,
-        })
-    };
-    let mut at = known;
-    while at < series.explanation.courses.len() {
-        if is_minor(&series.explanation.courses, at) {
-            let mut without = series.clone();
-            without.explanation.courses.remove(at);
-            without.rebuild(false);
-            leave_rises_out(&mut without);
-            if without.fitted.log_posterior > series.fitted.log_posterior - WORTH {
-                *series = without;
-                continue;
-            }
-        }
-        at += 1;
-    }
-}
-
 /// Gives narrow bands an asymmetry where it is worth something: what is far from a strong line would look like a filter or like
 /// further noise.
 fn lean(series: &mut Series<'_>) {
@@ -305,16 +258,48 @@ pub(super) fn leave_rises_out(series: &mut Series<'_>) {
 }
 
 /// Chosen before all else was known, what is the matter of single samples is chosen anew: a spike behind a filter looks like a
-/// burst before the filter is known, and stretches like tails.
-fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
-    let Some(first) = steps.iter().position(|step| step.kind.is_marginal()) else { return };
-    if steps[first..].iter().all(|step| step.kind.is_marginal()) {
+/// burst before the filter is known, and stretches like tails. `peaks` were left out until now.
+fn samples_again(
+    series: &mut Series<'_>,
+    prices: &Prices,
+    steps: &mut Vec<Step>,
+    start: &Explanation,
+    peaks: &[usize],
+) {
+    let first = steps.iter().position(|step| step.kind.is_marginal());
+    let is_hidden = first.is_some_and(|first| steps[first..].iter().any(|step| !step.kind.is_marginal()));
+    if !is_hidden && peaks.is_empty() {
         return;
     }
+    let before = steps.clone();
+    restore_samples(series, steps, start, peaks);
+    choose_samples(series, prices, steps);
+    let is_named = |kind: Kind| steps.iter().any(|step| step.kind == kind && step.of_model.is_none());
+    if peaks.is_empty() {
+        return;
+    }
+    if is_named(Kind::Spikes) || is_named(Kind::HeavyTails) {
+        // They are of what the rest has as well.
+        *steps = before;
+        restore_samples(series, steps, start, &[]);
+        choose_samples(series, prices, steps);
+    } else if start.spikes.is_none()
+        && start.tails.is_none()
+        && let Some(of) = evidence::outlier::spikes_at(series, peaks)
+    {
+        series.explanation = of.explanation;
+        let price = prices.of(Kind::Spikes);
+        steps.push(Step { kind: Kind::Spikes, gain: of.gain, price, others: Vec::new(), of_model: None });
+    }
+}
+
+/// Takes back what is the matter of single samples but the model's, and leaves out some.
+fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Explanation, left_out: &[usize]) {
     steps.retain(|step| !step.kind.is_marginal());
     let samples = series.len();
     let own = &mut series.explanation;
     (own.outliers, own.spikes, own.tails) = (start.outliers.clone(), start.spikes, start.tails);
+    own.leave_out(left_out.iter().copied());
     let mut at = 0;
     own.loud.retain(|loud| {
         at += 1;
@@ -322,6 +307,10 @@ fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>
     });
     series.rebuild(false);
     leave_rises_out(series);
+}
+
+/// Names what is the matter of single samples.
+fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     loop {
         let candidates = evidence::of_samples(series);
         let others = candidates.clone();
@@ -329,7 +318,45 @@ fn samples_again(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>
         let (step, chosen) = hidden::instead(series, prices, steps, &step, others).unwrap_or((step, chosen));
         series.explanation = chosen.explanation;
         series.rebuild(false);
+        let kind = step.kind;
         steps.push(step);
+        match kind {
+            Kind::Bursts => more_bursts(series, prices, steps),
+            Kind::Spikes => more_spikes(series),
+            _ => {}
+        }
+    }
+}
+
+/// Leaves out spikes beside those that were found, where the model has none.
+fn more_spikes(series: &mut Series<'_>) {
+    const ROUNDS: usize = 4;
+    for _ in 0..ROUNDS {
+        let places = evidence::outlier::further_spikes(series);
+        if places.is_empty() {
+            return;
+        }
+        let (reach, samples) = (series.reach().max(1), series.len());
+        if let Some(law) = &mut series.explanation.spikes {
+            law.rate += places.len() as f64 / samples as f64;
+        }
+        series.explanation.leave_out(places.into_iter().flat_map(|at| at..(at + reach).min(samples)));
+        series.rebuild(false);
+    }
+}
+
+/// Adds stretches to those that were found last: beside the loudest the others do not show.
+fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
+    const ROUNDS: usize = 3;
+    /// Nats beyond the price.
+    const CLEAR: f64 = 10.0;
+    let Some(step) = steps.last_mut().filter(|step| step.of_model.is_none()) else { return };
+    for _ in 0..ROUNDS {
+        let more = evidence::of_samples(series).into_iter().find(|of| of.kind == Kind::Bursts);
+        let Some(more) = more.filter(|of| of.gain > prices.of(Kind::Bursts) + CLEAR) else { return };
+        step.gain += more.gain;
+        series.explanation = more.explanation;
+        series.rebuild(false);
     }
 }
 
@@ -342,79 +369,6 @@ fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> O
     candidates.retain(|of| of.of_model.is_some() || of.kind.repeats() || is_new(of));
     let (step, place) = choose(&candidates, prices)?;
     Some((step, candidates.swap_remove(place)))
-}
-
-/// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
-fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    if steps.len() < 2 {
-        return;
-    }
-    loop {
-        let whole = series.fitted.log_posterior;
-        let terms = &series.explanation.law.terms;
-        let losses = (0..terms.len()).filter_map(|at| {
-            let kind = kind_of(terms[at].shape);
-            // Where the model has the term itself nothing was named.
-            steps.iter().any(|step| step.kind == kind && step.has_term()).then_some(())?;
-            let mut law = series.explanation.law.clone();
-            law.terms.remove(at);
-            let loss = whole - law.fit(series.data()).log_posterior;
-            (loss < prices.of(kind)).then_some((loss, at, kind))
-        });
-        let Some((_, at, kind)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
-        series.explanation.law.terms.remove(at);
-        let weakest = |of: &(usize, &Step)| of.1.kind == kind && of.1.has_term();
-        let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
-        if let Some(step) = step.map(|(step, _)| step) {
-            match &mut steps[step].of_model {
-                Some((_, sense)) => *sense = Sense::Superfluous,
-                None => drop(steps.remove(step)),
-            }
-        }
-        series.rebuild(false);
-    }
-}
-
-/// Takes back tones that were chance's under a law that did not know a filter yet; `known`: the model's own.
-fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, known: usize) {
-    let worth = |series: &Series<'_>, at: usize| {
-        let sine = &series.explanation.sines[at];
-        let place = ((2.0 * series.len() as f64 * sine.cycles) as usize).clamp(1, series.len() - 1);
-        0.25 * series.len() as f64 * sine.amplitude().powi(2) / series.spectrum[place]
-    };
-    loop {
-        let own = known..series.explanation.sines.len();
-        let weakest = own.map(|at| (worth(series, at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, at)) = weakest.filter(|(worth, _)| *worth < prices.of(Kind::Tone)) else { return };
-        series.explanation.sines.remove(at);
-        let tones = steps.iter().enumerate().filter(|(_, step)| step.kind == Kind::Tone);
-        let step = tones.min_by(|a, b| a.1.gain.total_cmp(&b.1.gain)).map(|(step, _)| step);
-        step.into_iter().for_each(|step| drop(steps.remove(step)));
-        series.rebuild(false);
-    }
-}
-
-/// Puts back what the model has, where it does as well beside what was found after it was changed.
-fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    let changed = |step: &Step| step.of_model.is_some();
-    while let Some((at, as_stated)) =
-        steps.iter().enumerate().filter(|(_, step)| changed(step)).find_map(|(at, step)| {
-            let (place, _) = step.of_model?;
-            let mut as_stated = series.clone();
-            as_stated.explanation.without.remove(&place);
-            if step.has_term() {
-                let own = as_stated.explanation.law.terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
-                as_stated.explanation.law.terms.remove(own);
-            }
-            as_stated.relaw();
-            let loss = series.fitted.log_posterior - as_stated.fitted.log_posterior;
-            (loss < prices.of(step.kind)).then_some((at, as_stated))
-        })
-    {
-        *series = as_stated;
-        series.rebuild(false);
-        steps.remove(at);
-    }
 }
 
 /// Chosen before all else was known, a filter may be of the other kind or order: what is in front of it shapes the spectrum too.
@@ -549,12 +503,14 @@ fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
     order.sort_by(|a, b| score(*b).total_cmp(&score(*a)));
     let kind = |at: usize| candidates[at].kind;
     let mut best = *order.first().filter(|best| score(**best) > 0.0)?;
-    // A change of variance and bursts beside it look like tails, and those give at once what they give one by one.
+    // A change of variance and bursts beside it look like tails or like a course of the variance, and those give at once what they give
+    // one by one.
     let is_stretch = |at: &&usize| matches!(kind(**at), Kind::Bursts | Kind::VarianceInterval) && score(**at) > 0.0;
+    let looks_like_stretches = |kind: Kind| matches!(kind, Kind::HeavyTails | Kind::VarianceProfile);
     let stretches = order.iter().filter(is_stretch);
     let (sum, greatest) = stretches.fold((0.0, None), |(sum, greatest), at| (sum + score(*at), greatest.or(Some(*at))));
     if let Some(stretch) =
-        greatest.filter(|at| kind(best) == Kind::HeavyTails && score(*at) < score(best) && sum > score(best))
+        greatest.filter(|at| looks_like_stretches(kind(best)) && score(*at) < score(best) && sum > score(best))
     {
         best = stretch;
     }

@@ -203,6 +203,13 @@ impl<'a> Series<'a> {
         self.measure_loud();
     }
 
+    /// The samples as the explanation says, whitened by the law as it is.
+    pub(super) fn rewhiten(&mut self) {
+        self.fit_means();
+        self.transformed();
+        self.whiten();
+    }
+
     /// Measures anew how loud the excluded stretches are, against the noise without them.
     fn measure_loud(&mut self) {
         if self.explanation.loud.iter().all(|loud| loud.ratio <= LOUD) {
@@ -356,7 +363,7 @@ impl<'a> Series<'a> {
 
     /// Whether what is fitted to depends on the law besides.
     fn depends_on_law(&self) -> bool {
-        self.has_bands() || !self.raw_variances().is_empty()
+        self.has_odd_parts() || !self.raw_variances().is_empty()
     }
 
     fn refine_sines(&mut self) {

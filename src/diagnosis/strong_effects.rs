@@ -167,3 +167,91 @@ fn a_level_that_follows_a_rounded_temperature_steeply_follows_it_alone() {
     }
     wrong.none();
 }
+
+/// Bursts in a record of which N is not the model's, so that most of the noise is not what it is held against.
+#[test]
+fn all_of_many_bursts_are_found() {
+    let mut wrong = Wrong::default();
+    for (factor, loud, seed) in [(1.0, 12.0, 1), (3.0, 12.0, 2), (0.4, 45.0, 3)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let mut stream = Stream::new(seed, StreamId { owner: 95, effect: 0, instance: 0 });
+        let values = &mut real.channels[0].1;
+        values.iter_mut().for_each(|value| *value *= factor);
+        for burst in 0..12 {
+            let from = burst * SAMPLES / 12 + (1_500.0 * stream.uniform()) as usize;
+            let length = if burst % 3 == 0 { 500 } else { 60 };
+            let louder = loud * factor * WHITE;
+            values[from..from + length].iter_mut().for_each(|value| *value += louder * stream.normal());
+        }
+        let found = diagnosed(&real, &model(None));
+        let own = found.diagnosis.causes.first().map_or(Vec::new(), |cause| list(cause, "accel_x"));
+        let count = own.first().and_then(|own| own["intervals"].as_array().map(Vec::len));
+        wrong.expect(names(&found) == ["bursts"] && count == Some(12), || {
+            format!("{factor} {loud}: {count:?} {:?}", names(&found))
+        });
+    }
+    wrong.none();
+}
+
+/// The transform has what lies before the first sample of white angle noise as the first sample itself.
+#[test]
+fn strong_quantization_noise_is_no_burst_at_the_ends() {
+    let mut wrong = Wrong::default();
+    for (times, seed) in [(10.0, 1), (40.0, 2), (200.0, 3)] {
+        let effect = json!({"effect": "quantization_noise", "Q": times * WHITE / RATE_HZ});
+        for seed in [seed, seed + 10] {
+            expect_alone(&mut wrong, &effect, seed);
+        }
+    }
+    wrong.none();
+}
+
+/// What a filter makes of spikes, and of white noise whose variance changes, is not known before the filter is.
+#[test]
+fn what_lies_in_front_of_a_boxcar_does_not_hide_it() {
+    let mut wrong = Wrong::default();
+    let profile: Vec<[f64; 2]> =
+        (0..=40).map(|k| f64::from(k) * 25.0).map(|at| [at, (1.2 * (at / 40.0).sin()).exp()]).collect();
+    for (other, seed) in [
+        (json!({"effect": "spikes", "rate_hz": 0.02, "amplitude": 1_000.0 * WHITE}), 1),
+        (json!({"effect": "spikes", "rate_hz": 0.02, "amplitude": 4_000.0 * WHITE}), 2),
+        (json!({"effect": "variance_change", "profile": profile}), 3),
+    ] {
+        let boxcar = json!({"effect": "moving_average", "window": 2, "white_behind": 1e-5});
+        let mut truth = model(Some(&boxcar));
+        let with = model(Some(&other)).channels.remove(&Channel::AccelX).unwrap();
+        truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
+        let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
+        let mut names = names(&found);
+        names.sort_unstable();
+        let own = other["effect"].as_str().unwrap();
+        wrong.expect(names.len() == 2 && names.contains(&own) && names.contains(&"moving_average"), || {
+            format!("{own} seed {seed}: {names:?}")
+        });
+    }
+    wrong.none();
+}
+
+/// Two spikes within a few samples look like a short burst.
+#[test]
+fn spikes_that_are_near_each_other_are_spikes() {
+    let mut wrong = Wrong::default();
+    for seed in 1..4 {
+        let process = json!({"effect": "gauss_markov", "sigma": 4.0 * WHITE, "tc_s": 14.0 / RATE_HZ});
+        let mut real = recording(&model(Some(&process)), seed, SAMPLES);
+        let mut stream = Stream::new(seed, StreamId { owner: 96, effect: 0, instance: 0 });
+        for spike in 0..60 {
+            let at = spike * SAMPLES / 60 + (600.0 * stream.uniform()) as usize;
+            let size = 20.0 * WHITE * (0.7 + 0.6 * stream.uniform());
+            real.channels[0].1[at] += size;
+            if spike % 8 == 0 {
+                real.channels[0].1[at + 3] -= size;
+            }
+        }
+        let found = diagnosed(&real, &model(None));
+        let mut names = names(&found);
+        names.sort_unstable();
+        wrong.expect(names == ["gauss_markov", "spikes"], || format!("seed {seed}: {names:?}"));
+    }
+    wrong.none();
+}

@@ -100,7 +100,7 @@ pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// Nats that a further step has to give, and its price.
-const FURTHER: f64 = 14.0;
+pub(in crate::diagnosis) const FURTHER: f64 = 14.0;
 const PRICE: f64 = 12.0;
 
 /// Steps: where a matched filter of the whitened series says, one after the other, then each once more beside all others.

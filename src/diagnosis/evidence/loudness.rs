@@ -256,8 +256,8 @@ fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     if count > 0 && sum > 0.0 { sum / f64::from(count) } else { 1.0 }
 }
 
-/// The variance of the usual noise of values whose variance is 1 on average, where it is clearly another: of those that long
-/// blocks have, the nearest to the model's.
+/// The variance of the usual noise of values whose variance is 1 on average, where it is clearly another: that of most long blocks, or
+/// else of those that such blocks have the nearest to the model's.
 ///
 /// "Louder until here" and "quieter from here on" are two names of one change.
 fn usual(values: &[f64], declared: f64) -> f64 {
@@ -265,21 +265,31 @@ fn usual(values: &[f64], declared: f64) -> f64 {
     const SHARES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
     /// From this ratio of variances on it is another, ln.
     const CLEARLY: f64 = 0.3;
+    /// The part of the blocks that is the usual noise's beyond doubt.
+    const MOST: f64 = 0.6;
     let size = (values.len() / BLOCKS).max(64);
     let mean = |block: &[f64]| block.iter().map(|e| e * e).sum::<f64>() / size as f64;
     let mut means: Vec<f64> = values.chunks_exact(size).map(mean).filter(|mean| *mean > 0.0).collect();
     means.sort_unstable_by(f64::total_cmp);
     let own = SHARES.iter().filter_map(|share| means.get((share * means.len() as f64) as usize)).copied();
+    let alike = |own: f64| means.iter().filter(|mean| (*mean / own).ln().abs() < CLEARLY).count() as f64;
+    if let Some(own) = own.clone().find(|own| alike(*own) > MOST * means.len() as f64) {
+        return if own.ln().abs() > CLEARLY { own } else { 1.0 };
+    }
     let apart = |variance: &f64| (variance / declared).ln().abs();
     let nearest = own.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|own| own.ln().abs() > CLEARLY);
     nearest.filter(|own| apart(own) < apart(&1.0)).unwrap_or(1.0)
 }
 
+/// Nats of a stretch's two ends and ratio in a record of so many samples.
+pub(in crate::diagnosis) fn price_of_one(samples: usize) -> f64 {
+    const RATIO: f64 = 3.0;
+    RATIO + 2.0 * (samples as f64).ln()
+}
+
 /// Stretches of another variance: one after the other where they give most. Bursts and a long stretch are two effects.
 #[must_use]
 pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
-    /// Nats of a stretch's two ends and ratio, before the record's length.
-    const PRICE: f64 = 3.0;
     const MOST: usize = 40;
     const MOST_OF_RECORD: f64 = 0.2;
     const REFUSED: usize = 6;
@@ -308,16 +318,14 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
             loud.ratio = inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64;
             inside.iter_mut().for_each(|e| *e /= loud.ratio.sqrt());
         }
-        for (from, to) in &refused {
-            even[*from..*to].fill(1.0);
-        }
         let usual = usual(&even, declared / level);
         even.iter_mut().for_each(|e| *e /= usual.sqrt());
         // What is found is even with it already.
         for loud in &found {
             even[loud.from..loud.to].iter_mut().for_each(|e| *e *= usual.sqrt());
         }
-        known.iter().for_each(|loud| even[loud.from..loud.to].fill(1.0));
+        let said = known.iter().map(|loud| (loud.from, loud.to)).chain(refused.iter().copied());
+        said.for_each(|(from, to)| even[from..to].fill(1.0));
         let sums = Sums::of(&even);
         let limited = if usual == 1.0 { sums.limited[n] / n as f64 } else { 1.0 };
         let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };
@@ -332,7 +340,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         }
         // What is quieter inside a loud stretch is its soft end.
         genuine &= ratio > 1.0 || found.iter().all(|loud| loud.to <= from || to <= loud.from);
-        let price = if found.is_empty() { 0.0 } else { PRICE + 2.0 * (n as f64).ln() };
+        let price = if found.is_empty() { 0.0 } else { price_of_one(n) };
         if gain < price.max(8.0) || (!genuine && refused.len() >= REFUSED) {
             if found.is_empty() && genuine {
                 // What it would give is told though it is not worth it.
@@ -348,6 +356,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         gains.push(gain - price);
         found.push(Loud { from, to, ratio });
     }
+    join(&mut found, &mut gains);
     let of = |kind: Kind, long: bool| {
         let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n) == long);
         let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
@@ -367,6 +376,33 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     // A change of variance that is known already is not told twice.
     let long = series.explanation.scedasticity.is_none().then(|| of(Kind::VarianceInterval, true));
     long.flatten().into_iter().chain(of(Kind::Bursts, false)).collect()
+}
+
+/// Makes one of stretches that follow one another, in order of time: the front of a burst may be found apart from it.
+fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
+    /// Samples between them.
+    const NEAR: usize = 2;
+    /// Ratio of their variances.
+    const ALIKE: f64 = 4.0;
+    let is_one = |a: &Loud, b: &Loud| {
+        let apart = a.ratio / b.ratio;
+        b.from <= a.to + NEAR && a.ratio > 1.0 && b.ratio > 1.0 && (1.0 / ALIKE..ALIKE).contains(&apart)
+    };
+    let mut order: Vec<usize> = (0..found.len().min(gains.len())).collect();
+    order.sort_by_key(|own| found[*own].from);
+    let mut joined: Vec<(Loud, f64)> = Vec::new();
+    for own in order {
+        let (next, gain) = (found[own], gains[own]);
+        match joined.last_mut().filter(|(last, _)| is_one(last, &next)) {
+            Some((last, sum)) => {
+                let (a, b) = ((last.to - last.from) as f64, (next.to - next.from) as f64);
+                *last = Loud { to: next.to.max(last.to), ratio: (a * last.ratio + b * next.ratio) / (a + b), ..*last };
+                *sum += gain;
+            }
+            None => joined.push((next, gain)),
+        }
+    }
+    (*found, *gains) = joined.into_iter().unzip();
 }
 
 /// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.

@@ -6,6 +6,7 @@ pub mod level;
 pub mod line;
 pub mod loudness;
 pub mod outlier;
+pub mod peaks;
 pub mod spectral;
 
 use super::explanation::Explanation;

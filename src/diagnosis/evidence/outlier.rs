@@ -1,7 +1,7 @@
 //! Outliers and tails: what the residual's single samples look like.
 
 use super::{Candidate, Kind};
-use crate::diagnosis::explanation::SpikeLaw;
+use crate::diagnosis::explanation::{Explanation, SpikeLaw};
 use crate::diagnosis::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use statrs::function::gamma::ln_gamma;
@@ -159,6 +159,36 @@ fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
     (beside, flat)
 }
 
+/// Spikes beside those that are known: the largest value of each short group of values that are far out, where all about it is quiet.
+///
+/// Two spikes that are near each other hide what each makes of its neighbours until one of them is left out.
+pub(in crate::diagnosis) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
+    /// Square from which on a value is far out: no normal one of a record is.
+    const FAR_OUT: f64 = 25.0;
+    /// Values of a group, and its length.
+    const MOST: usize = 8;
+    const LONGEST: usize = 12;
+    /// Samples about it, and their mean square.
+    const ABOUT: usize = 32;
+    const QUIET: f64 = 2.0;
+    if series.explanation.spikes.is_none() {
+        return Vec::new();
+    }
+    let values = series.innovations();
+    let far: Vec<usize> = (0..values.len()).filter(|t| values[*t].powi(2) > FAR_OUT).collect();
+    let mut found = Vec::new();
+    for group in far.chunk_by(|a, b| b - a <= NEAR).filter(|group| group.len() <= MOST) {
+        let (first, last) = (group[0], group[group.len() - 1]);
+        let about =
+            (first.saturating_sub(ABOUT)..first).chain((last + 1..last + 1 + ABOUT).filter(|t| *t < values.len()));
+        let (sum, count) = about.fold((0.0, 0.0), |(sum, count), t| (sum + values[t].powi(2), count + 1.0));
+        if last - first < LONGEST && sum < QUIET * count {
+            found.extend(group.iter().copied().max_by(|a, b| values[*a].abs().total_cmp(&values[*b].abs())));
+        }
+    }
+    found
+}
+
 /// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
 /// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance, of `n` samples.
 fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64) -> SpikeLaw {
@@ -202,14 +232,40 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
     let (best, rate) = at(size);
     let step = 0.03;
     let curvature = (2.0 * best - at(size * (1.0 + step)).0 - at(size * (1.0 - step)).0) / (step * step);
-    // A spike in the samples is as large in the residual as the whitening filter's own value; before the filters it is what
-    // the spectrum without them gives.
-    let passed = series.filters();
-    let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
-    let kernel = (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64;
+    let kernel = kernel(series);
     let relative = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { 0.5 };
     let samples = series.reach().max(1);
     SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5), samples }
+}
+
+/// How large a spike of 1 in the samples is in the residual: the whitening filter's own value; before the filters it is what the spectrum
+/// without them gives.
+fn kernel(series: &Series<'_>) -> f64 {
+    let passed = series.filters();
+    let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
+    (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64
+}
+
+/// Spikes of which it is known where they are: at places that are left out, in groups of one spike each.
+#[must_use]
+pub(in crate::diagnosis) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candidate> {
+    let mut with = series.clone();
+    with.explanation.outliers.retain(|place| places.binary_search(place).is_err());
+    with.rewhiten();
+    let values = with.innovations();
+    let groups = places.chunk_by(|a, b| b - a == 1);
+    let peak = |group: &[usize]| group.iter().map(|place| values[*place].abs()).fold(0.0, f64::max);
+    let peaks: Vec<f64> = groups.map(peak).collect();
+    let (count, n) = (peaks.len() as f64, series.len() as f64);
+    let typical = peaks.iter().sum::<f64>() / count;
+    let (rate, variance) = (count / n, peaks.iter().map(|peak| peak * peak).sum::<f64>() / count);
+    let gain = peaks.iter().map(|peak| 0.5 * (peak * peak - variance.ln()) - 0.5 + rate.ln()).sum::<f64>();
+    // Sizes from half to one and a half times the typical one spread by this part of it.
+    let relative_error = (1.0 / 12f64.sqrt() / count.sqrt()).min(0.5);
+    let samples = places.len().div_ceil(peaks.len().max(1));
+    let law = SpikeLaw { rate, size: typical / kernel(series), variance, relative_error, samples };
+    let explanation = Explanation { spikes: Some(law), ..series.explanation.clone() };
+    (gain > 0.0).then(|| Candidate::missing(Kind::Spikes, gain, explanation))
 }
 
 /// Whether places have neighbours far more often than independent ones would.

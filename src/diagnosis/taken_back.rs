@@ -1,0 +1,242 @@
+//! Taken back: what was named before all else was known, and is not worth its price beside that.
+
+use super::course::Course;
+use super::evidence::declared::kind_of;
+use super::evidence::{self, Kind};
+use super::explanation::Explanation;
+use super::prices::Prices;
+use super::report::Sense;
+use super::search::{Step, leave_rises_out};
+use super::series::Series;
+
+/// Takes back steps that what is left of the samples does not tell, or that are not worth their number beside all else; the first
+/// `known` courses are the model's.
+pub(super) fn weak_steps(series: &mut Series<'_>, steps: &mut Vec<Step>, known: usize) {
+    let is_own = |at: usize, course: &Course| at >= known && matches!(course, Course::Step(_));
+    let own = |series: &Series<'_>| -> Vec<usize> {
+        let courses = series.explanation.courses.iter().enumerate();
+        courses.filter(|(at, (course, _))| is_own(*at, course)).map(|(at, _)| at).collect()
+    };
+    if own(series).is_empty() {
+        return;
+    }
+    if join_across_gaps(series, known) {
+        series.rebuild(false);
+    }
+    loop {
+        let courses = &series.explanation.courses;
+        let columns: Vec<Vec<f64>> =
+            courses.iter().map(|(course, _)| series.setting().courses.coefficients(*course)).collect();
+        let Some(covariance) = series.covariance(&columns) else { break };
+        let worth = |at: usize| 0.5 * courses[at].1.powi(2) / covariance[(at, at)];
+        let weakest = own(series).into_iter().map(|at| (worth(at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, at)) = weakest.filter(|(worth, _)| *worth < evidence::level::FURTHER) else { break };
+        series.explanation.courses.remove(at);
+        series.rebuild(false);
+    }
+    if own(series).is_empty() {
+        steps.retain(|step| step.kind != Kind::BiasStep || step.of_model.is_some());
+    }
+}
+
+/// Takes back stretches that are as loud as the rest once all else is known; the first `known` are the model's.
+pub(super) fn weak_stretches(series: &mut Series<'_>, steps: &mut Vec<Step>, known: usize) {
+    let samples = series.len();
+    let is_named = |kind: Kind| steps.iter().any(|step| step.kind == kind && step.of_model.is_none());
+    let (bursts, intervals) = (is_named(Kind::Bursts), is_named(Kind::VarianceInterval));
+    let before = series.explanation.loud.len();
+    let mut place = 0;
+    series.explanation.loud.retain(|loud| {
+        place += 1;
+        let named = if loud.is_interval(samples) { intervals } else { bursts };
+        place <= known || (named && loud.gain() >= evidence::loudness::price_of_one(samples))
+    });
+    if series.explanation.loud.len() == before {
+        return;
+    }
+    series.rebuild(false);
+    let left = |long: bool| series.explanation.loud[known..].iter().any(|loud| loud.is_interval(samples) == long);
+    let (burst, interval) = (left(false), left(true));
+    steps.retain(|step| match step.kind {
+        Kind::Bursts => burst || step.of_model.is_some(),
+        Kind::VarianceInterval => interval || step.of_model.is_some(),
+        _ => true,
+    });
+}
+
+/// Makes one of steps between which every sample is left out: only what they are together is known. Whether there are such.
+fn join_across_gaps(series: &mut Series<'_>, known: usize) -> bool {
+    let excluded = series.excluded();
+    let nothing_between = |from: usize, to: usize| {
+        let count = excluded.partition_point(|at| *at < to) - excluded.partition_point(|at| *at < from);
+        count == to - from
+    };
+    let courses = &mut series.explanation.courses;
+    let mut order: Vec<(usize, usize)> = Vec::new();
+    for (at, (course, _)) in courses.iter().enumerate().skip(known) {
+        if let Course::Step(place) = course {
+            order.push((*place, at));
+        }
+    }
+    order.sort_unstable();
+    let mut gone = Vec::new();
+    for pair in order.windows(2) {
+        let ((from, one), (to, other)) = (pair[0], pair[1]);
+        if nothing_between(from, to) {
+            courses[other].1 += courses[one].1;
+            gone.push(one);
+        }
+    }
+    gone.sort_unstable();
+    for at in gone.iter().rev() {
+        courses.remove(*at);
+    }
+    !gone.is_empty()
+}
+
+/// Takes back tails and bursts that are not worth their price any more: a variance, a step or a limit whose numbers were not yet
+/// those that they are now leaves both.
+pub(super) fn tails_and_bursts_again(
+    series: &mut Series<'_>,
+    prices: &Prices,
+    steps: &mut Vec<Step>,
+    start: &Explanation,
+) {
+    /// Nats beyond the price beside others that leave them.
+    const CLEARLY: f64 = 6.0;
+    let leaves = |step: &Step| {
+        use Kind::{BiasStep, VarianceInterval, VariancePerDegree, VarianceProfile};
+        matches!(
+            step.kind,
+            BiasStep | VarianceInterval | VariancePerDegree | VarianceProfile | Kind::Bursts | Kind::Spikes
+        )
+    };
+    for kind in [Kind::HeavyTails, Kind::Bursts] {
+        let Some(at) = steps.iter().position(|step| step.kind == kind && step.of_model.is_none()) else { continue };
+        let beside = series.is_cut() || steps.iter().any(|step| step.kind != kind && leaves(step));
+        if !beside {
+            continue;
+        }
+        let mut without = series.clone();
+        if kind == Kind::HeavyTails {
+            without.explanation.tails = start.tails;
+        } else {
+            let (samples, known) = (series.len(), start.loud.len());
+            let mut place = 0;
+            without.explanation.loud.retain(|loud| {
+                place += 1;
+                place <= known || loud.is_interval(samples)
+            });
+        }
+        without.rebuild(false);
+        let again = evidence::of_samples(&without).into_iter().find(|of| of.kind == kind);
+        if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
+            *series = without;
+            steps.remove(at);
+        }
+    }
+}
+
+/// Takes back steps about a far larger one that are not needed once what that does while it rises is left out; the first `known`
+/// courses are the model's.
+pub(super) fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
+    /// Samples about the larger one, and its size over theirs.
+    const NEAR: usize = 512;
+    const LARGER: f64 = 5.0;
+    /// Nats that one has to give.
+    const WORTH: f64 = 14.0;
+    let is_minor = |courses: &[(Course, f64)], at: usize| {
+        let (Course::Step(place), size) = courses[at] else { return false };
+        courses[known..].iter().any(|(course, other)| match course {
+            Course::Step(its) => its.abs_diff(place) <= NEAR && other.abs() > LARGER * size.abs(),
+            _ => false,
+        })
+    };
+    let mut at = known;
+    while at < series.explanation.courses.len() {
+        if is_minor(&series.explanation.courses, at) {
+            let mut without = series.clone();
+            without.explanation.courses.remove(at);
+            without.rebuild(false);
+            leave_rises_out(&mut without);
+            if without.fitted.log_posterior > series.fitted.log_posterior - WORTH {
+                *series = without;
+                continue;
+            }
+        }
+        at += 1;
+    }
+}
+
+/// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
+pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    if steps.len() < 2 {
+        return;
+    }
+    loop {
+        let whole = series.fitted.log_posterior;
+        let terms = &series.explanation.law.terms;
+        let losses = (0..terms.len()).filter_map(|at| {
+            let kind = kind_of(terms[at].shape);
+            // Where the model has the term itself nothing was named.
+            steps.iter().any(|step| step.kind == kind && step.has_term()).then_some(())?;
+            let mut law = series.explanation.law.clone();
+            law.terms.remove(at);
+            let loss = whole - law.fit(series.data()).log_posterior;
+            (loss < prices.of(kind)).then_some((loss, at, kind))
+        });
+        let Some((_, at, kind)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+        series.explanation.law.terms.remove(at);
+        let weakest = |of: &(usize, &Step)| of.1.kind == kind && of.1.has_term();
+        let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
+        if let Some(step) = step.map(|(step, _)| step) {
+            match &mut steps[step].of_model {
+                Some((_, sense)) => *sense = Sense::Superfluous,
+                None => drop(steps.remove(step)),
+            }
+        }
+        series.rebuild(false);
+    }
+}
+
+/// Takes back tones that were chance's under a law that did not know a filter yet; `known`: the model's own.
+pub(super) fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, known: usize) {
+    let worth = |series: &Series<'_>, at: usize| {
+        let sine = &series.explanation.sines[at];
+        let place = ((2.0 * series.len() as f64 * sine.cycles) as usize).clamp(1, series.len() - 1);
+        0.25 * series.len() as f64 * sine.amplitude().powi(2) / series.spectrum[place]
+    };
+    loop {
+        let own = known..series.explanation.sines.len();
+        let weakest = own.map(|at| (worth(series, at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, at)) = weakest.filter(|(worth, _)| *worth < prices.of(Kind::Tone)) else { return };
+        series.explanation.sines.remove(at);
+        let tones = steps.iter().enumerate().filter(|(_, step)| step.kind == Kind::Tone);
+        let step = tones.min_by(|a, b| a.1.gain.total_cmp(&b.1.gain)).map(|(step, _)| step);
+        step.into_iter().for_each(|step| drop(steps.remove(step)));
+        series.rebuild(false);
+    }
+}
+
+/// Puts back what the model has, where it does as well beside what was found after it was changed.
+pub(super) fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
+    let changed = |step: &Step| step.of_model.is_some();
+    while let Some((at, as_stated)) =
+        steps.iter().enumerate().filter(|(_, step)| changed(step)).find_map(|(at, step)| {
+            let (place, _) = step.of_model?;
+            let mut as_stated = series.clone();
+            as_stated.explanation.without.remove(&place);
+            if step.has_term() {
+                let own = as_stated.explanation.law.terms.iter().rposition(|term| kind_of(term.shape) == step.kind)?;
+                as_stated.explanation.law.terms.remove(own);
+            }
+            as_stated.relaw();
+            let loss = series.fitted.log_posterior - as_stated.fitted.log_posterior;
+            (loss < prices.of(step.kind)).then_some((at, as_stated))
+        })
+    {
+        *series = as_stated;
+        series.rebuild(false);
+        steps.remove(at);
+    }
+}
