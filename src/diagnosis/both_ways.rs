@@ -294,3 +294,17 @@ fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
         assert!(cause.is_some(), "{further}: {plain:#?}");
     }
 }
+
+/// A burst of the model may be as long as a change of variance, and a filter of the model hardly show in the record.
+#[test]
+fn what_is_of_another_size_is_no_further_cause() {
+    let bursts =
+        |sigma: f64| json!({"effect": "bursts", "sigma": sigma, "intervals": [[100.0, 101.0], [400.0, 520.0]]});
+    let filter = |part: f64| json!({"effect": "low_pass", "cutoff_hz": part * super::round_trip::RATE_HZ, "order": 2});
+    for (sensor, declared) in [(bursts(0.1), bursts(0.012)), (filter(0.13), filter(0.45))] {
+        let found = compared(Some(&sensor), Some(&declared), 306).diagnosis;
+        let name = sensor["effect"].as_str().unwrap();
+        let right = found.causes.len() == 1 && found.causes[0].effect == name && found.causes[0].sense == Sense::Size;
+        assert!(right, "{name}: {:#?}", brief(&found.causes));
+    }
+}

@@ -1,4 +1,4 @@
-//! Dither: white noise that is added to samples some of which are left out, and that the law knows.
+//! Dither: white noise that is added to samples, and that the law knows.
 
 use super::filling::stream;
 use super::prepare::{Prepared, scale_of};
@@ -6,26 +6,29 @@ use super::prepare::{Prepared, scale_of};
 /// Random stream of the noise that is added.
 const DITHER: u16 = 6;
 
-/// Adds as much white noise to samples, some of which are left out, as these hide behind a filter with a zero; `there`: the samples
+/// Adds as much white noise to samples as those that are left out, or the ends, hide behind a filter with a zero; `there`: the samples
 /// that are there, U, `white`: the declared deviation of the white noise before filters, U.
 ///
 /// A zero as x⁴ about half the rate, known down to a density q, is q^¼ wide. A sample that is left out has an error of its own at all
 /// frequencies, so that of m runs of them in n samples nothing is known of a density below about (m/n)⁴: neither which it is, nor what
-/// belongs in place of the samples. Noise that is known to be there takes both questions away.
+/// belongs in place of the samples. Noise that is known to be there takes both questions away. The ends of a record, which the transform
+/// mirrors, ask them too, of filters that let next to nothing pass over a good part of the band.
 pub(super) fn dither(of: &mut Prepared, there: &[f64], white: f64) {
     const TIMES: f64 = 10.0;
     /// Below the least what belongs in place of the samples is too far from what is seen of them for numbers.
     const SHARES: [f64; 2] = [1e-4, 1e-2];
     const BLOCK: usize = 8;
+    /// The ends of a record on which all samples are there are known to this part of the noise before filters.
+    const ENDS: f64 = 1e-11;
     let runs =
         of.outliers.iter().enumerate().filter(|(at, place)| *at == 0 || of.outliers[at - 1] + 1 != **place).count();
-    if runs == 0 {
-        return;
-    }
     // White noise before a filter is white at low frequencies.
     let means: Vec<f64> = there.chunks_exact(BLOCK).map(|block| block.iter().sum::<f64>() / BLOCK as f64).collect();
     let white = white.min((BLOCK as f64).sqrt() * scale_of(&means)) / of.scale;
-    let share = (TIMES * runs as f64 / of.samples.len() as f64).powi(4).clamp(SHARES[0], SHARES[1]);
+    let share = match runs {
+        0 => ENDS,
+        _ => (TIMES * runs as f64 / of.samples.len() as f64).powi(4).clamp(SHARES[0], SHARES[1]),
+    };
     let rounding = of.step.map_or(0.0, |step| (step / of.scale).powi(2) / 12.0);
     of.dither = (share * white * white - rounding).max(0.0);
     let mut stream = stream(of.samples.len(), of.channel as u32, DITHER);

@@ -4,6 +4,7 @@ use super::course::Course;
 use super::law::Law;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 /// A sine in a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,10 +78,14 @@ impl Loud {
     pub(super) fn gain(&self) -> f64 {
         0.5 * (self.to - self.from) as f64 * (self.ratio - 1.0 - self.ratio.ln())
     }
-    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet.
+    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet. `bursts`: where the model has bursts,
+    /// however long.
     #[must_use]
-    pub fn is_interval(&self, samples: usize) -> bool {
-        self.to - self.from >= samples / 50 || self.ratio < 1.0
+    pub fn is_interval(&self, samples: usize, bursts: &[Range<usize>]) -> bool {
+        let length = self.to - self.from;
+        let common = |of: &Range<usize>| of.end.min(self.to).saturating_sub(of.start.max(self.from));
+        let is_of_model = bursts.iter().any(|of| 2 * common(of) > length.max(of.len()));
+        self.ratio < 1.0 || (length >= samples / 50 && !is_of_model)
     }
 }
 

@@ -166,6 +166,8 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         white: whole.known.law.levels[0],
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
+        // Nothing is named in a half.
+        bursts: &[],
         reach: whole.reach,
         owner: whole.owner,
     };

@@ -91,8 +91,11 @@ impl Term {
             Shape::MovingAverage(window) => (1..=window / 2)
                 .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
                 .collect(),
-            // A Butterworth filter made by the bilinear transform has a zero of several orders at half the rate.
-            Shape::LowPass(_) => vec![Narrow { frequency_hz: 0.5 * rate_hz, width_hz: 0.1 * NOTCH * rate_hz }],
+            // A Butterworth filter made by the bilinear transform has a zero of several orders at half the rate: bins are narrow
+            // over the distance from it.
+            Shape::LowPass(_) => [0.1 * NOTCH, NOTCH]
+                .map(|part| Narrow { frequency_hz: 0.5 * rate_hz, width_hz: part * rate_hz })
+                .to_vec(),
             _ => Vec::new(),
         }
     }
@@ -276,8 +279,9 @@ pub struct Data<'a> {
     pub beliefs: &'a Beliefs,
 }
 
-/// Bounds of ln of the white noise's power behind a filter over that before it.
-const FLOOR: (f64, f64) = (-36.0, 0.0);
+/// Bounds of ln of the white noise's power behind a filter over that before it. A filter made by the bilinear transform lets next to nothing
+/// pass at half the rate, and samples of 53 bits show that.
+const FLOOR: (f64, f64) = (-72.0, 0.0);
 
 /// Bounds of a line's asymmetry, over the most.
 const ASYMMETRY: (f64, f64) = (-1.0, 1.0);

@@ -17,6 +17,7 @@ use crate::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL
 use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Fewest samples of which anything is said.
@@ -66,6 +67,8 @@ pub struct Prepared {
     pub shifts: Vec<(usize, Course, f64)>,
     /// Stretches of another variance that it has, with the places of their effects.
     pub loud: Vec<(usize, Loud)>,
+    /// Where the model has bursts, whether the channel has them or not.
+    pub bursts: Vec<Range<usize>>,
     /// Its variance by temperature or time, and the place of the effect.
     pub scedasticity: Option<(usize, Scedasticity)>,
     /// Samples that its filters reach.
@@ -111,6 +114,7 @@ impl Ready {
             white: prepared.declared.levels[0],
             beliefs: prepared.beliefs,
             rate_hz: self.rate_hz,
+            bursts: &prepared.bursts,
             reach: prepared.reach,
             owner: prepared.channel as u32,
         }
@@ -388,6 +392,7 @@ fn channel_of(
         sines,
         lines,
         shifts,
+        bursts: loud_of_bursts(model, &loud),
         loud,
         scedasticity,
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
@@ -566,6 +571,12 @@ fn variance_of(
         }
     }
     (loud, scedasticity)
+}
+
+/// Where a model has bursts, of its stretches of another variance.
+fn loud_of_bursts(model: &ChannelModel, loud: &[OfModel<Loud>]) -> Vec<Range<usize>> {
+    let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.name() == "bursts");
+    loud.iter().filter(|(place, _)| is_burst(*place)).map(|(_, loud)| loud.from..loud.to).collect()
 }
 
 /// Whether an effect is another one at any time.

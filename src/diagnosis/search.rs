@@ -11,7 +11,8 @@ use super::prices::Prices;
 use super::report::Sense;
 use super::series::Series;
 use super::taken_back::{
-    drop_minor_steps, put_back, tails_and_bursts_again, take_back, weak_steps, weak_stretches, weak_tones,
+    drop_minor_steps, put_back, same_as_the_models, tails_and_bursts_again, take_back, weak_steps, weak_stretches,
+    weak_tones,
 };
 
 /// An effect that was added, or one of the model's that was changed.
@@ -130,6 +131,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     one_slope(series, prices, &mut steps);
     weak_steps(series, &mut steps, start.courses.len());
     take_back(series, prices, &mut steps);
+    same_as_the_models(series, prices, &mut steps);
     put_back(series, prices, &mut steps);
     weak_tones(series, prices, &mut steps, start.sines.len());
     samples_again(series, prices, &mut steps, &start, &peaks);
@@ -296,14 +298,14 @@ fn samples_again(
 /// Takes back what is the matter of single samples but the model's, and leaves out some.
 fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Explanation, left_out: &[usize]) {
     steps.retain(|step| !step.kind.is_marginal());
-    let samples = series.len();
+    let (samples, bursts) = (series.len(), series.setting().bursts);
     let own = &mut series.explanation;
     (own.outliers, own.spikes, own.tails) = (start.outliers.clone(), start.spikes, start.tails);
     own.leave_out(left_out.iter().copied());
     let mut at = 0;
     own.loud.retain(|loud| {
         at += 1;
-        at <= start.loud.len() || loud.is_interval(samples)
+        at <= start.loud.len() || loud.is_interval(samples, bursts)
     });
     series.rebuild(false);
     leave_rises_out(series);

@@ -30,6 +30,8 @@ pub struct Setting<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
+    /// Where the model has bursts.
+    pub bursts: &'a [std::ops::Range<usize>],
     /// Samples that the model's own filters reach.
     pub reach: usize,
     /// Number of the channel: whose random draws stand for excluded samples.

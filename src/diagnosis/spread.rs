@@ -46,11 +46,19 @@ impl Spread {
         let worth = |(k, s): (usize, &f64)| passed(k) / s;
         let sharpness = series.spectrum.iter().enumerate().skip(1).map(worth).sum::<f64>() / n;
         let covariance = series.covariance(&columns);
+        // Where a step is in samples that are left out is not known.
+        let excluded = series.excluded();
+        let unknown = |at: usize| {
+            let place = excluded.partition_point(|of| *of < at);
+            let before = (1..=place).take_while(|back| excluded[place - back] + back == at).count();
+            let behind = excluded[place..].iter().zip(at..).take_while(|(of, t)| **of == *t).count();
+            before.max(behind) as f64
+        };
         let error = |at: usize| covariance.as_ref().map_or(0.0, |matrix| matrix[(at, at)].max(0.0).sqrt());
         let of_course = |at: usize| {
             let (course, factor) = explanation.courses[at];
             let more = match course {
-                Course::Step(_) => (11.0 / (factor * factor * sharpness) + 1.0) / 1.96,
+                Course::Step(at) => (11.0 / (factor * factor * sharpness) + 1.0 + unknown(at)) / 1.96,
                 _ => slopes.iter().find(|(own, _)| *own == at).map_or(0.0, |(_, column)| error(*column)),
             };
             (error(at), more)

@@ -255,3 +255,16 @@ fn spikes_that_are_near_each_other_are_spikes() {
     }
     wrong.none();
 }
+
+/// Nothing comes in behind most simulators' filters: a spectrum may fall by forty orders of magnitude.
+#[test]
+fn a_filter_with_nothing_behind_it_is_alone() {
+    let mut wrong = Wrong::default();
+    for (cutoff, order, seed) in [(0.03, 1, 1), (0.1, 2, 2), (0.1, 3, 3), (0.3, 2, 4), (0.05, 4, 5), (0.42, 4, 6)] {
+        expect_alone(&mut wrong, &json!({"effect": "low_pass", "cutoff_hz": cutoff * RATE_HZ, "order": order}), seed);
+    }
+    for (window, seed) in [(2, 1), (3, 2), (5, 3), (12, 4), (25, 5)] {
+        expect_alone(&mut wrong, &json!({"effect": "moving_average", "window": window}), seed);
+    }
+    wrong.none();
+}

@@ -3,7 +3,7 @@
 use super::course::Course;
 use super::evidence::declared::kind_of;
 use super::evidence::{self, Kind};
-use super::explanation::Explanation;
+use super::explanation::{Explanation, Loud};
 use super::prices::Prices;
 use super::report::Sense;
 use super::search::{Step, leave_rises_out};
@@ -41,21 +41,22 @@ pub(super) fn weak_steps(series: &mut Series<'_>, steps: &mut Vec<Step>, known: 
 
 /// Takes back stretches that are as loud as the rest once all else is known; the first `known` are the model's.
 pub(super) fn weak_stretches(series: &mut Series<'_>, steps: &mut Vec<Step>, known: usize) {
-    let samples = series.len();
+    let (samples, bursts_of_model) = (series.len(), series.setting().bursts);
     let is_named = |kind: Kind| steps.iter().any(|step| step.kind == kind && step.of_model.is_none());
     let (bursts, intervals) = (is_named(Kind::Bursts), is_named(Kind::VarianceInterval));
     let before = series.explanation.loud.len();
     let mut place = 0;
     series.explanation.loud.retain(|loud| {
         place += 1;
-        let named = if loud.is_interval(samples) { intervals } else { bursts };
+        let named = if loud.is_interval(samples, bursts_of_model) { intervals } else { bursts };
         place <= known || (named && loud.gain() >= evidence::loudness::price_of_one(samples))
     });
     if series.explanation.loud.len() == before {
         return;
     }
     series.rebuild(false);
-    let left = |long: bool| series.explanation.loud[known..].iter().any(|loud| loud.is_interval(samples) == long);
+    let is_left = |long: bool, of: &Loud| of.is_interval(samples, bursts_of_model) == long;
+    let left = |long: bool| series.explanation.loud[known..].iter().any(|loud| is_left(long, loud));
     let (burst, interval) = (left(false), left(true));
     steps.retain(|step| match step.kind {
         Kind::Bursts => burst || step.of_model.is_some(),
@@ -121,11 +122,11 @@ pub(super) fn tails_and_bursts_again(
         if kind == Kind::HeavyTails {
             without.explanation.tails = start.tails;
         } else {
-            let (samples, known) = (series.len(), start.loud.len());
+            let (samples, known, bursts) = (series.len(), start.loud.len(), series.setting().bursts);
             let mut place = 0;
             without.explanation.loud.retain(|loud| {
                 place += 1;
-                place <= known || loud.is_interval(samples)
+                place <= known || loud.is_interval(samples, bursts)
             });
         }
         without.rebuild(false);
@@ -215,6 +216,28 @@ pub(super) fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
         let step = tones.min_by(|a, b| a.1.gain.total_cmp(&b.1.gain)).map(|(step, _)| step);
         step.into_iter().for_each(|step| drop(steps.remove(step)));
         series.rebuild(false);
+    }
+}
+
+/// Takes what was named as missing for another size of what the model has, where that is not needed beside it.
+pub(super) fn same_as_the_models(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
+    for at in 0..steps.len() {
+        let kind = steps[at].kind;
+        if steps[at].of_model.is_some() || kind.repeats() || !steps[at].has_term() {
+            continue;
+        }
+        let is_open = |place: usize| {
+            let named = steps.iter().any(|step| step.of_model.is_some_and(|(own, _)| own == place));
+            !named && !series.explanation.without.contains(&place)
+        };
+        let mut declared = series.setting().declared.iter();
+        let own = declared.find(|(place, term)| kind_of(term.shape) == kind && is_open(*place));
+        let Some(place) = own.map(|(place, _)| *place) else { continue };
+        let bare = series.without_declared(place);
+        if series.fitted.log_posterior - bare.fitted.log_posterior < prices.of(kind) {
+            *series = bare;
+            steps[at].of_model = Some((place, Sense::Size));
+        }
     }
 }
 

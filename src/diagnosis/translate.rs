@@ -263,7 +263,8 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     let seconds = |sample: usize| sample as f64 / rate_hz;
     let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
     let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
-    let (intervals, bursts): (Vec<&Loud>, Vec<&Loud>) = loud.iter().partition(|of| of.is_interval(samples));
+    let (intervals, bursts): (Vec<&Loud>, Vec<&Loud>) =
+        loud.iter().partition(|of| of.is_interval(samples, &prepared.bursts));
     for one in intervals {
         let (from_s, to_s) = (seconds(one.from), seconds(one.to));
         let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };

@@ -108,7 +108,7 @@ fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Ki
     for (place, loud) in &of.loud {
         let own = residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
         let samples = (loud.to - loud.from) as f64;
-        let kind = if loud.is_interval(residual.len()) { Kind::VarianceInterval } else { Kind::Bursts };
+        let kind = if loud.is_interval(residual.len(), &of.bursts) { Kind::VarianceInterval } else { Kind::Bursts };
         // Of k squares of variance v with mean m the likeliest v is m, by k/2·(m/v − 1 − ln m/v) nats.
         let ratio = (own / samples) / mean.max(f64::MIN_POSITIVE) / loud.ratio;
         let ratio = ratio.max(1e-9);

@@ -304,6 +304,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     for loud in &known {
         residual[loud.from..loud.to].fill(outside.sqrt());
     }
+    let bursts = series.setting().bursts;
     let declared = (series.setting().white - series.explanation.law.levels[0]).exp();
     let mut gains: Vec<f64> = Vec::new();
     let mut found: Vec<Loud> = Vec::new();
@@ -358,7 +359,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     }
     join(&mut found, &mut gains);
     let of = |kind: Kind, long: bool| {
-        let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n) == long);
+        let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n, bursts) == long);
         let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
         // Where a good part of the record is loud, nothing is quiet enough to be called its noise.
         let share = stretches.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
