@@ -18,8 +18,8 @@ fn spread(of: &Findings, level: usize) -> Option<f64> {
 }
 
 /// Takes noise that is shared, of a standard deviation a sample, off a channel's N.
-fn without_shared(channel: &mut ChannelModel, sigma: f64, rate_hz: f64) {
-    let own = |n: f64| (n * n - sigma * sigma / rate_hz).max(0.0).sqrt();
+fn without_shared(channel: &mut ChannelModel, sigma: f64, internal_hz: f64) {
+    let own = |n: f64| (n * n - sigma * sigma / internal_hz).max(0.0).sqrt();
     let known = channel.interval("N");
     channel.n = own(channel.n);
     if let Some(ends) = known {
@@ -30,6 +30,7 @@ fn without_shared(channel: &mut ChannelModel, sigma: f64, rate_hz: f64) {
 /// The model with what was found; on channels where something `remains` with its density as well, as far as it is louder.
 pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remains: &BTreeSet<Channel>) -> SensorModel {
     let mut model = sim.clone();
+    let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     for of in &found.channels {
         let Some(channel) = model.channels.get_mut(&of.prepared.channel) else { continue };
         let level = |index: usize| (0.5 * of.explanation.law.levels[index]).exp() * of.prepared.scale;
@@ -51,10 +52,9 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
         // The law's white noise has what the model shares with other channels in it.
         let is_common = |effect: &Arc<dyn Effect>| effect.name() == "common_mode";
         let is_off = own().any(|one| one.declared.as_ref().is_some_and(|(_, of)| is_common(of)));
-        let shared = channel.effects.iter().find(|effect| is_common(effect) && !is_off);
-        if let Some(sigma) = shared.and_then(|effect| effect.number("sigma")) {
-            without_shared(channel, sigma, sim.rate_hz);
-        }
+        let shared = channel.effects.iter().filter(|effect| is_common(effect) && !is_off);
+        let sigmas: Vec<f64> = shared.filter_map(|effect| effect.number("sigma")).collect();
+        sigmas.into_iter().for_each(|sigma| without_shared(channel, sigma, internal_hz));
         for one in own().filter(|one| one.sense != Sense::Superfluous) {
             if one.effect.name() == "common_mode" {
                 // The first of all channels have one source, the second another: earlier sources are not this channel's.
@@ -69,7 +69,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 && one.effect.name() == "common_mode"
                 && let Some(sigma) = common.1.as_f64()
             {
-                without_shared(channel, sigma, sim.rate_hz);
+                without_shared(channel, sigma, internal_hz);
             }
         }
         if remains.contains(&of.prepared.channel) && !of.nameless.is_empty() {

@@ -340,7 +340,7 @@ fn channel_of(
             return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
         }
     }
-    let density = white_density(model, sim.rate_hz);
+    let density = white_density(model, sim.internal_rate_hz(sim.rate_hz));
     // What a coarse step hides is drawn below; then there is no rounding left.
     let step = facts.step.filter(|_| real.sent(channel).is_none());
     let coarse =
@@ -388,7 +388,7 @@ fn channel_of(
         limits,
         declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
         beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
-        spectral: terms_of(model, scale, sim.rate_hz),
+        spectral: terms_of(model, scale, density, sim.rate_hz),
         sines,
         lines,
         shifts,
@@ -433,9 +433,9 @@ fn subtract_others(
 }
 
 /// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone does not tell them apart.
-pub(super) fn white_density(model: &ChannelModel, rate_hz: f64) -> f64 {
+pub(super) fn white_density(model: &ChannelModel, internal_hz: f64) -> f64 {
     let shared = model.effects.iter().filter(|effect| effect.name() == "common_mode");
-    let power: f64 = shared.filter_map(|effect| effect.psd(0.0, rate_hz)).sum();
+    let power: f64 = shared.filter_map(|effect| effect.psd(0.0, internal_hz)).sum();
     (model.n * model.n + power).sqrt()
 }
 
@@ -467,14 +467,12 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
 
 /// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list;
 /// those after them are taken as they are stated.
-fn terms_of(model: &ChannelModel, scale: f64, rate_hz: f64) -> Vec<(usize, Term)> {
+fn terms_of(model: &ChannelModel, scale: f64, density: f64, rate_hz: f64) -> Vec<(usize, Term)> {
     /// Each is compared by a fit of its own at every step of a search.
     const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
     listed
-        .filter_map(|(place, effect)| {
-            Some((place, Term::of(&**effect, scale, white_density(model, rate_hz), rate_hz)?))
-        })
+        .filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, density, rate_hz)?)))
         .take(MOST)
         .collect()
 }
@@ -526,7 +524,7 @@ fn variance_of(
     const INSTANTS: usize = 241;
     let mut loud = Vec::new();
     let mut scedasticity = None;
-    let white = (white_density(model, rate_hz) / scale).powi(2) * internal_hz;
+    let white = (white_density(model, internal_hz) / scale).powi(2) * internal_hz;
     let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
     for (place, effect) in model.effects.iter().enumerate() {
         let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();

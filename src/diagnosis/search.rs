@@ -78,7 +78,9 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     // What they are is asked once all else is known.
-    let peaks = evidence::peaks::peaks(&series.rest);
+    let is_plain = start.spikes.is_none() && start.tails.is_none();
+    let mut peaks = if is_plain { evidence::peaks::peaks(&series.rest) } else { Vec::new() };
+    peaks.retain(|place| start.outliers.binary_search(place).is_err());
     if !peaks.is_empty() {
         series.explanation.leave_out(peaks.iter().copied());
         series.rebuild(true);
@@ -94,6 +96,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
             continue;
         }
         let (step, chosen) = hidden::instead(series, prices, &steps, &step, others).unwrap_or((step, chosen));
+        let before = (step.kind == Kind::BiasStep).then(|| series.clone());
         series.explanation = chosen.explanation;
         series.rebuild(false);
         let kind = step.kind;
@@ -111,6 +114,8 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 weak_steps(series, &mut steps, start.courses.len());
                 if steps.iter().all(|step| step.kind != kind) {
                     refused.push(kind);
+                    // With the samples about them.
+                    before.into_iter().for_each(|before| *series = before);
                 }
             }
             // Tails that were found before may have been of these, and of what they hid.
@@ -280,18 +285,19 @@ fn samples_again(
     if peaks.is_empty() {
         return;
     }
-    if is_named(Kind::Spikes) || is_named(Kind::HeavyTails) {
-        // They are of what the rest has as well.
-        *steps = before;
-        restore_samples(series, steps, start, &[]);
-        choose_samples(series, prices, steps);
-    } else if start.spikes.is_none()
-        && start.tails.is_none()
-        && let Some(of) = evidence::outlier::spikes_at(series, peaks)
-    {
-        series.explanation = of.explanation;
-        let price = prices.of(Kind::Spikes);
-        steps.push(Step { kind: Kind::Spikes, gain: of.gain, price, others: Vec::new(), of_model: None });
+    // Such as the rest has as well, or none that are worth it, are looked at with all others.
+    let is_of_rest = is_named(Kind::Spikes) || is_named(Kind::HeavyTails);
+    match evidence::outlier::spikes_at(series, peaks).filter(|_| !is_of_rest) {
+        Some(of) => {
+            series.explanation = of.explanation;
+            let price = prices.of(Kind::Spikes);
+            steps.push(Step { kind: Kind::Spikes, gain: of.gain, price, others: Vec::new(), of_model: None });
+        }
+        None => {
+            *steps = before;
+            restore_samples(series, steps, start, &[]);
+            choose_samples(series, prices, steps);
+        }
     }
 }
 
@@ -330,7 +336,7 @@ fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step
     }
 }
 
-/// Leaves out spikes beside those that were found, where the model has none.
+/// Leaves out spikes beside those that were found.
 fn more_spikes(series: &mut Series<'_>) {
     const ROUNDS: usize = 4;
     for _ in 0..ROUNDS {
@@ -354,7 +360,7 @@ fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     const CLEAR: f64 = 10.0;
     let Some(step) = steps.last_mut().filter(|step| step.of_model.is_none()) else { return };
     for _ in 0..ROUNDS {
-        let more = evidence::of_samples(series).into_iter().find(|of| of.kind == Kind::Bursts);
+        let more = evidence::loudness::intervals(series).into_iter().find(|of| of.kind == Kind::Bursts);
         let Some(more) = more.filter(|of| of.gain > prices.of(Kind::Bursts) + CLEAR) else { return };
         step.gain += more.gain;
         series.explanation = more.explanation;

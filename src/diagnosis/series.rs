@@ -208,6 +208,7 @@ impl<'a> Series<'a> {
     /// The samples as the explanation says, whitened by the law as it is.
     pub(super) fn rewhiten(&mut self) {
         self.fit_means();
+        self.interpolate();
         self.transformed();
         self.whiten();
     }

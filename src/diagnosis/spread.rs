@@ -58,7 +58,7 @@ impl Spread {
         let of_course = |at: usize| {
             let (course, factor) = explanation.courses[at];
             let more = match course {
-                Course::Step(at) => (11.0 / (factor * factor * sharpness) + 1.0 + unknown(at)) / 1.96,
+                Course::Step(place) => (11.0 / (factor * factor * sharpness) + 1.0 + unknown(place)) / 1.96,
                 _ => slopes.iter().find(|(own, _)| *own == at).map_or(0.0, |(_, column)| error(*column)),
             };
             (error(at), more)

@@ -236,6 +236,7 @@ pub(super) fn same_as_the_models(series: &mut Series<'_>, prices: &Prices, steps
         let bare = series.without_declared(place);
         if series.fitted.log_posterior - bare.fitted.log_posterior < prices.of(kind) {
             *series = bare;
+            series.rebuild(false);
             steps[at].of_model = Some((place, Sense::Size));
         }
     }

@@ -170,10 +170,13 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         .iter()
         .map(|of| {
             let model = sim.channels.get(&of.prepared.channel)?;
-            let (place, effect) =
-                model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "common_mode")?;
+            // One of size 0 stands for a source that is other channels'.
+            let is_shared = |effect: &Arc<dyn Effect>| {
+                effect.name() == "common_mode" && effect.number("sigma").is_some_and(|sigma| sigma != 0.0)
+            };
+            let (place, effect) = model.effects.iter().enumerate().find(|(_, effect)| is_shared(effect))?;
             let sigma = effect.number("sigma")?;
-            let white = prepare::white_density(model, sim.rate_hz) * sim.rate_hz.sqrt();
+            let white = prepare::white_density(model, sim.internal_rate_hz(sim.rate_hz)) * sim.rate_hz.sqrt();
             Some((place, effect, sigma, sigma / white.max(f64::MIN_POSITIVE)))
         })
         .collect();

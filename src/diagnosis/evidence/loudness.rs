@@ -272,8 +272,10 @@ fn usual(values: &[f64], declared: f64) -> f64 {
     let mut means: Vec<f64> = values.chunks_exact(size).map(mean).filter(|mean| *mean > 0.0).collect();
     means.sort_unstable_by(f64::total_cmp);
     let own = SHARES.iter().filter_map(|share| means.get((share * means.len() as f64) as usize)).copied();
-    let alike = |own: f64| means.iter().filter(|mean| (*mean / own).ln().abs() < CLEARLY).count() as f64;
-    if let Some(own) = own.clone().find(|own| alike(*own) > MOST * means.len() as f64) {
+    let alike = |own: f64| means.iter().copied().filter(move |mean| (mean / own).ln().abs() < CLEARLY);
+    let most = own.clone().map(|own| (alike(own).count(), own)).max_by_key(|(count, _)| *count);
+    if let Some((count, own)) = most.filter(|(count, _)| *count as f64 > MOST * means.len() as f64) {
+        let own = alike(own).sum::<f64>() / count as f64;
         return if own.ln().abs() > CLEARLY { own } else { 1.0 };
     }
     let apart = |variance: &f64| (variance / declared).ln().abs();
@@ -387,7 +389,10 @@ fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
     const ALIKE: f64 = 4.0;
     let is_one = |a: &Loud, b: &Loud| {
         let apart = a.ratio / b.ratio;
-        b.from <= a.to + NEAR && a.ratio > 1.0 && b.ratio > 1.0 && (1.0 / ALIKE..ALIKE).contains(&apart)
+        (a.to..=a.to + NEAR).contains(&b.from)
+            && a.ratio > 1.0
+            && b.ratio > 1.0
+            && (1.0 / ALIKE..ALIKE).contains(&apart)
     };
     let mut order: Vec<usize> = (0..found.len().min(gains.len())).collect();
     order.sort_by_key(|own| found[*own].from);
@@ -397,7 +402,7 @@ fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
         match joined.last_mut().filter(|(last, _)| is_one(last, &next)) {
             Some((last, sum)) => {
                 let (a, b) = ((last.to - last.from) as f64, (next.to - next.from) as f64);
-                *last = Loud { to: next.to.max(last.to), ratio: (a * last.ratio + b * next.ratio) / (a + b), ..*last };
+                *last = Loud { to: next.to, ratio: (a * last.ratio + b * next.ratio) / (a + b), ..*last };
                 *sum += gain;
             }
             None => joined.push((next, gain)),

@@ -163,25 +163,28 @@ fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
 ///
 /// Two spikes that are near each other hide what each makes of its neighbours until one of them is left out.
 pub(in crate::diagnosis) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
-    /// Square from which on a value is far out: no normal one of a record is.
-    const FAR_OUT: f64 = 25.0;
+    /// Square beyond twice the logarithm of the record's length from which on a value is far out: of normal values next to none is.
+    const FAR_OUT: f64 = 10.0;
     /// Values of a group, and its length.
     const MOST: usize = 8;
     const LONGEST: usize = 12;
     /// Samples about it, and their mean square.
     const ABOUT: usize = 32;
     const QUIET: f64 = 2.0;
-    if series.explanation.spikes.is_none() {
+    if series.explanation.spikes.is_none() || series.explanation.tails.is_some() {
         return Vec::new();
     }
     let values = series.innovations();
-    let far: Vec<usize> = (0..values.len()).filter(|t| values[*t].powi(2) > FAR_OUT).collect();
+    let limit = FAR_OUT + 2.0 * (values.len().max(1) as f64).ln();
+    let far: Vec<usize> = (0..values.len()).filter(|t| values[*t].powi(2) > limit).collect();
     let mut found = Vec::new();
     for group in far.chunk_by(|a, b| b - a <= NEAR).filter(|group| group.len() <= MOST) {
         let (first, last) = (group[0], group[group.len() - 1]);
         let about =
             (first.saturating_sub(ABOUT)..first).chain((last + 1..last + 1 + ABOUT).filter(|t| *t < values.len()));
-        let (sum, count) = about.fold((0.0, 0.0), |(sum, count), t| (sum + values[t].powi(2), count + 1.0));
+        // Another spike nearby is none of what is about it.
+        let squares = about.map(|t| values[t].powi(2)).filter(|square| *square <= limit);
+        let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
         if last - first < LONGEST && sum < QUIET * count {
             found.extend(group.iter().copied().max_by(|a, b| values[*a].abs().total_cmp(&values[*b].abs())));
         }
@@ -246,7 +249,7 @@ fn kernel(series: &Series<'_>) -> f64 {
     (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64
 }
 
-/// Spikes of which it is known where they are: at places that are left out, in groups of one spike each.
+/// Spikes of which it is known where they are: at places that are left out, each group of them taken for one spike.
 #[must_use]
 pub(in crate::diagnosis) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candidate> {
     let mut with = series.clone();

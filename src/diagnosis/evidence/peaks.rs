@@ -1,5 +1,7 @@
 //! Peaks: single samples that are so far out that they are seen without a law of the noise, which such samples themselves spoil.
 
+use super::leaps::median;
+
 /// Samples on either side whose median a sample is held against.
 const HALF: usize = 16;
 /// Samples before and behind a group that have to be quiet.
@@ -54,13 +56,9 @@ pub(in crate::diagnosis) fn peaks(values: &[f64]) -> Vec<usize> {
             found.extend(from..to);
         }
     }
+    found.sort_unstable();
     found.dedup();
     if found.len() as f64 > MOST * n as f64 { Vec::new() } else { found }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]
@@ -89,6 +87,12 @@ mod tests {
             })
             .collect();
         assert!(peaks(&walk).is_empty());
+        // What is left out behind one group may reach into the next one.
+        for place in [12_000, 12_008, 12_016, 12_025] {
+            values[place] += 900.0;
+        }
+        let found = peaks(&values);
+        assert!(found.is_sorted() && found.contains(&12_025), "{found:?}");
         assert!(peaks(&[1.0; 1000]).is_empty());
     }
 }
