@@ -287,7 +287,7 @@ fn samples_again(
     }
     // Such as the rest has as well, or none that are worth it, are looked at with all others.
     let is_of_rest = is_named(Kind::Spikes) || is_named(Kind::HeavyTails);
-    match evidence::outlier::spikes_at(series, peaks).filter(|_| !is_of_rest) {
+    match (!is_of_rest).then(|| evidence::outlier::spikes_at(series, peaks)).flatten() {
         Some(of) => {
             series.explanation = of.explanation;
             let price = prices.of(Kind::Spikes);

@@ -21,6 +21,19 @@ fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
     wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
 }
 
+/// Expects that two effects of one channel that the model lacks are named, and nothing else.
+fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
+    let mut truth = model(Some(one));
+    let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
+    truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
+    let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
+    let mut named = names(&found);
+    let mut expected = [one, other].map(|effect| effect["effect"].as_str().unwrap());
+    named.sort_unstable();
+    expected.sort_unstable();
+    wrong.expect(named == expected, || format!("{one} {other} seed {seed}: {named:?}"));
+}
+
 /// A cosine transform mirrors a record at its ends, which a strong line does not do; what is far from it depends on what it is
 /// the line of.
 #[test]
@@ -120,15 +133,8 @@ fn large_spikes_beside_loud_stretches_and_behind_a_filter_are_spikes() {
     }
     for (size, seed) in [(3_000.0, 3), (100.0, 4)] {
         let filter = json!({"effect": "low_pass", "cutoff_hz": 12.0, "order": 2, "white_behind": 1e-4});
-        let mut truth = model(Some(&filter));
         let spikes = json!({"effect": "spikes", "rate_hz": 0.004, "amplitude": size * WHITE});
-        let with_spikes = model(Some(&spikes)).channels.remove(&Channel::AccelX).unwrap();
-        let own = truth.channels.get_mut(&Channel::AccelX).unwrap();
-        own.push_effect(with_spikes.effects[0].clone(), &[]);
-        let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
-        let mut names = names(&found);
-        names.sort_unstable();
-        wrong.expect(names == ["low_pass", "spikes"], || format!("{size} behind a filter: {names:?}"));
+        expect_both(&mut wrong, [&filter, &spikes], seed);
     }
     wrong.none();
 }
@@ -218,16 +224,7 @@ fn what_lies_in_front_of_a_boxcar_does_not_hide_it() {
         (json!({"effect": "variance_change", "profile": profile}), 3),
     ] {
         let boxcar = json!({"effect": "moving_average", "window": 2, "white_behind": 1e-5});
-        let mut truth = model(Some(&boxcar));
-        let with = model(Some(&other)).channels.remove(&Channel::AccelX).unwrap();
-        truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
-        let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
-        let mut names = names(&found);
-        names.sort_unstable();
-        let own = other["effect"].as_str().unwrap();
-        wrong.expect(names.len() == 2 && names.contains(&own) && names.contains(&"moving_average"), || {
-            format!("{own} seed {seed}: {names:?}")
-        });
+        expect_both(&mut wrong, [&boxcar, &other], seed);
     }
     wrong.none();
 }
