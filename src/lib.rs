@@ -31,6 +31,7 @@ pub mod motion;
 pub mod noise;
 pub mod page;
 pub mod plot;
+pub mod process;
 pub mod protocol;
 pub mod ros_messages;
 pub mod simulator;

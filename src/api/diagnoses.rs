@@ -1,22 +1,23 @@
 //! Diagnoses: asked for, listed, shown as a document, as a model and as a page. A diagnosis has its job's id.
 
 use super::analysis::{unfinished, with_stale};
-use super::extract::{J, P, Q};
+use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
-use super::{conditional, jobs, page};
-use crate::jobs::{DiagnosisDocument, JobError, JobKind};
+use super::{aside, conditional, jobs, page};
+use crate::jobs::{DiagnosisDocument, JobError, JobKind, WishBody};
 use crate::page as pages;
 use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
-use axum::extract::State;
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::Response;
+use hyper::body::Body as _;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// What a capture is compared with.
-#[derive(Debug, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, utoipa::ToSchema)]
+#[expect(dead_code, reason = "the interface's description; `jobs` reads the body")]
 pub(super) struct DiagnosisBody {
     /// A model's id (`"model-1"`), a sensor model, or the id or name of a capture that a simulator made.
     #[schema(value_type = Object)]
@@ -95,8 +96,10 @@ pub(super) struct DiagnosesQuery {
     cursor: Option<String>,
 }
 
-/// Bytes of a request that brings a reference, at most: half an hour at 100 Hz and some.
-pub(super) const REFERENCE_BYTES: usize = 32 * 1024 * 1024;
+/// A wish with a reference of half an hour at 100 Hz and some.
+const WISH: aside::Kind = aside::Kind { called: "a diagnosis with its reference", bytes_max: 32 << 20 };
+/// A body of at most so many bytes is read at once; a larger one is put aside and read by a process of its own.
+const SMALL_BYTES: usize = 64 * 1024;
 
 /// Compares a capture with a simulator, as a job. The same again is the same job.
 #[utoipa::path(post, path = "/v1/captures/{id}/diagnoses", tag = "diagnoses",
@@ -104,18 +107,43 @@ pub(super) const REFERENCE_BYTES: usize = 32 * 1024 * 1024;
     (status = 202, body = jobs::Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
     (status = 200, body = jobs::Job, description = "It was asked for before"),
     (status = 400, body = Problem, content_type = "application/problem+json", description = "No model, or an impossible one"),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 404, body = Problem, content_type = "application/problem+json"),
+    (status = 408, body = Problem, content_type = "application/problem+json", description = "The body does not come"),
+    (status = 413, body = Problem, content_type = "application/problem+json", description = "More than 32 MiB, or a model of more than 64 KiB"),
+    (status = 415, body = Problem, content_type = "application/problem+json"),
+    (status = 429, body = Problem, content_type = "application/problem+json", description = "Another large body is being taken in")))]
 pub(super) async fn submit(
     State(state): State<ApiState>,
     P(capture): P,
-    J(body): J<DiagnosisBody>,
+    request: Request,
 ) -> Result<Response, ApiError> {
-    let body = body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"sim\": …}"))?;
+    let announced = request.body().size_hint().upper();
+    if announced == Some(0) {
+        return Err(ApiError::bad_request("the body is empty: expected {\"sim\": …}"));
+    }
+    if !is_json(request.headers()) {
+        return Err(no_json());
+    }
     let capture_id = state.resolve(capture).await?;
-    let mut wish = serde_json::Map::new();
-    let given = [("sim", body.sim), ("reference", body.reference)];
-    wish.extend(given.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))));
-    jobs::queue(&state, JobKind::Diagnosis, capture_id, Value::Object(wish)).await
+    if !is_put_aside(&request) {
+        let body = axum::body::to_bytes(request.into_body(), SMALL_BYTES).await;
+        let body = body.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
+        return jobs::queue_diagnosis(&state, capture_id, move |jobs| jobs.wish(WishBody::Bytes(&body))).await;
+    }
+    let permit = state.body_permit()?;
+    let aside = WISH.put(&state, request.into_body(), || Ok(())).await?;
+    jobs::queue_diagnosis(&state, capture_id, move |jobs| {
+        let wish = jobs.wish(WishBody::File(aside.path()));
+        drop((aside, permit));
+        wish
+    })
+    .await
+}
+
+/// Whether this request asks for a diagnosis with a body that may be large.
+pub(super) fn is_put_aside(request: &Request) -> bool {
+    let is_small = request.body().size_hint().upper().is_some_and(|bytes| bytes <= SMALL_BYTES as u64);
+    request.method() == Method::POST && request.uri().path().ends_with("/diagnoses") && !is_small
 }
 
 /// Diagnoses, the latest first.

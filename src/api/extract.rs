@@ -3,7 +3,7 @@
 use super::problem::{ApiError, ProblemType};
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
-use axum::http::{header, request::Parts};
+use axum::http::{HeaderMap, header, request::Parts};
 use serde::de::DeserializeOwned;
 
 /// The query, of which every parameter must be known.
@@ -48,6 +48,22 @@ impl<S: Send + Sync> FromRequestParts<S> for P2 {
     }
 }
 
+/// Whether the body is announced as JSON. Only a media type that an HTML form cannot send: a page of another site then has to
+/// ask first.
+pub(super) fn is_json(headers: &HeaderMap) -> bool {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    let media_type = media_type.and_then(|value| value.split(';').next());
+    media_type.is_some_and(|value| value.trim().eq_ignore_ascii_case("application/json"))
+}
+
+/// The answer to a body that is none.
+pub(super) fn no_json() -> ApiError {
+    ApiError::new(
+        ProblemType::UnsupportedMediaType,
+        "the body must be JSON with `Content-Type: application/json` (with curl: --json '{…}')",
+    )
+}
+
 /// A JSON body, `None` where the request has no body.
 #[derive(Debug, Clone)]
 pub(super) struct J<T>(pub Option<T>);
@@ -55,7 +71,7 @@ pub(super) struct J<T>(pub Option<T>);
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for J<T> {
     type Rejection = ApiError;
     async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
-        let media_type = request.headers().get(header::CONTENT_TYPE).cloned();
+        let is_json = is_json(request.headers());
         let bytes = axum::body::Bytes::from_request(request, state).await.map_err(|rejection| match rejection {
             BytesRejection::FailedToBufferBody(FailedToBufferBody::LengthLimitError(_)) => {
                 ApiError::new(ProblemType::TooLarge, "a body holds at most 64 KiB")
@@ -65,17 +81,8 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for J<T> {
         if bytes.is_empty() {
             return Ok(Self(None));
         }
-        // Only a media type that an HTML form cannot send: a page of another site then has to ask first.
-        let is_json = media_type
-            .as_ref()
-            .and_then(|value| value.to_str().ok())
-            .and_then(|value| value.split(';').next())
-            .is_some_and(|value| value.trim().eq_ignore_ascii_case("application/json"));
         if !is_json {
-            return Err(ApiError::new(
-                ProblemType::UnsupportedMediaType,
-                "the body must be JSON with `Content-Type: application/json` (with curl: --json '{…}')",
-            ));
+            return Err(no_json());
         }
         serde_json::from_slice(&bytes)
             .map(|body| Self(Some(body)))

@@ -1,36 +1,23 @@
 //! Imports: a recording's bytes come as a body, are put aside in a file beside the database, and become a capture. The
 //! daemon need not be able to read the user's files, nor the user to write the database.
 
+use super::aside;
 use super::extract::Q;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
 use crate::control::{ImportError, ImportReport, ImportRequest, MessageText};
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use hyper::body::Body as _;
 use serde::Deserialize;
-use std::path::Path;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
-use tokio::io::AsyncWriteExt;
 use tokio_util::sync::CancellationToken;
 
 /// Where a recording is sent; the limits of time and size are its own.
 pub(super) const PATH: &str = "/v1/imports";
-/// Bytes of a recording at most: a year of raw lines at 40 Hz fits.
-const RECORDING_BYTES: u64 = 256 << 30;
-/// Bytes that are taken per second at most: the disk is the capture's first.
-const BYTES_PER_S: f64 = 64.0 * 1024.0 * 1024.0;
-/// Bytes that must come within [`PATIENCE`].
-const PROGRESS_BYTES: u64 = 64 * 1024;
-/// How long a body may stand still.
-const PATIENCE: Duration = Duration::from_secs(30);
-/// How often free space is looked at, in bytes that came.
-const LOOK_BYTES: u64 = 8 << 20;
+/// A year of raw lines at 40 Hz fits.
+const RECORDING: aside::Kind = aside::Kind { called: "a recording", bytes_max: 256 << 30 };
 /// Media types of a recording: none that a form of another site can send.
 const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", "application/x-gzip", "text/csv"];
 /// Characters of a file's name at most.
@@ -76,7 +63,9 @@ pub(super) struct ImportQuery {
     (status = 413, body = Problem, content_type = "application/problem+json"),
     (status = 415, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "It is no recording that can be read"),
-    (status = 503, body = Problem, content_type = "application/problem+json", description = "Another one is being imported, or there is no room")))]
+    (status = 408, body = Problem, content_type = "application/problem+json", description = "The body does not come"),
+    (status = 429, body = Problem, content_type = "application/problem+json", description = "Another one is being imported"),
+    (status = 503, body = Problem, content_type = "application/problem+json", description = "There is no room")))]
 pub(super) async fn import(
     State(state): State<ApiState>,
     Q(query): Q<ImportQuery>,
@@ -87,15 +76,8 @@ pub(super) async fn import(
         return Err(ImportError::Stopping.into());
     }
     let permit = state.import_permit()?;
-    let announced = request.body().size_hint().lower();
-    room_for(&state, announced)?;
-    let folder = state.parts.store.path().parent().unwrap_or(Path::new(".")).to_owned();
-    let aside = tokio::task::spawn_blocking(move || {
-        tempfile::Builder::new().prefix(crate::control::IMPORT_PREFIX).tempfile_in(folder)
-    });
-    let aside = aside.await.map_err(|error| ApiError::internal(error.to_string()))?.map_err(|error| no_room(&error))?;
-    let reopened = aside.reopen().map_err(|error| no_room(&error))?;
-    receive(&state, request.into_body(), tokio::fs::File::from_std(reopened)).await?;
+    let stopping = || if state.parts.importer.is_stopping() { Err(ImportError::Stopping.into()) } else { Ok(()) };
+    let aside = RECORDING.put(&state, request.into_body(), stopping).await?;
     let importer = Arc::clone(&state.parts.importer);
     let abandoned = CancellationToken::new();
     let wanted = ImportRequest {
@@ -114,7 +96,7 @@ pub(super) async fn import(
     let (answer, outcome) = tokio::sync::oneshot::channel();
     // A thread of its own: its priority is lower than that of the runtime's threads, which never wait for it.
     let thread = std::thread::Builder::new().name("import".to_owned()).spawn(move || {
-        crate::jobs::step_back();
+        crate::process::step_back();
         let outcome = importer.import(wanted);
         // The next one may be sent as soon as this one is answered.
         drop((aside, permit));
@@ -184,84 +166,6 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
             "`message_definitions`: {error}; expected a JSON list of {{\"name\": \"package/msg/Name\", \"text\": \"…\"}}"
         ))
     })
-}
-
-/// Writes the body to the file, at the disk's pace and no faster than [`BYTES_PER_S`]; one piece is in memory at a time.
-async fn receive(state: &ApiState, mut body: Body, mut file: tokio::fs::File) -> Result<(), ApiError> {
-    let begun = Instant::now();
-    let (mut received, mut looked) = (0_u64, 0_u64);
-    let (mut window, mut in_window) = (Instant::now(), 0_u64);
-    loop {
-        let next = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context));
-        let frame = match tokio::time::timeout(PATIENCE, next).await {
-            Err(_) => return Err(too_slow()),
-            Ok(None) => break,
-            Ok(Some(Err(error))) => return Err(ApiError::bad_request(format!("the body ended early: {error}"))),
-            Ok(Some(Ok(frame))) => frame,
-        };
-        if state.parts.importer.is_stopping() {
-            return Err(ImportError::Stopping.into());
-        }
-        let Ok(bytes) = frame.into_data() else { continue };
-        received += bytes.len() as u64;
-        in_window += bytes.len() as u64;
-        if window.elapsed() > PATIENCE {
-            if in_window < PROGRESS_BYTES {
-                return Err(too_slow());
-            }
-            (window, in_window) = (Instant::now(), 0);
-        }
-        if received >= looked + LOOK_BYTES {
-            looked = received;
-            room_for(state, 0)?;
-        }
-        if received > RECORDING_BYTES {
-            return Err(too_large());
-        }
-        file.write_all(&bytes).await.map_err(|error| no_room(&error))?;
-        let due = Duration::from_secs_f64(received as f64 / BYTES_PER_S);
-        tokio::time::sleep(due.saturating_sub(begun.elapsed())).await;
-    }
-    if received == 0 {
-        return Err(ApiError::bad_request("the body is empty: expected a recording's bytes"));
-    }
-    file.flush().await.map_err(|error| no_room(&error))
-}
-
-/// Whether so many more bytes leave the reserve untouched.
-fn room_for(state: &ApiState, bytes: u64) -> Result<(), ApiError> {
-    if bytes > RECORDING_BYTES {
-        return Err(too_large());
-    }
-    let free_bytes = state.status().storage.free_bytes;
-    if free_bytes < state.parts.reserve_bytes.saturating_add(bytes) {
-        return Err(ApiError::unavailable(
-            format!(
-                "{} MiB are free and {} MiB are kept for captures: make room for {} MiB and try again",
-                free_bytes >> 20,
-                state.parts.reserve_bytes >> 20,
-                bytes >> 20
-            ),
-            60,
-        ));
-    }
-    Ok(())
-}
-
-fn too_large() -> ApiError {
-    ApiError::new(ProblemType::TooLarge, format!("a recording holds at most {} GiB", RECORDING_BYTES >> 30))
-}
-
-fn too_slow() -> ApiError {
-    ApiError::bad_request(format!(
-        "less than {} KiB came within {} s: send the recording again",
-        PROGRESS_BYTES >> 10,
-        PATIENCE.as_secs()
-    ))
-}
-
-fn no_room(error: &std::io::Error) -> ApiError {
-    ApiError::unavailable(format!("the recording cannot be put aside beside the database: {error}"), 60)
 }
 
 #[cfg(test)]

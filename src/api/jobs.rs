@@ -3,8 +3,8 @@
 use super::extract::{J, P, Q};
 use super::page;
 use super::problem::{ApiError, Problem};
-use super::state::ApiState;
-use crate::jobs::{JobError, JobKind};
+use super::state::{ApiParts, ApiState};
+use crate::jobs::{JobError, JobKind, Jobs, Wish, WishBody};
 use crate::store::{JobRow, JobState};
 use axum::Json;
 use axum::extract::State;
@@ -25,13 +25,7 @@ pub(super) struct Job {
 }
 
 impl From<JobRow> for Job {
-    fn from(mut row: JobRow) -> Self {
-        // A motion's text may be many megabytes: its size stands for it.
-        if let Some(text) = row.params.get("reference").and_then(serde_json::Value::as_str).filter(|of| of.len() > 100)
-        {
-            let bytes = text.len();
-            row.params["reference"] = serde_json::json!({ "bytes": bytes });
-        }
+    fn from(row: JobRow) -> Self {
         let result = row.result_id.map(|_| {
             if row.kind == JobKind::Diagnosis.name() {
                 return format!("/v1/diagnoses/{}", row.id);
@@ -153,7 +147,24 @@ pub(super) async fn queue(
     capture_id: i64,
     parameters: serde_json::Value,
 ) -> Result<Response, ApiError> {
+    if kind == JobKind::Diagnosis {
+        let wish = serde_json::to_vec(&parameters).map_err(JobError::from)?;
+        return queue_diagnosis(state, capture_id, move |jobs| jobs.wish(WishBody::Bytes(&wish))).await;
+    }
     let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
+    let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
+    Ok(answer(status, row))
+}
+
+/// Queues a diagnosis: 202, or 200 if it is there already. `wish` reads what is asked for.
+pub(super) async fn queue_diagnosis(
+    state: &ApiState,
+    capture_id: i64,
+    wish: impl FnOnce(&Jobs) -> Result<Wish, JobError> + Send + 'static,
+) -> Result<Response, ApiError> {
+    let submit =
+        move |parts: &ApiParts| wish(&parts.jobs).and_then(|wish| parts.jobs.submit_diagnosis(capture_id, wish));
+    let (row, is_new) = state.change(submit).await?;
     let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok(answer(status, row))
 }

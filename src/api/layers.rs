@@ -100,9 +100,9 @@ fn same(given: &[u8], expected: &[u8]) -> bool {
 }
 
 /// An answer's head must be sent within the time; a stream goes on as long as it is read.
-/// An import has limits of its own.
+/// What is put aside as it comes has limits of its own.
 pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, next: Next) -> Response {
-    if request.uri().path() == super::imports::PATH {
+    if request.uri().path() == super::imports::PATH || super::diagnoses::is_put_aside(&request) {
         return next.run(request).await;
     }
     let limit = state.parts.limits.answer;

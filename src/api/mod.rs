@@ -10,6 +10,7 @@
 //! machine's description.
 
 mod analysis;
+mod aside;
 mod captures;
 mod conditional;
 mod connection;

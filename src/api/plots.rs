@@ -37,7 +37,7 @@ pub(super) struct PlotQuery {
     (status = 304, description = "`If-None-Match` names the picture"),
     (status = 404, body = Problem, content_type = "application/problem+json", description = "There is no such capture, picture or channel"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "There is not enough data"),
-    (status = 503, body = Problem, content_type = "application/problem+json", description = "Too many large queries at once")))]
+    (status = 429, body = Problem, content_type = "application/problem+json", description = "Too many large queries at once")))]
 pub(super) async fn plot(
     State(state): State<ApiState>,
     headers: HeaderMap,

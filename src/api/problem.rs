@@ -32,11 +32,12 @@ pub enum ProblemType {
     Unavailable,
     Busy,
     Timeout,
+    RequestTimeout,
 }
 
 impl ProblemType {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::BadRequest,
         Self::NotAuthorized,
         Self::NotFound,
@@ -50,6 +51,7 @@ impl ProblemType {
         Self::Unavailable,
         Self::Busy,
         Self::Timeout,
+        Self::RequestTimeout,
     ];
 
     /// The member `type` (docs/api.md lists them).
@@ -69,6 +71,7 @@ impl ProblemType {
             Self::Unavailable => "urn:vn100d:problem:unavailable",
             Self::Busy => "urn:vn100d:problem:busy",
             Self::Timeout => "urn:vn100d:problem:timeout",
+            Self::RequestTimeout => "urn:vn100d:problem:request-timeout",
         }
     }
 
@@ -87,8 +90,9 @@ impl ProblemType {
             Self::AnalysisFailed => "The analysis failed",
             Self::Internal => "The program failed",
             Self::Unavailable => "This cannot be answered now",
-            Self::Busy => "This has to wait for something else",
+            Self::Busy => "Too many ask for this at once",
             Self::Timeout => "The answer took too long",
+            Self::RequestTimeout => "The request did not come",
         }
     }
 
@@ -106,7 +110,9 @@ impl ProblemType {
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::AnalysisFailed => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
-            Self::Unavailable | Self::Busy | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Unavailable | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Busy => StatusCode::TOO_MANY_REQUESTS,
+            Self::RequestTimeout => StatusCode::REQUEST_TIMEOUT,
         }
     }
 
@@ -121,6 +127,8 @@ impl ProblemType {
             StatusCode::PAYLOAD_TOO_LARGE | StatusCode::URI_TOO_LONG => Self::TooLarge,
             StatusCode::UNSUPPORTED_MEDIA_TYPE => Self::UnsupportedMediaType,
             StatusCode::SERVICE_UNAVAILABLE => Self::Unavailable,
+            StatusCode::TOO_MANY_REQUESTS => Self::Busy,
+            StatusCode::REQUEST_TIMEOUT => Self::RequestTimeout,
             status if status.is_client_error() => Self::BadRequest,
             _ => Self::Internal,
         }
@@ -213,7 +221,12 @@ impl ApiError {
     pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Unavailable, detail) }
     }
-    /// All is well, but something else has to end first.
+    /// The body does not come.
+    #[must_use]
+    pub fn body_timeout(detail: impl Into<String>) -> Self {
+        Self::new(ProblemType::RequestTimeout, detail)
+    }
+    /// As many as may ask for this at once do so already.
     #[must_use]
     pub fn busy(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Busy, detail) }
@@ -242,7 +255,7 @@ impl From<StoreError> for ApiError {
     fn from(error: StoreError) -> Self {
         let detail = error.to_string();
         if matches!(error, StoreError::QueueFull { .. }) {
-            return Self::unavailable(detail, 10);
+            return Self::busy(detail, 10);
         }
         match error.kind() {
             StoreErrorKind::NotFound => Self::new(ProblemType::NotFound, detail),
@@ -269,6 +282,8 @@ impl From<JobError> for ApiError {
             error @ (JobError::InsufficientData { .. } | JobError::Allan(_) | JobError::Diagnosis(_)) => {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }
+            error @ JobError::TooLarge { .. } => Self::new(ProblemType::TooLarge, error.to_string()),
+            error @ (JobError::Died { .. } | JobError::Process(_)) => Self::unavailable(error.to_string(), 5),
             error => Self::internal(error.to_string()),
         }
     }
@@ -281,8 +296,7 @@ impl From<ImportError> for ApiError {
             ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
             ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
             ImportError::NameRefused { .. } => Self::bad_request(detail),
-            ImportError::Stopping => Self::busy(detail, 5),
-            ImportError::Store { .. } => Self::unavailable(detail, 5),
+            ImportError::Stopping | ImportError::Store { .. } => Self::unavailable(detail, 5),
         }
     }
 }

@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{Predicate, SizeAbove};
-use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt as _};
+use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 /// Bytes of a request's body at most.
@@ -41,7 +41,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(jobs::show, jobs::cancel))
         .routes(routes!(models::list, models::keep))
         .routes(routes!(models::show, models::delete))
-        .routes(routes!(diagnoses::submit).layer(DefaultBodyLimit::max(diagnoses::REFERENCE_BYTES)))
+        .routes(routes!(diagnoses::submit))
         .routes(routes!(diagnoses::list))
         .routes(routes!(diagnoses::show))
         .routes(routes!(diagnoses::model))

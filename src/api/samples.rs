@@ -76,7 +76,7 @@ pub(super) struct Samples {
     (status = 400, body = Problem, content_type = "application/problem+json"),
     (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 406, body = Problem, content_type = "application/problem+json"),
-    (status = 503, body = Problem, content_type = "application/problem+json", description = "Too many large queries at once")))]
+    (status = 429, body = Problem, content_type = "application/problem+json", description = "Too many large queries at once")))]
 pub(super) async fn samples(
     State(state): State<ApiState>,
     headers: HeaderMap,

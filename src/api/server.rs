@@ -25,7 +25,7 @@ pub struct Limits {
     pub write_stall: Duration,
     /// How long an answer may take until its head is sent.
     pub answer: Duration,
-    /// Queries at once that read many rows; one more is answered 503 at once.
+    /// Queries at once that read many rows; one more is answered 429 at once.
     pub heavy_queries: usize,
     /// Other queries at once; one more waits for its turn.
     pub light_queries: usize,

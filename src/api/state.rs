@@ -65,6 +65,7 @@ pub(super) struct Inner {
     light: Arc<Semaphore>,
     changes: Arc<Semaphore>,
     imports: Arc<Semaphore>,
+    bodies: Arc<Semaphore>,
     listeners: Arc<Semaphore>,
     pub(super) latest: Latest,
 }
@@ -86,6 +87,7 @@ impl ApiState {
             light: Arc::new(Semaphore::new(light)),
             changes: Arc::new(Semaphore::new(CHANGES)),
             imports: Arc::new(Semaphore::new(1)),
+            bodies: Arc::new(Semaphore::new(1)),
             listeners: Arc::new(Semaphore::new(LISTENERS)),
             latest: Latest::default(),
             parts,
@@ -106,29 +108,32 @@ impl ApiState {
         self.query(permit, work).await
     }
 
-    /// A permit to read many rows, or 503 at once.
+    /// A permit to read many rows, or 429 at once.
     pub(super) fn heavy_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.heavy).try_acquire_owned().map_err(|_| {
             self.parts.metrics.query_refused();
-            ApiError::unavailable(
-                format!(
-                    "{} large queries are running, which is all that may: ask again",
-                    self.parts.limits.heavy_queries
-                ),
-                1,
-            )
+            let most = self.parts.limits.heavy_queries;
+            ApiError::busy(format!("{most} large queries are running, which is all that may: ask again"), 1)
         })
     }
 
-    /// The permit to listen to events, or 503 at once.
+    /// The permit to listen to events, or 429 at once.
     pub(super) fn listener_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.listeners).try_acquire_owned().map_err(|_| {
             let reason = format!("{LISTENERS} listen already, which is all that may: close a page, or ask /v1/status");
-            ApiError::unavailable(reason, 5)
+            ApiError::busy(reason, 5)
         })
     }
 
-    /// The permit to import, or 503 at once: one recording at a time.
+    /// The permit to send a large body for a diagnosis, or 429 at once: one at a time.
+    pub(super) fn body_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Arc::clone(&self.bodies).try_acquire_owned().map_err(|_| {
+            self.parts.metrics.query_refused();
+            ApiError::busy("another diagnosis with a reference is being taken in: ask again when it is", 2)
+        })
+    }
+
+    /// The permit to import, or 429 at once: one recording at a time.
     pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.imports).try_acquire_owned().map_err(|_| {
             self.parts.metrics.query_refused();

@@ -49,7 +49,7 @@ impl StatusBody {
 /// daemon does.
 #[utoipa::path(get, path = "/v1/events/stream", tag = "daemon", responses(
     (status = 200, body = String, content_type = "text/event-stream", description = "`event: status`, `data: {…}`"),
-    (status = 503, body = Problem, content_type = "application/problem+json", description = "Too many listen already")))]
+    (status = 429, body = Problem, content_type = "application/problem+json", description = "Too many listen already")))]
 pub(super) async fn events(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let permit = state.listener_permit()?;
     let (pieces, body) = stream::channel();

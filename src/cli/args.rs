@@ -94,6 +94,9 @@ pub enum Command {
     /// One part of a trial, in a process of its own
     #[command(hide = true)]
     TrialPart(TrialPartArgs),
+    /// One piece of heavy work, in a process of its own
+    #[command(hide = true)]
+    Worker(WorkerArgs),
     /// Copy the database, also while a daemon writes it
     Backup(BackupArgs),
     /// Check structure, checksums and accounting of a database; reads only
@@ -495,6 +498,40 @@ pub struct TrialArgs {
     /// End with exit code 3 where this rate is higher, such as none_named=0.02; may be repeated
     #[arg(long, value_name = "NAME=SHARE")]
     pub at_most: Vec<String>,
+}
+
+/// Arguments of `worker`.
+#[derive(Debug, Args)]
+pub struct WorkerArgs {
+    /// The process that asks; this one ends with it
+    #[arg(long)]
+    pub parent: u32,
+    /// Private memory that it may write to, bytes
+    #[arg(long)]
+    pub memory: u64,
+    /// What it does
+    #[command(subcommand)]
+    pub work: Work,
+}
+
+/// Work of a process of its own.
+#[derive(Debug, Clone, Subcommand)]
+pub enum Work {
+    /// Read the body of a request for a diagnosis
+    Wish {
+        /// The body
+        #[arg(long)]
+        file: PathBuf,
+    },
+    /// A background job
+    Job {
+        /// Its id
+        #[arg(long)]
+        id: i64,
+        /// The database
+        #[arg(long)]
+        database: PathBuf,
+    },
 }
 
 /// Arguments of `trial-part`.

@@ -139,7 +139,7 @@ fn is_somebody_elses(error: &StoreError) -> bool {
 fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples", 0);
     // Another instance's daemon may capture beside it.
-    crate::jobs::step_back();
+    crate::process::step_back();
     let Given { columns, definitions } = told;
     let (columns, definitions) = (columns.clone(), definitions.clone());
     let (rate_hz, sampling) = (args.rate, args.sampling.stated());

@@ -37,6 +37,7 @@ mod trial_motion;
 mod trial_on;
 mod trial_part;
 mod trial_show;
+mod worker;
 
 use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;
@@ -252,6 +253,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Simulate(args) => simulate::run(&context, &args),
         Command::Trial(args) => trial::run(&context, &args),
         Command::TrialPart(args) => trial_part::run(&context, &args),
+        Command::Worker(args) => worker::run(&args),
         Command::Model(args) => model::run(&context, &args),
         Command::Diagnose(args) => diagnose::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),
@@ -302,7 +304,7 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
             DaemonError::Jobs(_) => Some(Failure::Other),
             DaemonError::Output { .. } => Some(Failure::Configuration),
             DaemonError::Disk => Some(Failure::InputOutput),
-            DaemonError::Notify(_) => Some(Failure::InputOutput),
+            DaemonError::Notify(_) | DaemonError::Reader(_) => Some(Failure::InputOutput),
             DaemonError::Listen { .. } => Some(Failure::InputOutput),
             DaemonError::Control(_) => Some(Failure::Other),
         };

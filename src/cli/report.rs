@@ -204,7 +204,7 @@ mod tests {
         let imported = import(&store, &SystemClock, Source::of(&recording), None, &mut |_, _| Ok(())).unwrap();
         let submit = |number: usize| {
             let (kind, params) = ("diagnosis".to_owned(), json!({ "sim": number }));
-            let id = store.submit_job(NewJob { kind, capture_id: imported.end.id(), params }, u64::MAX).unwrap().0.id;
+            let id = store.submit_job(NewJob::new(&kind, imported.end.id(), params), u64::MAX).unwrap().0.id;
             assert_eq!(store.claim_job().unwrap().unwrap().id, id);
             id
         };

@@ -30,7 +30,7 @@ pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> 
     Ok(Outcome::Done)
 }
 
-/// The runtime of the daemon: the reader on one thread, everything else on the other.
+/// The runtime of the daemon for everything but the reader, which has its own.
 pub(super) fn runtime() -> std::io::Result<tokio::runtime::Runtime> {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("vn100d").enable_all().build()
 }

@@ -10,6 +10,7 @@ mod identities;
 pub mod import;
 pub mod notices;
 pub mod publish;
+mod reader;
 pub mod retention;
 pub mod schedule;
 pub mod watchdog;
@@ -22,7 +23,7 @@ use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
 use crate::clock::Clock;
 use crate::config::{Baud, Config, Device};
 use crate::control::{CaptureControl, CaptureRequest};
-use crate::jobs::{JobError, Jobs, JobsOptions, Live};
+use crate::jobs::{JobError, Jobs, JobsOptions, Live, Place};
 use crate::notify::{Notifier, Tap};
 use crate::observe::{Metrics, RetentionStatus, SharedRecent, Status, Tally};
 use crate::sample::{DiscardCause, Record, Sample};
@@ -68,6 +69,9 @@ pub enum DaemonError {
     /// The background jobs.
     #[error(transparent)]
     Jobs(#[from] JobError),
+    /// The reader of the serial line.
+    #[error("a thread for the serial line cannot be started: {0}")]
+    Reader(std::io::Error),
     /// The wanted output cannot be had.
     #[error("{reason}")]
     Output {
@@ -169,7 +173,7 @@ pub async fn run(
         .map_err(|_| StoreError::Closed)??;
     tracing::info!(database = %store.path().display(), version = env!("CARGO_PKG_VERSION"), "vn100d starts");
 
-    let jobs = Jobs::start(&store, JobsOptions::default())?;
+    let jobs = Jobs::start(&store, JobsOptions { place: Place::Apart, ..JobsOptions::default() })?;
     let live = Arc::new(Live::new());
     let metrics = Arc::new(Metrics::default());
     let notifier = Notifier::start(notices::options(&config, store.path())).map_err(DaemonError::Notify)?;
@@ -190,7 +194,7 @@ pub async fn run(
     {
         keeper.start(request).await?;
     }
-    let reader = tokio::spawn(task::run(
+    let reader = reader::start(task::run(
         task_options,
         Arc::clone(&clock),
         Box::new(Counted {
@@ -203,7 +207,7 @@ pub async fn run(
         task_receiver,
         progress_sender,
         Arc::clone(&turns),
-    ));
+    ))?;
 
     let keeping = tokio::spawn(keeper.run(commands, stop.child_token()));
 

@@ -1,26 +1,21 @@
 //! Diagnosis: a capture against a simulator, as a job.
 //!
 //! Unlike the other kinds it holds all samples at once and has nothing to go on from: where the program ends it begins anew.
-//! It works on a thread of its own, so that a stop of the program waits for no channel; its worker looks now and then whether
-//! it is still wanted.
+//! It asks after each channel whether it is still wanted.
 
 use super::plan::Plan;
-use super::runner::Outcome;
-use super::{Gridded, JobError, JobKind, fitted, gridded};
+use super::runner::Keeper;
+use super::{GivenReference, Gridded, JobError, JobKind, Wish, fitted, gridded};
 use crate::diagnosis::{self, Diagnosis, Drawings, Options, Reference, Workers};
 use crate::motion::file::Rows;
 use crate::motion::{Course, Kind, Site};
 use crate::sample::Channel;
 use crate::simulator::SensorModel;
-use crate::store::{JobRow, JobState, Reader, SOFTWARE, Store, StoreError};
+use crate::store::{JobRow, Reader, SOFTWARE};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
-use std::time::Duration;
+use std::sync::{Mutex, PoisonError};
 
 /// Places of the grid, missing samples counted, times (channels + [`BESIDES`]) at most, about 35 bytes each: five hours of nine channels at 40 Hz.
 const ROOM: u64 = 14_000_000;
@@ -28,8 +23,6 @@ const ROOM: u64 = 14_000_000;
 const BESIDES: u64 = 10;
 /// By how much less of a record of a motion there is room for.
 const OF_A_MOTION: u64 = 4;
-/// How often it is looked whether the job is still wanted.
-const LOOK: Duration = Duration::from_millis(200);
 /// Before the number of a model in its id: a number alone is a capture.
 const MODEL: &str = "model-";
 
@@ -50,65 +43,51 @@ pub enum Simulator {
 pub struct DiagnosisParameters {
     /// What the capture is compared with. A model stands here whole, so that the job outlives it.
     pub sim: Simulator,
-    /// What the sensor went through: the text of a motion's CSV, or the name of a motion that needs no file.
+    /// What the sensor went through.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reference: Option<String>,
+    pub reference: Option<GivenReference>,
 }
 
 impl DiagnosisParameters {
-    /// Reads what was asked for: `{"sim": …}` with a model's id, a model, or a capture's id or name.
+    /// Looks up what is wished for: a model by its id, a model, or a capture by its id or name.
     ///
     /// # Errors
-    /// [`JobError::Parameters`] for what is no such wish, [`JobError::Model`], [`JobError::Store`] where there is no such
+    /// [`JobError::Parameters`] for what is no simulator, [`JobError::Model`], [`JobError::Store`] if there is no such
     /// model or capture.
-    pub fn read(reader: &Reader, given: &Value) -> Result<Self, JobError> {
+    pub fn of(reader: &Reader, wish: Wish) -> Result<Self, JobError> {
         let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
-        let empty = serde_json::Map::new();
-        let given = if given.is_null() { &empty } else { given.as_object().ok_or_else(|| refuse("not an object"))? };
-        let mut reference = None;
-        for (key, value) in given {
-            match key.as_str() {
-                "sim" => {}
-                "reference" if value.is_null() => {}
-                "reference" => {
-                    let text = value.as_str().ok_or_else(|| {
-                        refuse("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table")
-                    })?;
-                    // What is no motion is refused now and not by the job.
-                    if Kind::from_name(text).is_none() {
-                        of_csv(text).map_err(|reason| refuse(&format!("`reference`: {reason}")))?;
-                    }
-                    reference = Some(text.to_owned());
-                }
-                other => {
-                    return Err(refuse(&format!("unknown field `{other}`, expected `sim` and `reference`")));
-                }
-            }
-        }
         let capture = |id: i64| {
             if reader.capture(id)?.state.is_open() {
                 return Err(refuse(&format!("capture {id} still runs: `sim` is one that has ended")));
             }
             Ok(Simulator::Capture(id))
         };
-        let sim = match given.get("sim") {
-            Some(Value::Object(model)) => of_model(&Value::Object(model.clone()), "sim")?,
-            Some(Value::String(text)) => match text.strip_prefix(MODEL).and_then(|number| number.parse().ok()) {
-                Some(number) => of_model(&serde_json::from_str(&reader.model(number)?.body)?, text)?,
-                None => capture(reader.resolve(text)?)?,
+        let sim = match wish.sim {
+            model @ Value::Object(_) => of_model(&model, "sim")?,
+            Value::String(text) => match text.strip_prefix(MODEL).and_then(|number| number.parse().ok()) {
+                Some(number) => of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text)?,
+                None => capture(reader.resolve(&text)?)?,
             },
-            Some(Value::Number(number)) => {
+            Value::Number(number) => {
                 let id = number.as_i64().ok_or_else(|| refuse("`sim` is a number and no capture's id"))?;
                 capture(id)?
             }
             _ => return Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
         };
-        Ok(Self { sim, reference })
+        Ok(Self { sim, reference: wish.reference })
+    }
+
+    /// The SHA-256 of the reference that the database keeps for this job.
+    pub(super) fn kept_reference(&self) -> Option<&str> {
+        match &self.reference {
+            Some(GivenReference::Kept { sha256, .. }) => Some(sha256),
+            Some(GivenReference::Named(_)) | None => None,
+        }
     }
 }
 
 /// A motion's CSV.
-fn of_csv(text: &str) -> Result<Reference, String> {
+pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
     if !text.contains('\n') {
         return Err("expected a motion's CSV with a header line, or one of still, tumble, rate-table".to_owned());
     }
@@ -117,9 +96,13 @@ fn of_csv(text: &str) -> Result<Reference, String> {
 }
 
 /// What the sensor went through during a recording.
-fn reference_of(text: &str, gridded: &Gridded) -> Result<Reference, JobError> {
+fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> Result<Reference, JobError> {
     let none = |reason: String| JobError::InsufficientData { reason };
-    let Some(kind) = Kind::from_name(text) else { return of_csv(text).map_err(none) };
+    let text = match given {
+        GivenReference::Kept { sha256, .. } => return of_csv(&reader.reference(sha256)?).map_err(none),
+        GivenReference::Named(name) => name,
+    };
+    let kind = Kind::from_name(text).ok_or_else(|| none(format!("there is no motion `{text}`")))?;
     // A named motion is as long as the simulation was, and begins with it.
     if gridded.left_out > 0 || gridded.full || gridded.from_s > 0.0 {
         return Err(none(format!(
@@ -168,107 +151,41 @@ struct Written<'a> {
     drawings: Drawings<'a>,
 }
 
-/// What the thread and its worker tell each other.
-#[derive(Debug, Default)]
-struct Wire {
-    called_off: AtomicBool,
-    /// A thousandth of the whole.
-    progress: AtomicU64,
-}
-
-impl Wire {
-    fn is_at(&self, progress: f64) {
-        self.progress.store((1000.0 * progress) as u64, Ordering::Relaxed);
-    }
-}
-
-/// Calls the thread off when nobody waits for it any more: it ends with its channel or with the program, whichever is first.
-struct CallOff(Arc<Wire>);
-
-impl Drop for CallOff {
-    fn drop(&mut self) {
-        self.0.called_off.store(true, Ordering::Release);
-    }
-}
+/// Keeps how far the work is; false if nobody wants it any more.
+type Step<'a> = dyn Fn(f64) -> bool + Sync + 'a;
 
 /// Works on a channel after the other, as long as it is wanted: two at a time would take more memory.
 struct OneByOne<'a> {
-    wire: &'a Wire,
+    step: &'a Step<'a>,
     from: f64,
     to: f64,
 }
 
 impl Workers for OneByOne<'_> {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
-        for index in 0..count {
-            if self.wire.called_off.load(Ordering::Acquire) {
-                return;
-            }
+        let progress = |index: usize| self.from + (self.to - self.from) * index as f64 / count as f64;
+        for index in (0..count).take_while(|index| (self.step)(progress(*index))) {
             work(index);
-            self.wire.is_at(self.from + (self.to - self.from) * (index + 1) as f64 / count as f64);
         }
     }
 }
 
-/// Works on a claimed job until it is done, cancelled, or `keep_on` answers false.
-pub(super) fn run(
-    store: &Store,
-    reader: &Reader,
-    job: &JobRow,
-    mut keep_on: impl FnMut() -> bool,
-) -> Result<Outcome, JobError> {
+/// Works on a diagnosis to its end; returns the text of its result.
+pub(super) fn work(reader: &Reader, job: &JobRow, keeper: &mut dyn Keeper) -> Result<String, JobError> {
     let parameters: DiagnosisParameters = serde_json::from_value(job.params.clone())?;
-    let wire = Arc::new(Wire::default());
-    let (tell, told) = sync_channel(1);
-    let thread = {
-        let (path, job, wire): (PathBuf, _, _) = (store.path().to_owned(), job.clone(), Arc::clone(&wire));
-        // Not the store: whoever has that keeps it open.
-        let work = move || {
-            let document = Reader::open(&path).map_err(JobError::from);
-            let document = document.and_then(|reader| document_of(&reader, &job, &parameters, &wire));
-            // Nobody listens where the program ends.
-            let _ = tell.send(document);
-        };
-        std::thread::Builder::new().name("diagnosis".to_owned()).spawn(work).map_err(JobError::Thread)?
+    let state = Mutex::new((keeper, None));
+    let step = |progress: f64| {
+        let (keeper, ended) = &mut *state.lock().unwrap_or_else(PoisonError::into_inner);
+        if ended.is_none() {
+            *ended = keeper.progress(progress).err();
+        }
+        ended.is_none()
     };
-    let wire = CallOff(wire);
-    let (mut noted, mut wanted) = (0, true);
-    let document = loop {
-        match told.recv_timeout(LOOK) {
-            Ok(outcome) => break Some(outcome),
-            Err(RecvTimeoutError::Disconnected) => break None,
-            Err(RecvTimeoutError::Timeout) => {}
-        }
-        if wanted {
-            wanted = is_running(reader, job.id)?;
-            let progress = wire.0.progress.load(Ordering::Relaxed);
-            if wanted && progress > noted {
-                noted = progress;
-                wanted = store.note_progress(job.id, progress as f64 / 1000.0)?;
-            }
-            // What it has begun is waited for: two at a time would take more memory.
-            wire.0.called_off.store(!wanted, Ordering::Release);
-        }
-        if !keep_on() {
-            store.release_job(job.id)?;
-            return Ok(Outcome::Stopped);
-        }
-    };
-    if let Err(panic) = thread.join() {
-        std::panic::resume_unwind(panic);
-    }
-    match document {
-        Some(Ok(body)) if wanted => Ok(store.finish_job(job.id, body)?.map_or(Outcome::Cancelled, Outcome::Done)),
-        Some(Err(error)) if wanted && !matches!(error, JobError::CalledOff) => Err(error),
-        _ => Ok(Outcome::Cancelled),
-    }
-}
-
-fn is_running(reader: &Reader, id: i64) -> Result<bool, StoreError> {
-    match reader.job(id) {
-        Ok(row) => Ok(row.state == JobState::Running),
-        Err(StoreError::NoSuchJob { .. }) => Ok(false),
-        Err(error) => Err(error),
+    let document = document_of(reader, job, &parameters, &step);
+    // What is left undone makes some other error, or nonsense.
+    match state.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
+        Some(error) => Err(error),
+        None => document,
     }
 }
 
@@ -277,7 +194,7 @@ fn document_of(
     reader: &Reader,
     job: &JobRow,
     parameters: &DiagnosisParameters,
-    wire: &Wire,
+    step: &Step<'_>,
 ) -> Result<String, JobError> {
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
     // Another rate is refused before any work.
@@ -292,7 +209,7 @@ fn document_of(
             let capture = reader.capture(*id)?;
             let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
             same_rate(plan.rate_hz)?;
-            let (workers, room) = (OneByOne { wire, from: 0.05, to: 0.5 }, room(&plan));
+            let (workers, room) = (OneByOne { step, from: 0.05, to: 0.5 }, room(&plan));
             let fitted = fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?;
             (fitted.as_law()?, 0.5)
         }
@@ -301,11 +218,10 @@ fn document_of(
     let room = if parameters.reference.is_some() { room(&plan) / OF_A_MOTION } else { room(&plan) };
     let gridded = gridded(reader, &plan, room)?;
     let from = begun + 0.05;
-    wire.is_at(from);
     let name = reader.capture(job.capture)?.name;
-    let workers = OneByOne { wire, from, to: 0.98 };
+    let workers = OneByOne { step, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
-    let reference = parameters.reference.as_deref().map(|text| reference_of(text, &gridded)).transpose()?;
+    let reference = parameters.reference.as_ref().map(|given| reference_of(reader, given, &gridded)).transpose()?;
     let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);

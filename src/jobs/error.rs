@@ -26,6 +26,12 @@ pub enum JobError {
         /// What is wrong with them.
         reason: String,
     },
+    /// What was asked for is larger than can be read.
+    #[error("{reason}")]
+    TooLarge {
+        /// What is, and how large it may be.
+        reason: String,
+    },
     /// Captures that are not of one sensor at one setting, or cannot be analysed together for another reason.
     #[error("captures cannot be analysed together: {reason}")]
     Together {
@@ -68,6 +74,21 @@ pub enum JobError {
     /// The job was told to wait for the next start while its document was made.
     #[error("the job waits for the next start")]
     Stopped,
+    /// A process of its own found that the job cannot be done.
+    #[error("{reason}")]
+    Refused {
+        /// Why.
+        reason: String,
+    },
+    /// The process of the job ended before the job was done.
+    #[error("{reason}")]
+    Died {
+        /// How it ended.
+        reason: String,
+    },
+    /// A process for the job could not be started.
+    #[error("a process for the job could not be started: {0}")]
+    Process(std::io::Error),
     /// A worker thread could not be started.
     #[error("a worker thread could not be started: {0}")]
     Thread(std::io::Error),

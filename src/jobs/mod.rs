@@ -3,8 +3,9 @@
 //! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents the interfaces give out.
 //! Promised: the same submission is the same job; a job that is killed anywhere goes on at its last chunk and comes to the
 //! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
-//! rates; one that brings the program down three times at the same chunk fails. Workers are plain threads at nice 10 that rest a
-//! tenth of their time while they read and hold no read transaction between chunks; what is fitted then is fitted on two threads.
+//! rates; one whose process dies three times at the same chunk fails. Each job has a process of its own at nice 10 and with a
+//! limit of memory; it rests a tenth of its time while it reads and holds no read transaction between chunks, and fits on two
+//! threads.
 //! Memory is bounded whatever a capture's length: docs/performance.md has the figures. A diagnosis is the exception in two
 //! ways: it begins anew where it was interrupted, and it takes the samples that fit, all at once, and says so.
 //!
@@ -12,6 +13,7 @@
 //!
 //! [`Live`] answers for a capture that still runs.
 
+mod apart;
 mod curves;
 mod diagnosis;
 pub mod direct;
@@ -37,8 +39,10 @@ mod sums;
 mod tests;
 mod threads;
 mod together;
+mod wish;
 mod worker;
 
+pub use apart::{JOB_MEMORY_BYTES, answer};
 pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator};
 pub use error::JobError;
 pub use gridded::{Gridded, gridded};
@@ -53,4 +57,5 @@ pub use source::SampleSource;
 pub use sums::MEMORY;
 pub use threads::TwoThreads;
 pub use together::{CAPTURES_MAX, Setting, one_sensor};
-pub use worker::{Jobs, JobsOptions, leave_for_daemon, step_back};
+pub use wish::{GivenReference, SIM_BYTES_MAX, Wish, WishBody, answer_wish};
+pub use worker::{Jobs, JobsOptions, Place, leave_for_daemon};

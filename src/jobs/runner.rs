@@ -1,13 +1,13 @@
 //! The runner: one job from where it stands to its end, chunk by chunk.
 //!
-//! After every chunk the computation's state and the next `seq` are committed together; whoever goes on from there, in
+//! After every chunk a [`Keeper`] commits the computation's state and the next `seq` together; whoever goes on from there, in
 //! this process or the next, comes to the same result, bit for bit. A job that is stopped is queued again, a cancelled
 //! one ends at the next chunk.
 
 use super::fold::Fold;
 use super::report::{self, Extent};
 use super::{JobError, JobKind};
-use crate::store::{JobCheckpoint, JobRow, Reader, Store};
+use crate::store::{JobCheckpoint, JobRow, JobState, Reader, Store, StoreError};
 use std::time::{Duration, Instant};
 
 /// Samples of one chunk.
@@ -30,33 +30,113 @@ pub(super) enum Outcome {
     Stopped,
 }
 
-/// Works on a claimed job until it is done, cancelled, or `keep_on` answers false; asked after every chunk.
+/// Keeps what a job comes to while it works. An error ends the work: [`JobError::CalledOff`] if nobody wants it any more,
+/// [`JobError::Stopped`] if it is to go on at the next start.
+pub(super) trait Keeper: Send {
+    /// Keeps where the job is.
+    fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError>;
+    /// Keeps how far a job has come that has nothing to go on from.
+    fn progress(&mut self, progress: f64) -> Result<(), JobError>;
+}
+
+/// Keeps it in the database; `keep_on` is asked after each step and answers false when the program ends.
+pub(super) struct InStore<'a, K> {
+    store: &'a Store,
+    job: i64,
+    keep_on: K,
+    /// The progress that is in the database.
+    noted: f64,
+}
+
+impl<'a, K: FnMut() -> bool> InStore<'a, K> {
+    pub(super) fn new(store: &'a Store, job: i64, keep_on: K) -> Self {
+        Self { store, job, keep_on, noted: 0.0 }
+    }
+
+    /// Looks whether the job is still wanted.
+    pub(super) fn look(&mut self, reader: &Reader) -> Result<(), JobError> {
+        let running = match reader.job(self.job) {
+            Ok(row) => row.state == JobState::Running,
+            Err(StoreError::NoSuchJob { .. }) => false,
+            Err(error) => return Err(error.into()),
+        };
+        self.after(running)
+    }
+
+    fn after(&mut self, running: bool) -> Result<(), JobError> {
+        match running {
+            false => Err(JobError::CalledOff),
+            true if (self.keep_on)() => Ok(()),
+            true => Err(JobError::Stopped),
+        }
+    }
+
+    /// Keeps the result, or that there is none.
+    pub(super) fn end(&self, body: Result<String, JobError>) -> Result<Outcome, JobError> {
+        match body {
+            Ok(body) => Ok(self.store.finish_job(self.job, body)?.map_or(Outcome::Cancelled, Outcome::Done)),
+            Err(JobError::CalledOff) => Ok(Outcome::Cancelled),
+            Err(JobError::Stopped) => {
+                self.store.release_job(self.job)?;
+                Ok(Outcome::Stopped)
+            }
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl<K: FnMut() -> bool + Send> Keeper for InStore<'_, K> {
+    fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError> {
+        let running = self.store.checkpoint_job(self.job, checkpoint, progress)?;
+        self.after(running)
+    }
+    fn progress(&mut self, progress: f64) -> Result<(), JobError> {
+        // A thousandth is as much as anybody sees.
+        if progress < self.noted + 0.001 {
+            return self.after(true);
+        }
+        self.noted = progress;
+        let running = self.store.note_progress(self.job, progress)?;
+        self.after(running)
+    }
+}
+
+/// Works on a claimed job in this process until it is done, cancelled, or `keep_on` answers false.
 pub(super) fn run(
     store: &Store,
     reader: &Reader,
     job: &JobRow,
     chunk_samples: usize,
-    mut keep_on: impl FnMut() -> bool,
+    keep_on: impl FnMut() -> bool + Send,
 ) -> Result<Outcome, JobError> {
+    let mut keeper = InStore::new(store, job.id, keep_on);
+    let body = work(reader, job, chunk_samples, &mut keeper);
+    keeper.end(body)
+}
+
+/// Works on a job to its end; returns the text of its result.
+pub(super) fn work(
+    reader: &Reader,
+    job: &JobRow,
+    chunk_samples: usize,
+    keeper: &mut dyn Keeper,
+) -> Result<String, JobError> {
     let kind = JobKind::from_name(&job.kind)?;
     if kind == JobKind::Diagnosis {
-        return super::diagnosis::run(store, reader, job, keep_on);
+        return super::diagnosis::work(reader, job, keeper);
     }
     let parameters = kind.parameters(&job.params)?;
     let mut begun = Instant::now();
-    let begin = Fold::begin(reader, job, kind, &parameters, || {
+    let (mut fold, mut next_seq) = Fold::begin(reader, job, kind, &parameters, || {
         rest(begun.elapsed() / REST);
         begun = Instant::now();
-        if keep_on() { Ok(()) } else { Err(JobError::Stopped) }
-    });
-    let (mut fold, mut next_seq) = match begin {
-        Err(JobError::Stopped) => {
-            store.release_job(job.id)?;
-            return Ok(Outcome::Stopped);
-        }
-        begin => begin?,
-    };
+        keeper.progress(0.0)
+    })?;
     let end_seq = fold.end_seq(job);
+    let keep = |keeper: &mut dyn Keeper, fold: &mut Fold, next_seq: u64| {
+        let checkpoint = JobCheckpoint { next_seq, state: fold.save()? };
+        keeper.checkpoint(checkpoint, fold.progress(next_seq, end_seq))
+    };
     loop {
         while next_seq < end_seq {
             let begun = Instant::now();
@@ -65,61 +145,18 @@ pub(super) fn run(
             let chunk = fold.read_chunk(reader, job, next_seq, limit)?;
             fold.pass_mut().take(&chunk);
             next_seq = chunk.next_seq();
-            if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
-                return Ok(outcome);
-            }
+            keep(keeper, &mut fold, next_seq)?;
             rest(begun.elapsed() / REST);
         }
         while fold.pass_mut().work() {
-            if let Some(outcome) = keep(store, job, &mut fold, next_seq, end_seq, &mut keep_on)? {
-                return Ok(outcome);
-            }
+            keep(keeper, &mut fold, next_seq)?;
         }
         if !fold.pass_mut().end_pass() {
             break;
         }
         next_seq = 0;
     }
-    let mut checkpoint = reader.checkpoint(job.id)?;
-    let go_on = |done: f64| {
-        // The same state again: it tells how far the job is, and whether it is still wanted.
-        if let Some(same) = checkpoint.take() {
-            checkpoint = Some(same.clone());
-            if !store.checkpoint_job(job.id, same, FOLDED + (1.0 - FOLDED) * done)? {
-                return Err(JobError::CalledOff);
-            }
-        }
-        if keep_on() { Ok(()) } else { Err(JobError::Stopped) }
-    };
-    let body = match document(reader, job, fold, go_on) {
-        Err(JobError::CalledOff) => return Ok(Outcome::Cancelled),
-        Err(JobError::Stopped) => {
-            store.release_job(job.id)?;
-            return Ok(Outcome::Stopped);
-        }
-        body => body?,
-    };
-    Ok(store.finish_job(job.id, body)?.map_or(Outcome::Cancelled, Outcome::Done))
-}
-
-/// Keeps where the job is; answers how it ends where it is not to go on.
-fn keep(
-    store: &Store,
-    job: &JobRow,
-    fold: &mut Fold,
-    next_seq: u64,
-    end_seq: u64,
-    keep_on: &mut impl FnMut() -> bool,
-) -> Result<Option<Outcome>, JobError> {
-    let checkpoint = JobCheckpoint { next_seq, state: fold.save()? };
-    if !store.checkpoint_job(job.id, checkpoint, fold.progress(next_seq, end_seq))? {
-        return Ok(Some(Outcome::Cancelled));
-    }
-    if !keep_on() {
-        store.release_job(job.id)?;
-        return Ok(Some(Outcome::Stopped));
-    }
-    Ok(None)
+    document(reader, job, fold, |done| keeper.progress(FOLDED + (1.0 - FOLDED) * done))
 }
 
 fn rest(time: Duration) {

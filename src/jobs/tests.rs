@@ -98,7 +98,7 @@ impl World {
     }
     fn queue(&self, kind: JobKind, params: serde_json::Value) -> i64 {
         let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
-        let job = NewJob { kind: kind.name().to_owned(), capture_id: self.capture, params };
+        let job = NewJob::new(kind.name(), self.capture, params);
         self.store.submit_job(job, u64::MAX).unwrap().0.id
     }
     /// Works on the job in turns of `turns` chunks each, every turn as a program of its own would begin it.
@@ -211,7 +211,7 @@ impl World {
     }
     fn work_on(&self, kind: JobKind, capture_id: i64, params: serde_json::Value, chunk: usize) -> serde_json::Value {
         let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
-        let job = NewJob { kind: kind.name().to_owned(), capture_id, params };
+        let job = NewJob::new(kind.name(), capture_id, params);
         let job = self.store.submit_job(job, u64::MAX).unwrap().0.id;
         serde_json::from_str(&self.work(job, chunk, std::iter::repeat_n(2, 30).chain([usize::MAX]))).unwrap()
     }
@@ -321,7 +321,7 @@ fn a_simulator_of_another_rate_is_refused_before_any_work() {
     let world = World::new();
     let fast = world.add("fast", &serde_json::Value::Null, 100.0, 0..300);
     let params = serde_json::json!({ "sim": fast });
-    let job = NewJob { kind: JobKind::Diagnosis.name().to_owned(), capture_id: world.capture, params };
+    let job = NewJob::new(JobKind::Diagnosis.name(), world.capture, params);
     world.store.submit_job(job, u64::MAX).unwrap();
     let claimed = world.store.claim_job().unwrap().unwrap();
     let error = run(&world.store, &world.reader(), &claimed, 1000, || true).unwrap_err().to_string();
@@ -499,7 +499,8 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
 #[test]
 fn workers_do_what_is_queued_and_clear_away_what_is_deleted() {
     let world = World::new();
-    let jobs = Jobs::start(&world.store, JobsOptions { chunk: 1000, ..JobsOptions::default() }).unwrap();
+    let jobs = Jobs::start(&world.store, JobsOptions { place: Place::Here { chunk: 1000 }, ..JobsOptions::default() })
+        .unwrap();
     let queued = jobs.submit_all(world.capture).unwrap();
     assert_eq!(queued.len(), JobKind::USUAL.len());
     let reader = world.reader();

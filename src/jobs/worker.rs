@@ -1,8 +1,9 @@
 //! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
-use super::{DiagnosisParameters, JobError, JobKind, JobParameters, together};
+use super::{DiagnosisParameters, JobError, JobKind, JobParameters, Wish, WishBody, together};
 use crate::observe::JobsStatus;
+use crate::process::step_back;
 use crate::sample::Channel;
 use crate::store::{JobRow, JobState, NewJob, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,8 +13,6 @@ use std::time::{Duration, Instant};
 
 /// How often an idle worker looks whether there is something to do that nobody told it of.
 const LOOK: Duration = Duration::from_secs(2);
-/// Priority of threads that do background work (nice).
-const NICE: i32 = 10;
 /// How long a worker waits after the database refused.
 const PAUSE: Duration = Duration::from_secs(1);
 
@@ -25,13 +24,25 @@ const REST: (Duration, Duration) = (Duration::from_millis(5), Duration::from_sec
 pub struct JobsOptions {
     /// How many jobs at a time, at least 1: each takes a core, and a noise job two while it looks for disturbances and fits.
     pub threads: usize,
-    /// Samples of one chunk.
-    pub chunk: usize,
+    /// Where they are worked on.
+    pub place: Place,
+}
+
+/// Where jobs are worked on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// In processes of their own: what the daemon does.
+    Apart,
+    /// In this process, in chunks of so many samples: for programs that are not `vn100d`, such as tests.
+    Here {
+        /// Samples of one chunk.
+        chunk: usize,
+    },
 }
 
 impl Default for JobsOptions {
     fn default() -> Self {
-        Self { threads: 1, chunk: CHUNK }
+        Self { threads: 1, place: Place::Here { chunk: CHUNK } }
     }
 }
 
@@ -115,17 +126,40 @@ impl Jobs {
         parameters: &serde_json::Value,
         queue_max: u64,
     ) -> Result<(JobRow, bool), JobError> {
-        let params = if kind == JobKind::Diagnosis {
-            let reader = self.inner.readers.get()?;
-            serde_json::to_value(DiagnosisParameters::read(&reader, parameters)?)?
-        } else {
-            let parameters = kind.parameters(parameters)?;
-            if !parameters.with.is_empty() {
-                self.check_together(capture_id, &parameters)?;
+        let parameters = kind.parameters(parameters)?;
+        if !parameters.with.is_empty() {
+            self.check_together(capture_id, &parameters)?;
+        }
+        self.put(NewJob::new(kind.name(), capture_id, serde_json::to_value(parameters)?), queue_max)
+    }
+
+    /// Queues a diagnosis; answers its job and whether it is new. Blocks until it is on disk.
+    ///
+    /// # Errors
+    /// As [`DiagnosisParameters::of`], or [`JobError::Store`].
+    pub fn submit_diagnosis(&self, capture_id: i64, wish: Wish) -> Result<(JobRow, bool), JobError> {
+        let parameters = DiagnosisParameters::of(&*self.inner.readers.get()?, wish)?;
+        let reference = parameters.kept_reference().map(str::to_owned);
+        let new = NewJob::new(JobKind::Diagnosis.name(), capture_id, serde_json::to_value(parameters)?);
+        self.put(NewJob { reference, ..new }, QUEUE_JOBS_MAX)
+    }
+
+    /// Reads what somebody asks a diagnosis for, the body of a request. Keeps the reference that comes with it. Blocks.
+    ///
+    /// # Errors
+    /// [`JobError::Parameters`] for what is no such wish, [`JobError::TooLarge`], or [`JobError::Store`].
+    pub fn wish(&self, body: WishBody<'_>) -> Result<Wish, JobError> {
+        match (body, self.inner.options.place) {
+            (WishBody::File(path), Place::Apart) => super::wish::read_apart(&self.inner.store, path),
+            (WishBody::File(path), Place::Here { .. }) => {
+                let body = std::fs::read(path).map_err(JobError::Process)?;
+                super::wish::read_here(&self.inner.store, &body)
             }
-            serde_json::to_value(parameters)?
-        };
-        let new = NewJob { kind: kind.name().to_owned(), capture_id, params };
+            (WishBody::Bytes(body), _) => super::wish::read_here(&self.inner.store, body),
+        }
+    }
+
+    fn put(&self, new: NewJob, queue_max: u64) -> Result<(JobRow, bool), JobError> {
         let submitted = self.inner.store.submit_job(new, queue_max)?;
         if submitted.1 {
             self.inner.queued.fetch_add(1, Ordering::Relaxed);
@@ -201,17 +235,9 @@ impl Jobs {
 pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> {
     for kind in JobKind::USUAL {
         let params = serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?;
-        store.submit_job(NewJob { kind: kind.name().to_owned(), capture_id, params }, u64::MAX)?;
+        store.submit_job(NewJob::new(kind.name(), capture_id, params), u64::MAX)?;
     }
     Ok(())
-}
-
-/// This thread, from now on, runs when nobody else wants the processor: the reader never waits for background work.
-pub fn step_back() {
-    // On Linux a priority is a thread's, not the process's.
-    if let Err(error) = rustix::process::setpriority_process(None, NICE) {
-        tracing::warn!(message = "Background work runs at the program's own priority.", %error);
-    }
 }
 
 impl Inner {
@@ -227,7 +253,7 @@ impl Inner {
                 Ok(false) => self.wait(seen, LOOK),
                 Err(JobError::Store(StoreError::Closed)) => return,
                 Err(error) => {
-                    tracing::warn!(message = "Background work waits for the database.", %error);
+                    tracing::warn!(message = "Background work waits.", %error);
                     self.wait(seen, PAUSE);
                 }
             }
@@ -256,7 +282,11 @@ impl Inner {
         let Some(job) = self.store.claim_job()? else { return Ok(true) };
         self.queued.store(queued.saturating_sub(1), Ordering::Relaxed);
         self.running.fetch_add(1, Ordering::Relaxed);
-        let outcome = run(&self.store, &reader, &job, self.options.chunk, || !self.stopped());
+        let keep_on = || !self.stopped();
+        let outcome = match self.options.place {
+            Place::Apart => super::apart::run(&self.store, &reader, &job, keep_on),
+            Place::Here { chunk } => run(&self.store, &reader, &job, chunk, keep_on),
+        };
         self.running.fetch_sub(1, Ordering::Relaxed);
         self.settle(&job, outcome)?;
         Ok(true)
@@ -309,6 +339,23 @@ impl Inner {
             Err(JobError::Store(error)) if is_passing(&error) => {
                 self.release(job.id)?;
                 Err(error.into())
+            }
+            Err(JobError::Process(error)) => {
+                self.release(job.id)?;
+                Err(JobError::Process(error))
+            }
+            Err(JobError::Died { reason }) => {
+                let failed = self.store.count_attempt(job.id, &reason)?;
+                let next = if failed { "It is not tried again." } else { "It is tried again." };
+                tracing::warn!(
+                    job = job.id,
+                    kind = job.kind,
+                    capture = job.capture,
+                    reason,
+                    "A job's process died. {next}"
+                );
+                self.failed.fetch_add(u64::from(failed), Ordering::Relaxed);
+                Ok(())
             }
             Err(error) => {
                 self.failed.fetch_add(1, Ordering::Relaxed);

@@ -353,7 +353,7 @@ impl Store {
         })
     }
 
-    /// Takes some rows of deleted captures away, in one transaction of some tens of milliseconds; answers whether more
+    /// Takes some rows of deleted captures away, or of references that went with them, in one transaction of some tens of milliseconds; answers whether more
     /// remain.
     ///
     /// # Errors
@@ -362,7 +362,7 @@ impl Store {
         self.execute(|transaction| {
             let sql = "SELECT id FROM capture WHERE lifecycle = 'deleted' ORDER BY id LIMIT 1";
             let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
-                return Ok(false);
+                return Self::purge_reference(transaction);
             };
             let deleted = transaction
                 .prepare_cached(
@@ -414,6 +414,8 @@ impl Store {
 pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreError> {
     connection.execute("UPDATE capture SET lifecycle = 'deleted' WHERE lifecycle = 'importing'", [])?;
     connection.execute("UPDATE job SET state = 'queued' WHERE state = 'running'", [])?;
+    // One that was on its way when the program ended has no job, and goes.
+    connection.execute("UPDATE reference SET claimed = 1 WHERE claimed = 0", [])?;
     super::utc::close_all(connection)
 }
 
@@ -703,13 +705,14 @@ impl Reader {
         found.flatten().ok_or_else(|| StoreError::NoSuchCapture { asked: asked.chars().take(NAME_MAX).collect() })
     }
 
-    /// Whether rows of deleted captures are still to be taken away ([`Store::purge_step`]).
+    /// Whether rows of deleted captures or their references are still to be taken away ([`Store::purge_step`]).
     ///
     /// # Errors
     /// What the database says.
     pub fn has_deleted(&self) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM capture WHERE lifecycle = 'deleted')";
-        Ok(self.connection.prepare_cached(sql)?.query_row([], |row| row.get(0))?)
+        let captures: bool = self.connection.prepare_cached(sql)?.query_row([], |row| row.get(0))?;
+        Ok(captures || self.has_orphans()?)
     }
 
     /// One capture.

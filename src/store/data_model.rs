@@ -28,7 +28,7 @@ fn every_query_of_the_data_model_runs_and_finds_what_is_there() {
     world.send(id, [crate::sample::Record::Configuration(registers)]);
     world.send(id, super::tests::a_capture());
     world.store.flush_blocking().unwrap();
-    let job = super::NewJob { kind: "noise".to_owned(), capture_id: id, params: serde_json::json!({}) };
+    let job = super::NewJob::new("noise", id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     world.store.claim_job().unwrap();
     let body = r#"{"channels": {"gyro_x": {"N": {"value": 1.2e-4}}}}"#;

@@ -63,7 +63,7 @@ mod tests {
         let id = world.capturing();
         let submit = |kind: &str, number: u32| {
             let params = serde_json::json!({ "sim": number });
-            let job = NewJob { kind: kind.to_owned(), capture_id: id, params };
+            let job = NewJob::new(kind, id, params);
             world.store.submit_job(job, u64::MAX).unwrap().0.id
         };
         assert!(world.reader().latest_diagnosis().is_err());

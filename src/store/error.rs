@@ -191,6 +191,12 @@ pub enum StoreError {
         /// What was asked for.
         id: i64,
     },
+    /// No reference with this digest is there whole.
+    #[error("the reference {sha256} is not in the database any more: send the diagnosis with its reference again")]
+    NoSuchReference {
+        /// SHA-256 of its text.
+        sha256: String,
+    },
     /// No sensor model has that id.
     #[error("there is no sensor model `{asked}`: GET /v1/models lists them")]
     NoSuchModel {
@@ -319,6 +325,7 @@ impl StoreError {
             | Self::NoSuchCapture { .. }
             | Self::NoSuchJob { .. }
             | Self::NoSuchModel { .. }
+            | Self::NoSuchReference { .. }
             | Self::NoSuchDiagnosis { .. } => StoreErrorKind::NotFound,
             Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels { .. } => {
                 StoreErrorKind::Conflict
@@ -362,6 +369,19 @@ impl StoreError {
             }
             _ => false,
         }
+    }
+
+    /// The extended code of SQLite, if it was SQLite that refused: with it and the message the error can go to another process.
+    pub(crate) fn sqlite_code(&self) -> Option<i32> {
+        match self {
+            Self::Sqlite(rusqlite::Error::SqliteFailure(code, _)) => Some(code.extended_code),
+            _ => None,
+        }
+    }
+
+    /// The error of an extended code of SQLite and its message.
+    pub(crate) fn of_code(code: i32, message: String) -> Self {
+        Self::Sqlite(rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(message)))
     }
 
     /// Whether the connection may be used on: the transaction was rolled back and nothing is in doubt.

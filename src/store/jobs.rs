@@ -5,8 +5,9 @@ use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_from_iter};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
-/// Starts without a checkpoint in between after which a job is taken to be the cause of the program's ends.
+/// Processes of a job that may die without a checkpoint in between; after so many the job itself is taken to be the cause.
 pub const ATTEMPTS_MAX: u32 = 3;
 /// Jobs that may wait at once before further ones that somebody asks for are refused.
 pub const QUEUE_JOBS_MAX: u64 = 100;
@@ -62,6 +63,16 @@ pub struct NewJob {
     pub capture_id: i64,
     /// Its parameters (a JSON object).
     pub params: serde_json::Value,
+    /// SHA-256 of the reference that it has ([`Store::begin_reference`]).
+    pub reference: Option<String>,
+}
+
+impl NewJob {
+    /// Work without a reference.
+    #[must_use]
+    pub fn new(kind: &str, capture_id: i64, params: serde_json::Value) -> Self {
+        Self { kind: kind.to_owned(), capture_id, params, reference: None }
+    }
 }
 
 /// A job as the interfaces show it.
@@ -171,28 +182,20 @@ impl Store {
         self.execute(move |transaction| submit(transaction, &new, queue_max, utc_ns))
     }
 
-    /// Takes the oldest queued job and marks it as running. One that was begun [`ATTEMPTS_MAX`] times and never reached
-    /// its next checkpoint has brought the program down each time: it fails.
+    /// Takes the oldest queued job and marks it as running.
     ///
     /// # Errors
     /// What the database says.
     pub fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
-            transaction.execute(
-                "UPDATE job SET state = 'failed', finished_utc_ns = ?2, \
-                 error = 'begun ' || attempts || ' times, the program ended each time before a step was done' \
-                 WHERE state = 'queued' AND attempts >= ?1",
-                params![ATTEMPTS_MAX, utc_ns],
-            )?;
             let sql = "SELECT id FROM job WHERE state = 'queued' ORDER BY id LIMIT 1";
             let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
                 return Ok(None);
             };
             take_over(transaction, id)?;
             transaction.execute(
-                "UPDATE job SET state = 'running', attempts = attempts + 1, \
-                 started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1",
+                "UPDATE job SET state = 'running', started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1",
                 params![id, utc_ns],
             )?;
             job(transaction, id)
@@ -280,16 +283,32 @@ impl Store {
         })
     }
 
+    /// Counts that the process of a running job died: the job waits for its next turn, or has failed with this reason if that was
+    /// the [`ATTEMPTS_MAX`]th without a checkpoint in between. Returns whether it has failed.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn count_attempt(&self, id: i64, reason: &str) -> Result<bool, StoreError> {
+        let (error, utc_ns) = (format!("tried {ATTEMPTS_MAX} times: {reason}"), self.utc_ns());
+        self.execute(move |transaction| {
+            transaction.execute(
+                "UPDATE job SET attempts = attempts + 1, state = iif(attempts + 1 >= ?2, 'failed', 'queued'), \
+                 error = iif(attempts + 1 >= ?2, ?3, NULL), finished_utc_ns = iif(attempts + 1 >= ?2, ?4, NULL) \
+                 WHERE id = ?1 AND state = 'running'",
+                params![id, ATTEMPTS_MAX, error, utc_ns],
+            )?;
+            let sql = "SELECT 1 FROM job WHERE id = ?1 AND state = 'failed'";
+            Ok(transaction.query_row(sql, [id], |_| Ok(())).optional()?.is_some())
+        })
+    }
+
     /// Puts a running job back into the queue, with its checkpoint: the program ends in good order.
     ///
     /// # Errors
     /// What the database says.
     pub fn release_job(&self, id: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
-            transaction.execute(
-                "UPDATE job SET state = 'queued', attempts = max(attempts - 1, 0) WHERE id = ?1 AND state = 'running'",
-                [id],
-            )?;
+            transaction.execute("UPDATE job SET state = 'queued' WHERE id = ?1 AND state = 'running'", [id])?;
             Ok(())
         })
     }
@@ -344,10 +363,12 @@ fn submit(
             if queued >= queue_max {
                 return Err(StoreError::QueueFull { queued });
             }
+            let reference =
+                new.reference.as_deref().map(|sha256| super::references::claim(transaction, sha256)).transpose()?;
             transaction.execute(
-                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7)",
-                params![new.kind, new.capture_id, params, end_seq, fingerprint, SOFTWARE, utc_ns],
+                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns, reference_id) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7, ?8)",
+                params![new.kind, new.capture_id, params, end_seq, fingerprint, SOFTWARE, utc_ns, reference],
             )?;
             (transaction.last_insert_rowid(), true)
         }
@@ -355,10 +376,12 @@ fn submit(
     Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?, is_new))
 }
 
+/// SHA-256 of what makes a submission the same, in hexadecimal digits.
 fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &serde_json::Value) -> String {
-    canonical(&serde_json::json!({
+    let text = canonical(&serde_json::json!({
         "kind": kind, "capture": capture_id, "end_seq": end_seq, "params": params, "software": SOFTWARE,
-    }))
+    }));
+    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Drops what newer results of the same kind, capture, parameters and version have superseded. The one over all samples of a
@@ -487,7 +510,7 @@ mod tests {
     use crate::store::tests::{World, sample, segment};
 
     fn job(kind: &str, params: serde_json::Value) -> NewJob {
-        NewJob { kind: kind.to_owned(), capture_id: 1, params }
+        NewJob::new(kind, 1, params)
     }
 
     fn finished(world: &World, new: NewJob) -> i64 {

@@ -18,7 +18,7 @@ pub struct RetentionRow {
     pub name: String,
     /// Since when it is there whole: its end, or where it was imported or simulated its making.
     pub since: UtcNs,
-    /// What its samples take in the file, bytes.
+    /// What its samples and the references of its diagnoses take in the file, bytes.
     pub bytes: u64,
     /// Whether it runs or waits.
     pub open: bool,
@@ -37,7 +37,9 @@ impl Reader {
         // What was imported has the times of its stamps, which may be years ago or to come: its making counts.
         let sql = "SELECT id, name, CASE WHEN state IN ('imported', 'simulated') THEN created_utc_ns \
                    ELSE max(created_utc_ns, coalesce(ended_utc_ns, created_utc_ns)) END, samples, \
-                   state IN ('waiting', 'capturing'), pinned, deletion_said_utc_ns, delete_at_utc_ns \
+                   state IN ('waiting', 'capturing'), pinned, deletion_said_utc_ns, delete_at_utc_ns, \
+                   (SELECT coalesce(sum(bytes), 0) FROM reference WHERE reference_id IN \
+                    (SELECT reference_id FROM job WHERE capture_id = capture.id AND reference_id IS NOT NULL)) \
                    FROM capture WHERE lifecycle = 'live' ORDER BY id";
         let mut statement = self.connection.prepare_cached(sql)?;
         let rows = statement.query_map([], |row| {
@@ -47,7 +49,8 @@ impl Reader {
                 id: row.get(0)?,
                 name: row.get(1)?,
                 since: UtcNs(row.get(2)?),
-                bytes: (row.get::<_, i64>(3)?.max(0) as f64 * BYTES_PER_SAMPLE) as u64,
+                bytes: (row.get::<_, i64>(3)?.max(0) as f64 * BYTES_PER_SAMPLE) as u64
+                    + row.get::<_, i64>(8)?.max(0) as u64,
                 open: row.get(4)?,
                 pinned: row.get(5)?,
                 announced: said.zip(delete_at),

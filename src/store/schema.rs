@@ -25,6 +25,7 @@ const MIGRATIONS: &[&str] = &[
     include_str!("../../migrations/0007_utc_corrections.sql"),
     include_str!("../../migrations/0008_boot.sql"),
     include_str!("../../migrations/0009_models.sql"),
+    include_str!("../../migrations/0010_references.sql"),
 ];
 /// How long the writer waits for a foreign lock before it reports it.
 const WRITER_BUSY: Duration = Duration::from_millis(5000);

@@ -62,6 +62,11 @@ impl World {
         let capture = NewCapture { name: Some("night".to_owned()), ..NewCapture::new("pty", CaptureState::Capturing) };
         self.store.create_capture(capture).unwrap()
     }
+    /// A capture that has ended, without samples.
+    pub(super) fn complete(&self, name: &str) -> i64 {
+        let capture = NewCapture { name: Some(name.to_owned()), ..NewCapture::new("pty", CaptureState::Complete) };
+        self.store.create_capture(capture).unwrap()
+    }
     pub(super) fn send(&self, id: i64, records: impl IntoIterator<Item = Record>) {
         for record in records {
             self.store.records().blocking_send(id, record).unwrap();
@@ -604,9 +609,8 @@ fn the_same_submission_is_the_same_job() {
     let id = world.capturing();
     world.send(id, a_capture());
     world.store.flush_blocking().unwrap();
-    let submit = |params: serde_json::Value| {
-        world.store.submit_job(NewJob { kind: "allan".to_owned(), capture_id: id, params }, u64::MAX).unwrap()
-    };
+    let submit =
+        |params: serde_json::Value| world.store.submit_job(NewJob::new("allan", id, params), u64::MAX).unwrap();
     let (job, new) = submit(serde_json::json!({"b": 1, "a": [1, {"y": 2, "x": 1}]}));
     assert!(new);
     assert_eq!(job.end_seq, 150);
@@ -620,29 +624,40 @@ fn the_same_submission_is_the_same_job() {
 }
 
 #[test]
-fn a_job_that_brings_the_program_down_three_times_fails() {
+fn a_job_whose_process_dies_three_times_fails_and_a_daemon_that_ends_counts_for_nothing() {
     let world = World::new();
     let id = world.capturing();
-    let job = NewJob { kind: "allan".to_owned(), capture_id: id, params: serde_json::json!({}) };
+    let job = NewJob::new("allan", id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     let mut store = world.store.clone();
-    for _ in 0..3 {
+    for _ in 0..5 {
         assert_eq!(store.claim_job().unwrap().unwrap().id, job);
         let path = store.path().to_owned();
         store.close().unwrap();
         store = Store::open(&path, StoreOptions::default()).unwrap();
     }
+    let die = |last: bool| {
+        assert_eq!(store.claim_job().unwrap().unwrap().id, job);
+        assert_eq!(store.count_attempt(job, "signal 9").unwrap(), last);
+    };
+    die(false);
+    die(false);
+    // It has come further: what it dies of now is something else.
+    store.claim_job().unwrap();
+    assert!(store.checkpoint_job(job, JobCheckpoint { next_seq: 1, state: vec![7] }, 0.1).unwrap());
+    store.release_job(job).unwrap();
+    [false, false, true].map(die);
     assert_eq!(store.claim_job().unwrap(), None);
     let row = store.reader().unwrap().job(job).unwrap();
-    assert_eq!(row.state, JobState::Failed);
-    assert!(row.error.unwrap().contains("3 times"));
+    assert_eq!((row.state, row.finished_at.is_some()), (JobState::Failed, true));
+    assert_eq!(row.error.as_deref(), Some("tried 3 times: signal 9"));
 }
 
 #[test]
 fn a_job_goes_on_at_its_checkpoint_and_its_progress_never_goes_back() {
     let world = World::new();
     let id = world.capturing();
-    let job = NewJob { kind: "allan".to_owned(), capture_id: id, params: serde_json::json!({}) };
+    let job = NewJob::new("allan", id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     world.store.claim_job().unwrap();
     let checkpoint = |next_seq| JobCheckpoint { next_seq, state: vec![7; 3] };

@@ -45,7 +45,7 @@ fn is_closed(stream: &mut TcpStream) -> bool {
 }
 
 /// `VmRSS` or `VmHWM` of a process in bytes.
-fn memory(pid: u32, name: &str) -> u64 {
+pub fn memory(pid: u32, name: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap();
     line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
@@ -59,7 +59,7 @@ fn metric(world: &World, name: &str) -> f64 {
 }
 
 /// Asks for the status so often a second, for so long; answers how long each took, the shortest first.
-fn ask(world: &World, per_s: u32, time: Duration) -> Vec<Duration> {
+pub fn ask(world: &World, per_s: u32, time: Duration) -> Vec<Duration> {
     let askers = per_s.div_ceil(50);
     let mut took: Vec<Duration> = std::thread::scope(|scope| {
         let ask = move || {
@@ -86,7 +86,7 @@ fn ask(world: &World, per_s: u32, time: Duration) -> Vec<Duration> {
     took
 }
 
-fn p99(sorted: &[Duration]) -> Duration {
+pub fn p99(sorted: &[Duration]) -> Duration {
     sorted[sorted.len() * 99 / 100]
 }
 
@@ -213,7 +213,7 @@ fn a_query_whose_client_has_gone_ends_within_a_second() {
     world.until("all large queries run", Duration::from_secs(10), refused, &daemon);
     let one_more = format!("/v1/captures/{capture}/samples?to=1");
     let (status, text) = world.request("GET", &one_more, "").unwrap();
-    assert_eq!(status, 503, "16 queries of {alone:?} each have ended before their clients went: {text}");
+    assert_eq!(status, 429, "16 queries of {alone:?} each have ended before their clients went: {text}");
     // Dropped with unread bytes: the kernel sends a reset.
     drop(clients);
     let gone = Instant::now();
@@ -222,7 +222,7 @@ fn a_query_whose_client_has_gone_ends_within_a_second() {
         if status == 200 {
             break;
         }
-        assert_eq!(status, 503, "{text}");
+        assert_eq!(status, 429, "{text}");
         assert!(gone.elapsed() < Duration::from_secs(1), "queries of clients that have gone still run");
         std::thread::sleep(Duration::from_millis(10));
     }
@@ -362,7 +362,7 @@ fn fifty_identical_submissions_are_one_job_also_while_the_capture_grows() {
         let kind = ["allan", "noise", "statistics"][channels as usize / 64 % 3];
         let body = json!({"kind": kind, "capture": night, "channels": names, "taus": "octave"});
         let (status, text) = world.request("POST", "/v1/jobs", &body.to_string()).unwrap();
-        if status == 503 {
+        if status == 429 {
             refused = Some(serde_json::from_str::<Value>(&text).unwrap());
             break;
         }

@@ -8,6 +8,7 @@
 
 mod audit;
 mod http;
+mod isolation;
 mod jobs;
 mod line;
 mod process;

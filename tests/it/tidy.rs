@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 30] = [
+const MAY_USE: [(&str, &[&str]); 31] = [
     ("units", &[]),
     ("clock", &[]),
+    ("process", &[]),
     ("sample", &["units"]),
     ("protocol", &["sample", "units"]),
     ("noise", &["sample", "units"]),

@@ -110,8 +110,8 @@ fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
     let mut head = [0; 12];
     stream.read_exact(&mut head).unwrap();
     assert_eq!(&head, b"HTTP/1.1 200");
-    let busy = eventually("it runs", || world.get("/v1/captures/a/samples?to=1"), |answer| answer.status == 503);
-    busy.problem(503, "unavailable");
+    let busy = eventually("it runs", || world.get("/v1/captures/a/samples?to=1"), |answer| answer.status == 429);
+    busy.problem(429, "busy");
     assert_eq!(busy.header("retry-after"), "1");
     assert_eq!(world.get("/v1/captures/a").status, 200, "small queries are served meanwhile");
     eventually("its permit comes back", || world.get("/v1/captures/a/samples?to=1"), |answer| answer.status == 200);

@@ -1,0 +1,18 @@
+//! `vn100d worker`: one piece of heavy work in a process of its own, which the daemon starts and hears over a pipe.
+
+use super::Outcome;
+use super::args::{Work, WorkerArgs};
+use crate::jobs;
+use crate::process::{Confinement, confine};
+use anyhow::Context as _;
+
+/// Does the work within its limits, and writes frames to standard output.
+pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
+    confine(Confinement { memory_bytes: args.memory, parent: args.parent }).context("the limits cannot be set")?;
+    let out = std::io::BufWriter::new(std::io::stdout());
+    match &args.work {
+        Work::Wish { file } => jobs::answer_wish(file, out)?,
+        Work::Job { id, database } => jobs::answer(database, *id, out)?,
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,123 @@
+//! Apart: a job in a process of its own, with limits of its own, that may be killed at any time.
+//!
+//! The child reads the database and says over a pipe what it comes to; the parent, which alone writes, keeps it. A child that
+//! ends without a result has failed at that attempt: its job is tried again from its last checkpoint, or failed with the
+//! reason. A daemon that ends takes its child with it, and the job goes on at the next start, which counts as no attempt.
+
+use super::JobError;
+use super::runner::{CHUNK, InStore, Keeper, Outcome, work};
+use crate::process::{Child, Frame, FrameError, Heard, write_frame};
+use crate::store::{JobCheckpoint, JobRow, Reader, Store, StoreError};
+use serde::{Deserialize, Serialize};
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// How often the parent looks whether the job is still wanted.
+const LOOK: Duration = Duration::from_millis(200);
+/// A result or a checkpoint larger than this is a fault of the program.
+const BODY_MAX: u64 = 256 << 20;
+/// Private memory that a job may write to: more than a diagnosis of five hours of nine channels takes.
+pub const JOB_MEMORY_BYTES: u64 = 640 << 20;
+
+/// What a child says of its job; a checkpoint's state and a result's text are the frame's body.
+#[derive(Debug, Serialize, Deserialize)]
+enum Word {
+    Checkpoint {
+        next_seq: u64,
+        progress: f64,
+    },
+    Progress(f64),
+    Done,
+    /// It cannot be done. `sqlite` is the database's extended code, if it was the database that refused.
+    Failed {
+        reason: String,
+        sqlite: Option<i32>,
+    },
+}
+
+/// Works on a claimed job in a process of its own until it is done, cancelled, or `keep_on` answers false.
+pub(super) fn run(
+    store: &Store,
+    reader: &Reader,
+    job: &JobRow,
+    keep_on: impl FnMut() -> bool + Send,
+) -> Result<Outcome, JobError> {
+    let (parent, id, memory) = (std::process::id().to_string(), job.id.to_string(), JOB_MEMORY_BYTES.to_string());
+    let words = ["worker", "--parent", &parent, "--memory", &memory, "job", "--id", &id, "--database"].map(OsStr::new);
+    let arguments = [words.as_slice(), &[store.path().as_os_str()]].concat();
+    let mut child = Child::<Word>::start(&arguments, BODY_MAX).map_err(JobError::Process)?;
+    let mut keeper = InStore::new(store, job.id, keep_on);
+    let mut looked = Instant::now();
+    loop {
+        let kept = match child.hear(LOOK).map_err(JobError::Process)? {
+            Heard::Frame(Frame { header: Word::Checkpoint { next_seq, progress }, body }) => {
+                keeper.checkpoint(JobCheckpoint { next_seq, state: body }, progress)
+            }
+            Heard::Frame(Frame { header: Word::Progress(progress), .. }) => keeper.progress(progress),
+            Heard::Frame(Frame { header: Word::Done, body }) => {
+                let text = String::from_utf8(body).map_err(|error| JobError::Died { reason: error.to_string() });
+                return keeper.end(text);
+            }
+            Heard::Frame(Frame { header: Word::Failed { reason, sqlite }, .. }) => {
+                return Err(match sqlite {
+                    Some(code) => StoreError::of_code(code, reason).into(),
+                    None => JobError::Refused { reason },
+                });
+            }
+            Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
+            Heard::Nothing => Ok(()),
+        };
+        let kept = kept.and_then(|()| {
+            if looked.elapsed() < LOOK {
+                return Ok(());
+            }
+            looked = Instant::now();
+            keeper.look(reader)
+        });
+        if kept.is_err() {
+            // The child is killed as it is dropped.
+            drop(child);
+            return keeper.end(kept.map(|()| String::new()));
+        }
+    }
+}
+
+/// Keeps what a job comes to by saying it to the parent.
+struct InPipe<W>(W);
+
+impl<W: Write> InPipe<W> {
+    fn say(&mut self, word: &Word, body: &[u8]) -> Result<(), JobError> {
+        // A parent that does not listen has ended; the job goes on at its next start.
+        write_frame(&mut self.0, word, body).map_err(|_| JobError::Stopped)
+    }
+}
+
+impl<W: Write + Send> Keeper for InPipe<W> {
+    fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError> {
+        self.say(&Word::Checkpoint { next_seq: checkpoint.next_seq, progress }, &checkpoint.state)
+    }
+    fn progress(&mut self, progress: f64) -> Result<(), JobError> {
+        self.say(&Word::Progress(progress), &[])
+    }
+}
+
+/// Works on a job in this process, which [`run`] has started, and says to `out` what it comes to.
+///
+/// # Errors
+/// [`FrameError`], if the parent does not listen.
+pub fn answer(database: &Path, id: i64, out: impl Write + Send) -> Result<(), FrameError> {
+    let mut keeper = InPipe(out);
+    let outcome = Reader::open(database).map_err(JobError::from).and_then(|reader| {
+        let job = reader.job(id)?;
+        work(&reader, &job, CHUNK, &mut keeper)
+    });
+    match outcome {
+        Ok(body) => write_frame(&mut keeper.0, &Word::Done, body.as_bytes()),
+        Err(error) => {
+            let sqlite = if let JobError::Store(error) = &error { error.sqlite_code() } else { None };
+            write_frame(&mut keeper.0, &Word::Failed { reason: error.to_string(), sqlite }, &[])
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Child: another process of this program, which is asked one thing and answers in frames.
+
+use super::frame::{Frame, read_frame};
+use serde::de::DeserializeOwned;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Of what a child writes to its standard error this much is read, and the rest thrown away.
+const STDERR_BYTES: u64 = 64 * 1024;
+/// Of a line this much is kept.
+const LINE_CHARS: usize = 300;
+
+/// What is heard of a child.
+#[derive(Debug)]
+#[expect(clippy::exhaustive_enums, reason = "who asks has to treat each")]
+pub enum Heard<H> {
+    /// It said this.
+    Frame(Frame<H>),
+    /// Nothing yet.
+    Nothing,
+    /// It has ended, and this is all.
+    Ended(Ended),
+}
+
+/// How a child ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[expect(clippy::exhaustive_structs, reason = "some words about an end")]
+pub struct Ended {
+    /// Whether it ended by itself without an error.
+    pub well: bool,
+    /// Whether it gave up: what it does if it has no more memory.
+    pub aborted: bool,
+    /// Why it ended, for people: its signal or exit code, and its last words.
+    pub reason: String,
+}
+
+/// A child process that works on one thing. It is killed and waited for when this is dropped.
+#[derive(Debug)]
+pub struct Child<H> {
+    process: std::process::Child,
+    frames: Receiver<Result<Frame<H>, super::FrameError>>,
+    last_words: Option<JoinHandle<Option<String>>>,
+}
+
+impl<H: DeserializeOwned + Send + 'static> Child<H> {
+    /// Starts this program again with `arguments`; its frames have bodies of at most `body_max` bytes.
+    ///
+    /// # Errors
+    /// What the system says, if no process can be started.
+    pub fn start(arguments: &[&std::ffi::OsStr], body_max: u64) -> std::io::Result<Self> {
+        // Not the path of the program: an upgrade may have replaced what is there.
+        let mut process = Command::new("/proc/self/exe")
+            .arg0("vn100d")
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        let pipes = process.stdout.take().zip(process.stderr.take());
+        let (mut stdout, stderr) = pipes.ok_or_else(|| std::io::Error::other("a child without its pipes"))?;
+        let (sender, frames) = sync_channel(1);
+        let id = process.id();
+        std::thread::Builder::new().name("child-frames".to_owned()).spawn(move || {
+            // Nobody listens any more, or nothing more can come: either way it is over.
+            while let Some(frame) = read_frame(&mut stdout, body_max).transpose() {
+                let broken = frame.is_err();
+                if sender.send(frame).is_err() || broken {
+                    return;
+                }
+            }
+        })?;
+        let words = move || last_words(stderr, id);
+        let last_words = Some(std::thread::Builder::new().name("child-words".to_owned()).spawn(words)?);
+        Ok(Self { process, frames, last_words })
+    }
+
+    /// Its standard input, once.
+    pub fn stdin(&mut self) -> Option<ChildStdin> {
+        self.process.stdin.take()
+    }
+
+    /// What it says next, waited for at most this long.
+    ///
+    /// # Errors
+    /// What the system says, if the child cannot be waited for.
+    pub fn hear(&mut self, time: Duration) -> std::io::Result<Heard<H>> {
+        match self.frames.recv_timeout(time) {
+            Ok(Ok(frame)) => Ok(Heard::Frame(frame)),
+            Err(RecvTimeoutError::Timeout) => Ok(Heard::Nothing),
+            Ok(Err(error)) => {
+                self.process.kill()?;
+                let mut ended = self.end()?;
+                // A pipe that breaks in the middle of a frame is a child that was killed, and its end says more.
+                if ended.well {
+                    ended = Ended { well: false, reason: error.to_string(), ..ended };
+                }
+                Ok(Heard::Ended(ended))
+            }
+            Err(RecvTimeoutError::Disconnected) => self.end().map(Heard::Ended),
+        }
+    }
+
+    fn end(&mut self) -> std::io::Result<Ended> {
+        let status = self.process.wait()?;
+        let words = self.last_words.take().and_then(|thread| thread.join().ok()).flatten();
+        let aborted = status.signal() == Some(rustix::process::Signal::ABORT.as_raw());
+        Ok(Ended { well: status.success(), aborted, reason: reason(status, words) })
+    }
+}
+
+impl<H> Drop for Child<H> {
+    fn drop(&mut self) {
+        // One that has ended already cannot be killed; it is waited for all the same.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn reason(status: ExitStatus, words: Option<String>) -> String {
+    let end = match (status.signal(), status.code()) {
+        (Some(signal), _) => format!("its process ended by signal {signal}"),
+        (None, code) => format!("its process ended with code {}", code.unwrap_or_default()),
+    };
+    words.map_or_else(|| end.clone(), |words| format!("{end}: {words}"))
+}
+
+/// Writes what the child complains of into the log, and gives its last line back.
+fn last_words(stderr: impl Read, process: u32) -> Option<String> {
+    let mut last = None;
+    let mut lines = BufReader::new(stderr.take(STDERR_BYTES));
+    let mut line = Vec::new();
+    while lines.read_until(b'\n', &mut line).is_ok_and(|count| count > 0) {
+        let text: String = String::from_utf8_lossy(&line).trim().chars().take(LINE_CHARS).collect();
+        line.clear();
+        if !text.is_empty() {
+            tracing::warn!(process, "A child process says: {text}");
+            // A backtrace's hint is no reason.
+            if !text.starts_with("note:") {
+                last = Some(text);
+            }
+        }
+    }
+    // A child that goes on complaining must not wait for somebody to listen.
+    let _ = std::io::copy(&mut lines.into_inner().into_inner(), &mut std::io::sink());
+    last
+}

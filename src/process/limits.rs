@@ -1,0 +1,54 @@
+//! Limits: what a thread and a process take of the machine.
+
+use rustix::process::{Resource, Rlimit, Signal};
+
+/// Nice value of threads and processes that do work which can wait.
+const NICE_BEHIND: i32 = 10;
+/// Nice value of the reader's thread, if the system allows it (`LimitNICE=` of the unit).
+const NICE_AHEAD: i32 = -10;
+/// Of all processes of the machine a child is the first that goes when memory runs out; the scale ends at 1000.
+const OOM_SCORE: &str = "900";
+
+/// Lets this thread run when nobody else wants the processor: the reader never waits for work that can wait.
+pub fn step_back() {
+    // On Linux a priority is a thread's, not the process's.
+    if let Err(error) = rustix::process::setpriority_process(None, NICE_BEHIND) {
+        tracing::warn!(message = "Background work runs at the program's own priority.", %error);
+    }
+}
+
+/// Lets this thread run before others. Returns whether the system allows it.
+pub fn hurry() -> bool {
+    rustix::process::setpriority_process(None, NICE_AHEAD).is_ok()
+}
+
+/// What a child process may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_structs, reason = "two numbers")]
+pub struct Confinement {
+    /// Bytes of private memory that it may write to (`RLIMIT_DATA`); beyond them an allocation fails and the process ends.
+    pub memory_bytes: u64,
+    /// The process that it works for: it ends when that one does.
+    pub parent: u32,
+}
+
+/// Confines this process: it ends with its parent, steps back for everybody else, is the first to go when memory runs out,
+/// and has a limit of memory.
+///
+/// # Errors
+/// What the system says, if a limit cannot be set, or if the parent is gone already.
+pub fn confine(confinement: Confinement) -> std::io::Result<()> {
+    rustix::process::set_parent_process_death_signal(Some(Signal::KILL))?;
+    let parent = rustix::process::getppid().map(|pid| pid.as_raw_nonzero().get().unsigned_abs());
+    if parent != Some(confinement.parent) {
+        return Err(std::io::Error::other("the process that asked for this work has ended"));
+    }
+    step_back();
+    // A process may always make itself more expendable; a system without the file has no such order.
+    let _ = std::fs::write("/proc/self/oom_score_adj", OOM_SCORE);
+    let limit = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };
+    rustix::process::setrlimit(Resource::Data, limit(confinement.memory_bytes))?;
+    // A core of half a gigabyte would cost the disk that the capture needs.
+    rustix::process::setrlimit(Resource::Core, limit(0))?;
+    Ok(())
+}

@@ -1,0 +1,179 @@
+//! References: what a sensor went through, as diagnoses are given it. The text is kept once, in parts, so that neither the
+//! writer nor whoever brings it holds all of it; it goes with the last diagnosis that has it.
+
+use super::{Reader, Store, StoreError};
+use rusqlite::{OptionalExtension, Transaction, params};
+
+/// Bytes of a part: some milliseconds of the writer's time.
+pub const REFERENCE_PART_BYTES: usize = 1 << 20;
+/// Parts that one step of clearing away deletes.
+const STEP_PARTS: i64 = 8;
+/// References that no job has any more.
+const ORPHANS: &str = "FROM reference WHERE claimed = 1 \
+    AND NOT EXISTS (SELECT 1 FROM job WHERE job.reference_id = reference.reference_id)";
+
+impl Store {
+    /// Begins to keep a reference: the SHA-256 of its text and its length. Returns its id, and whether it is there whole already;
+    /// otherwise [`Self::keep_reference_part`] brings its parts.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn begin_reference(&self, sha256: &str, bytes: u64) -> Result<(i64, bool), StoreError> {
+        let (sha256, utc_ns) = (sha256.to_owned(), self.utc_ns());
+        let parts = bytes.div_ceil(REFERENCE_PART_BYTES as u64).max(1) as i64;
+        self.execute(move |transaction| {
+            // What was about to go stays for whoever brings it again.
+            transaction.execute(
+                "INSERT INTO reference (sha256, bytes, parts, created_utc_ns) VALUES (?1, ?2, ?3, ?4) \
+                 ON CONFLICT (sha256) DO UPDATE SET claimed = 0 \
+                 WHERE NOT EXISTS (SELECT 1 FROM job WHERE job.reference_id = reference.reference_id)",
+                params![sha256, bytes as i64, parts, utc_ns],
+            )?;
+            let id: i64 =
+                transaction
+                    .query_row("SELECT reference_id FROM reference WHERE sha256 = ?1", [&sha256], |row| row.get(0))?;
+            Ok((id, is_whole(transaction, id)?))
+        })
+    }
+
+    /// Keeps a part of a reference, counted from 0.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn keep_reference_part(&self, id: i64, part: u32, content: Vec<u8>) -> Result<(), StoreError> {
+        self.execute(move |transaction| {
+            transaction
+                .prepare_cached(
+                    "INSERT OR IGNORE INTO reference_part (reference_id, part, content) VALUES (?1, ?2, ?3)",
+                )?
+                .execute(params![id, part, content])?;
+            Ok(())
+        })
+    }
+
+    /// Takes away some parts of a reference that no job has any more; false if there is none.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub(super) fn purge_reference(transaction: &Transaction<'_>) -> Result<bool, StoreError> {
+        let sql = format!("SELECT reference_id {ORPHANS} LIMIT 1");
+        let Some(id) = transaction.query_row(&sql, [], |row| row.get::<_, i64>(0)).optional()? else {
+            return Ok(false);
+        };
+        let sql = "DELETE FROM reference_part WHERE reference_part_id IN \
+                   (SELECT reference_part_id FROM reference_part WHERE reference_id = ?1 LIMIT ?2)";
+        if transaction.execute(sql, params![id, STEP_PARTS])? == 0 {
+            transaction.execute("DELETE FROM reference WHERE reference_id = ?1", [id])?;
+        }
+        Ok(true)
+    }
+}
+
+/// The id of the reference with this SHA-256, for a job that is to have it.
+pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, StoreError> {
+    let sql = "UPDATE reference SET claimed = 1 WHERE sha256 = ?1 RETURNING reference_id";
+    let id = transaction.query_row(sql, [sha256], |row| row.get(0)).optional()?;
+    let unknown = || StoreError::NoSuchReference { sha256: sha256.to_owned() };
+    let id = id.ok_or_else(unknown)?;
+    if is_whole(transaction, id)? { Ok(id) } else { Err(unknown()) }
+}
+
+fn is_whole(transaction: &Transaction<'_>, id: i64) -> Result<bool, StoreError> {
+    let sql = "SELECT parts = (SELECT count(*) FROM reference_part WHERE reference_id = ?1) FROM reference \
+               WHERE reference_id = ?1";
+    Ok(transaction.query_row(sql, [id], |row| row.get(0))?)
+}
+
+impl Reader {
+    /// The text of a reference.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchReference`], or what the database says.
+    pub fn reference(&self, sha256: &str) -> Result<String, StoreError> {
+        let unknown = || StoreError::NoSuchReference { sha256: sha256.to_owned() };
+        let sql =
+            "SELECT content FROM reference_part JOIN reference USING (reference_id) WHERE sha256 = ?1 ORDER BY part";
+        let mut statement = self.connection.prepare_cached(sql)?;
+        let mut rows = statement.query([sha256])?;
+        let mut text = Vec::new();
+        while let Some(row) = rows.next()? {
+            text.extend_from_slice(row.get_ref(0)?.as_blob().map_err(|_| unknown())?);
+        }
+        if text.is_empty() {
+            return Err(unknown());
+        }
+        String::from_utf8(text).map_err(|_| unknown())
+    }
+
+    /// Whether there are references that no job has any more.
+    pub(super) fn has_orphans(&self) -> Result<bool, StoreError> {
+        let sql = format!("SELECT EXISTS (SELECT 1 {ORPHANS})");
+        Ok(self.connection.prepare_cached(&sql)?.query_row([], |row| row.get(0))?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::REFERENCE_PART_BYTES;
+    use crate::store::tests::World;
+    use crate::store::{NewJob, Reader, StoreError};
+
+    fn job(capture_id: i64, sim: u32, sha256: &str) -> NewJob {
+        let reference = Some(sha256.to_owned());
+        NewJob { reference, ..NewJob::new("diagnosis", capture_id, serde_json::json!({ "sim": sim })) }
+    }
+
+    fn parts(reader: &Reader) -> i64 {
+        reader.connection.query_row("SELECT count(*) FROM reference_part", [], |row| row.get(0)).unwrap()
+    }
+
+    #[test]
+    fn a_reference_is_kept_once_and_goes_with_its_last_diagnosis() {
+        let world = World::new();
+        let (one, other) = (world.complete("one"), world.complete("other"));
+        let text = "time_s,and so on\n".repeat(REFERENCE_PART_BYTES / 16);
+        let (id, whole) = world.store.begin_reference("abc", text.len() as u64).unwrap();
+        assert!(!whole);
+        let refused = world.store.submit_job(job(one, 1, "abc"), u64::MAX).unwrap_err();
+        assert!(matches!(refused, StoreError::NoSuchReference { .. }), "it is not whole yet: {refused}");
+        for (part, content) in (0..).zip(text.as_bytes().chunks(REFERENCE_PART_BYTES)) {
+            world.store.keep_reference_part(id, part, content.to_vec()).unwrap();
+        }
+        assert_eq!(world.store.begin_reference("abc", text.len() as u64).unwrap(), (id, true));
+        let first = world.store.submit_job(job(one, 1, "abc"), u64::MAX).unwrap().0;
+        world.store.submit_job(job(other, 1, "abc"), u64::MAX).unwrap();
+        let reader = world.reader();
+        assert_eq!(reader.reference("abc").unwrap(), text);
+        assert_eq!((parts(&reader), reader.has_deleted().unwrap()), (2, false));
+        assert!(!first.params.to_string().contains("and so on"));
+        for row in reader.retention_rows().unwrap() {
+            assert_eq!(row.bytes, text.len() as u64, "it counts for what may be kept");
+        }
+        world.store.delete_capture(one).unwrap();
+        while world.store.purge_step().unwrap() {}
+        assert_eq!(reader.reference("abc").unwrap(), text, "another diagnosis has it");
+        world.store.delete_capture(other).unwrap();
+        assert!(reader.has_deleted().unwrap());
+        while world.store.purge_step().unwrap() {}
+        assert!(matches!(reader.reference("abc").unwrap_err(), StoreError::NoSuchReference { .. }));
+        assert_eq!((parts(&reader), reader.has_deleted().unwrap()), (0, false));
+    }
+
+    #[test]
+    fn one_that_is_brought_while_it_goes_stays() {
+        let world = World::new();
+        let capture = world.complete("one");
+        let (id, _) = world.store.begin_reference("abc", 4).unwrap();
+        world.store.keep_reference_part(id, 0, b"text".to_vec()).unwrap();
+        world.store.submit_job(job(capture, 1, "abc"), u64::MAX).unwrap();
+        world.store.delete_capture(capture).unwrap();
+        // Its rows go, and then the parts of the reference one step later.
+        while parts(&world.reader()) > 0 {
+            assert!(world.store.purge_step().unwrap());
+        }
+        assert_eq!(world.store.begin_reference("abc", 4).unwrap(), (id, false), "its parts are to be brought again");
+        while world.store.purge_step().unwrap() {}
+        world.store.keep_reference_part(id, 0, b"text".to_vec()).unwrap();
+        assert_eq!(world.reader().reference("abc").unwrap(), "text");
+    }
+}

@@ -1,0 +1,307 @@
+//! Isolation: everything that may be asked of the daemon at once costs the recorder no sample (row H).
+//!
+//! `VN100D_ISOLATION=30m` says for how long (20 s if it is not set). As root the daemon is in a memory cgroup with the limit of
+//! its unit.
+
+use crate::http::{ask, memory, p99};
+use crate::jobs::{fill, noise, plain, settle};
+use crate::tools::{root, scaled};
+use crate::world::{Process, World};
+use serde_json::json;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use vn100d::sample::Channel;
+
+const MIB: u64 = 1 << 20;
+/// The unit's `MemoryMax=`.
+const UNIT_BYTES: u64 = 768 * MIB;
+/// What the recorder's own process may have resident.
+const RECORDER_BYTES: u64 = 64 * MIB;
+/// A hostile body: as large as one may be.
+const BODY_BYTES: usize = 32_000_000;
+/// Workers that are killed.
+const KILLS: u32 = 20;
+
+/// A memory cgroup with the unit's limit; removed when dropped.
+struct Cgroup {
+    folder: PathBuf,
+    /// Version 2.
+    unified: bool,
+}
+
+impl Cgroup {
+    fn new(daemon: &Process) -> Option<Self> {
+        let name = format!("vn100d-test-{}", daemon.id());
+        let v2 = Path::new("/sys/fs/cgroup/cgroup.controllers");
+        let unified = std::fs::read_to_string(v2).is_ok_and(|text| text.contains("memory"));
+        let parent = if unified { "/sys/fs/cgroup" } else { "/sys/fs/cgroup/memory" };
+        let folder = Path::new(parent).join(name);
+        std::fs::create_dir(&folder).ok()?;
+        let cgroup = Self { folder, unified };
+        let limit = if unified { "memory.max" } else { "memory.limit_in_bytes" };
+        std::fs::write(cgroup.folder.join(limit), UNIT_BYTES.to_string()).ok()?;
+        std::fs::write(cgroup.folder.join("cgroup.procs"), daemon.id().to_string()).ok()?;
+        Some(cgroup)
+    }
+
+    /// Processes that were killed for want of memory.
+    fn killed(&self) -> u64 {
+        let file = if self.unified { "memory.events" } else { "memory.oom_control" };
+        let text = std::fs::read_to_string(self.folder.join(file)).unwrap();
+        let line = text.lines().find(|line| line.starts_with("oom_kill ")).unwrap_or("oom_kill 0");
+        line.rsplit(' ').next().unwrap().parse().unwrap()
+    }
+
+    /// Memory that is no file's, at this moment.
+    fn anonymous(&self) -> u64 {
+        let name = if self.unified { "anon " } else { "total_rss " };
+        let text = std::fs::read_to_string(self.folder.join("memory.stat")).unwrap_or_default();
+        let line = text.lines().find(|line| line.starts_with(name));
+        line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(0)
+    }
+}
+
+impl Drop for Cgroup {
+    fn drop(&mut self) {
+        // Its processes have to be gone first.
+        for _ in 0..50 {
+            if std::fs::remove_dir(&self.folder).is_ok() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+}
+
+/// Status of a request whose body is written as `fill` writes it.
+fn post(
+    world: &World,
+    route: &str,
+    media_type: &str,
+    length: u64,
+    write: impl FnOnce(&mut TcpStream) -> std::io::Result<()>,
+) -> Option<u16> {
+    let mut stream = TcpStream::connect(world.url.trim_start_matches("http://")).ok()?;
+    stream.set_read_timeout(Some(Duration::from_secs(600))).ok()?;
+    write!(stream, "POST {route} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n").ok()?;
+    // A server that refuses does not read to the end.
+    let _ = write(&mut stream);
+    let mut text = String::new();
+    let _ = stream.read_to_string(&mut text);
+    text.split(' ').nth(1)?.parse().ok()
+}
+
+/// A recording of so many bytes, row by row.
+fn send_recording(stream: &mut TcpStream, bytes: u64, seed: u64) -> std::io::Result<()> {
+    let mut out = std::io::BufWriter::with_capacity(1 << 16, stream);
+    let head = "time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n";
+    out.write_all(head.as_bytes())?;
+    let mut left = bytes - head.len() as u64;
+    for row in 0_u64.. {
+        let of = |channel| noise(row ^ (seed << 40), channel);
+        let line = format!(
+            "{:.3},{:.9},{:.9},{:.9},{:.7},{:.7},{:.7}\n",
+            row as f64 / 200.0,
+            of(Channel::GyroX),
+            of(Channel::GyroY),
+            of(Channel::GyroZ),
+            of(Channel::AccelX),
+            of(Channel::AccelY),
+            of(Channel::AccelZ),
+        );
+        if line.len() as u64 + 1 > left {
+            break;
+        }
+        left -= line.len() as u64;
+        out.write_all(line.as_bytes())?;
+    }
+    out.write_all(&vec![b'\n'; left as usize])?;
+    out.flush()
+}
+
+/// The processes that the daemon has started.
+fn children(daemon: u32) -> Vec<u32> {
+    let tasks = std::fs::read_dir(format!("/proc/{daemon}/task")).unwrap().flatten();
+    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
+    lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect()
+}
+
+/// What is asked of the daemon, and how often it was answered.
+#[derive(Debug, Default)]
+struct Asked {
+    bodies: AtomicU64,
+    diagnoses: AtomicU64,
+    pages: AtomicU64,
+    pictures: AtomicU64,
+    imports: AtomicU64,
+    exports: AtomicU64,
+    kills: AtomicU64,
+    refused: AtomicU64,
+}
+
+#[test]
+fn nothing_that_is_asked_costs_the_recorder_a_sample() {
+    let time = std::env::var("VN100D_ISOLATION").map_or(Duration::from_secs(20), |text| {
+        vn100d::units::parse_duration(&text).expect("VN100D_ISOLATION is a duration, such as 30m")
+    });
+    let long = time > Duration::from_secs(300);
+    let world = World::new();
+    let nine = &Channel::ANALYSED;
+    let night = fill(&world, "night", nine, &plain(if long { 720_000 } else { scaled(60_000, 720_000) }), noise);
+    let _sensor = world.emulate(&["--baud", "921600"]);
+    let mut daemon = world.daemon("[sensor]\nrate-hz = 800\nbaud = 921600\n", &["--capture", "12h"]);
+    let cgroup = root("the daemon in a memory cgroup").then(|| Cgroup::new(&daemon)).flatten();
+    let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(800));
+    world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
+    let (pid, over, asked) = (daemon.id(), AtomicBool::new(false), Asked::default());
+    let (most, unit_most, codes) =
+        (AtomicU64::new(0), AtomicU64::new(0), Mutex::new(std::collections::BTreeMap::new()));
+    let count = |what: &AtomicU64, status: Option<u16>| {
+        *codes.lock().unwrap().entry(status).or_insert(0_u64) += 1;
+        match status {
+            Some(429) => asked.refused.fetch_add(1, Ordering::Relaxed),
+            _ => what.fetch_add(1, Ordering::Relaxed),
+        };
+    };
+    let go_on = || !over.load(Ordering::Relaxed);
+    let hostile = {
+        let (begin, end) = (r#"{"sim":{"x":["#, "{}]}}");
+        let middle = "{},".repeat((BODY_BYTES - begin.len() - end.len()) / 3);
+        format!("{begin}{middle}{end}").into_bytes()
+    };
+    let took = std::thread::scope(|scope| {
+        let (world, asked, hostile, count, go_on) = (&world, &asked, &hostile, &count, &go_on);
+        for _ in 0..4 {
+            scope.spawn(move || {
+                while go_on() {
+                    let route = format!("/v1/captures/{night}/diagnoses");
+                    let status =
+                        post(world, &route, "application/json", hostile.len() as u64, |to| to.write_all(hostile));
+                    count(&asked.bodies, status);
+                }
+            });
+        }
+        scope.spawn(move || {
+            for number in 1.. {
+                let channel = |unit: f64| json!({"N": unit * f64::from(number)});
+                let channels: serde_json::Map<String, serde_json::Value> =
+                    nine.iter().map(|of| (of.name().to_owned(), channel(1e-5))).collect();
+                let model =
+                    json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": channels});
+                let answer = world.request(
+                    "POST",
+                    &format!("/v1/captures/{night}/diagnoses"),
+                    &json!({"sim": model}).to_string(),
+                );
+                let Some((202, text)) = answer else {
+                    assert!(!go_on(), "{answer:?}");
+                    return;
+                };
+                let job: serde_json::Value = serde_json::from_str(&text).unwrap();
+                let route = format!("/v1/jobs/{}", job["id"]);
+                let ended = || {
+                    world.try_get(&route).is_none_or(|job| !matches!(job["state"].as_str(), Some("queued" | "running")))
+                };
+                while go_on() && !ended() {
+                    std::thread::sleep(Duration::from_millis(200));
+                }
+                if !go_on() {
+                    return;
+                }
+                asked.diagnoses.fetch_add(1, Ordering::Relaxed);
+            }
+        });
+        for browser in 0..6 {
+            scope.spawn(move || {
+                let get = |route: &str| world.request("GET", route, "").map(|(status, _)| status);
+                while go_on() {
+                    count(&asked.pages, get("/captures/latest"));
+                    for picture in ["allan-gyro", "allan-accel", "timeseries-gyro_x", "timeseries-accel_z"] {
+                        let form = if browser % 3 == 0 { "png" } else { "svg" };
+                        count(&asked.pictures, get(&format!("/v1/captures/latest/plots/{picture}.{form}")));
+                    }
+                    std::thread::sleep(Duration::from_secs(1));
+                }
+            });
+        }
+        scope.spawn(move || {
+            for seed in 0.. {
+                let bytes = if long { 2_000_000_000 } else { scaled(5_000_000, 200_000_000) };
+                let route = format!("/v1/imports?file=bench-{seed}.csv");
+                let status = post(world, &route, "text/csv", bytes, |to| send_recording(to, bytes, seed));
+                count(&asked.imports, status);
+                if !go_on() || long {
+                    return;
+                }
+            }
+        });
+        scope.spawn(move || {
+            while go_on() {
+                let route = format!("/v1/captures/{night}/samples?format=csv");
+                let request = format!("GET {route} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+                let Ok(mut stream) = TcpStream::connect(world.url.trim_start_matches("http://")) else { return };
+                let _ = stream.write_all(request.as_bytes());
+                let mut head = [0; 12];
+                let status = stream
+                    .read_exact(&mut head)
+                    .ok()
+                    .and_then(|()| std::str::from_utf8(&head[9..12]).ok()?.parse().ok());
+                let _ = std::io::copy(&mut stream, &mut std::io::sink());
+                count(&asked.exports, status);
+            }
+        });
+        scope.spawn(move || {
+            let pause = time / KILLS;
+            while go_on() {
+                std::thread::sleep(pause);
+                if let Some(child) = children(pid).pop().and_then(|pid| rustix::process::Pid::from_raw(pid as i32)) {
+                    // It may just have ended.
+                    if rustix::process::kill_process(child, rustix::process::Signal::KILL).is_ok() {
+                        asked.kills.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+            }
+        });
+        let (most, unit_most, cgroup) = (&most, &unit_most, &cgroup);
+        scope.spawn(move || {
+            while go_on() {
+                most.fetch_max(memory(pid, "VmRSS"), Ordering::Relaxed);
+                unit_most.fetch_max(cgroup.as_ref().map_or(0, Cgroup::anonymous), Ordering::Relaxed);
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        });
+        let took = ask(world, 20, time);
+        over.store(true, Ordering::Relaxed);
+        took
+    });
+    assert!(daemon.is_running(), "{}", daemon.log());
+    let status = world.get("/v1/status");
+    let running = &status["capture"];
+    let (most, unit_most) = (most.into_inner(), unit_most.into_inner());
+    eprintln!(
+        "H1: {time:?} at 800 Hz: {} samples, {} missing in {} gaps; status p50 {:?}, p99 {:?}; recorder at most {} MiB resident, \
+         unit {} MiB; {asked:?}; {:?}",
+        running["samples"],
+        running["missing"],
+        running["gaps"],
+        took[took.len() / 2],
+        p99(&took),
+        most / MIB,
+        unit_most / MIB,
+        codes.lock().unwrap(),
+    );
+    let gaps = world.get("/v1/captures/latest/gaps");
+    assert_eq!((running["missing"].as_u64(), running["gaps"].as_u64()), (Some(0), Some(0)), "{gaps}");
+    assert!(most < RECORDER_BYTES, "the recorder had {} MiB", most / MIB);
+    assert!(p99(&took) < Duration::from_millis(scaled(500, 50)), "{:?}", p99(&took));
+    assert!(cgroup.as_ref().is_none_or(|cgroup| cgroup.killed() == 0 && unit_most < UNIT_BYTES));
+    assert!(asked.kills.into_inner() > 0 && asked.bodies.into_inner() > 0, "nothing was asked");
+    assert!(codes.into_inner().unwrap().keys().all(|code| matches!(code, Some(200..=202 | 413 | 429))));
+    daemon.terminate();
+    drop(daemon);
+    settle(&world);
+}
