@@ -172,7 +172,7 @@ pub(super) async fn noise(
     let (name, job) = (capture.clone(), query.job);
     let found = state.read(move |reader| find(reader, JobKind::Noise, &name, job, &usual)).await?;
     let (so_far, result): (SoFar<NoiseReport>, Option<ResultRow>) = match found {
-        Found::Open(id) => (state.read_heavy(move |reader, parts| parts.live.noise(reader, id)).await?, None),
+        Found::Open(id) => (state.compute(move |reader, parts| parts.live.noise(reader, id)).await?, None),
         Found::Result(result) => {
             let report = serde_json::from_str(&result.body).map_err(JobError::from)?;
             (SoFar { report, caught_up: None }, Some(result))
@@ -237,7 +237,7 @@ async fn document<T: Serialize + Send + 'static>(
     let found = state.read(move |reader| find(reader, kind, &name, query.job, &wished)).await?;
     match found {
         Found::Open(id) => {
-            let report = state.read_heavy(move |reader, parts| live(reader, parts, id)).await?;
+            let report = state.compute(move |reader, parts| live(reader, parts, id)).await?;
             Ok(([(header::CACHE_CONTROL, "no-store")], axum::Json(report)).into_response())
         }
         Found::Result(result) => Ok(answer(headers, result)),
@@ -269,7 +269,7 @@ pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result
                 };
                 document.map_err(JobError::from)
             };
-            Drawn::Document(state.read_heavy(so_far).await?, None)
+            Drawn::Document(state.compute(so_far).await?, None)
         }
         Found::Result(result) => Drawn::Document(result.body, Some(result.id)),
         Found::Job(row) => Drawn::Later(unfinished(row)?),

@@ -5,7 +5,7 @@ use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use super::{aside, conditional, jobs, page};
-use crate::jobs::{DiagnosisDocument, JobError, JobKind, WishBody};
+use crate::jobs::{DiagnosisDocument, JobKind, WishBody};
 use crate::page as pages;
 use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
 use axum::extract::{Request, State};
@@ -200,17 +200,20 @@ pub(super) async fn model(State(state): State<ApiState>, headers: HeaderMap, P(i
 /// A page for people: the diagnosis, or how far its job is.
 pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
     let (job, result) = state.read(move |reader| find(reader, &id)).await?;
-    let html = match &result {
+    let html = match result {
         Some(result) => {
-            let document = DiagnosisDocument::read(&result.body)?;
-            let links = [
-                ("as JSON", format!("/v1/diagnoses/{}", job.id)),
-                ("corrected model", format!("/v1/diagnoses/{}/model", job.id)),
-                ("the capture", format!("/captures/{}", job.capture)),
-                ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
-            ];
-            let page = pages::diagnosis(document.report.get(), &result.body, &links);
-            page.map_err(JobError::from)?
+            state
+                .compute(move |_, _| {
+                    let document = DiagnosisDocument::read(&result.body)?;
+                    let links = [
+                        ("as JSON", format!("/v1/diagnoses/{}", job.id)),
+                        ("corrected model", format!("/v1/diagnoses/{}/model", job.id)),
+                        ("the capture", format!("/captures/{}", job.capture)),
+                        ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
+                    ];
+                    Ok(pages::diagnosis(document.report.get(), &result.body, &links)?)
+                })
+                .await?
         }
         None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),
     };

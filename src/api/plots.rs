@@ -7,7 +7,7 @@ use super::problem::{ApiError, Problem, ProblemType};
 use super::samples;
 use super::state::ApiState;
 use crate::gallery::{self, Documents, GalleryError, Needs, Picture, Window};
-use crate::jobs::{JobError, JobKind};
+use crate::jobs::{JobError, JobKind, Place};
 use crate::plot;
 use crate::store::SOFTWARE;
 use axum::extract::State;
@@ -86,7 +86,7 @@ pub(super) async fn plot(
         return Ok(conditional::answer(&headers, &tag, ()));
     }
     let image = state
-        .read_heavy(move |reader, _| {
+        .compute(move |reader, parts| {
             let svg = gallery::svg(reader, &id, picture, window, &documents).map_err(|error| match error {
                 GalleryError::Store(error) => JobError::from(error),
                 GalleryError::Document(error) => JobError::from(error),
@@ -97,6 +97,9 @@ pub(super) async fn plot(
             }
             match form {
                 Form::Svg => Ok(plot::alone(&svg).into_bytes()),
+                Form::Png if parts.jobs.place() == Place::Apart => {
+                    gallery::apart::png(&svg).map_err(|reason| JobError::Died { reason })
+                }
                 Form::Png => plot::raster::png(&svg, plot::raster::SCALE)
                     .map_err(|error| JobError::InsufficientData { reason: error.to_string() }),
             }

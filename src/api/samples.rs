@@ -90,7 +90,7 @@ pub(super) async fn samples(
     if points.is_some_and(|points| !(1..=POINTS_MAX).contains(&points)) {
         return Err(ApiError::bad_request(format!("`max_points`: allowed is 1 to {POINTS_MAX}")));
     }
-    let permit = state.heavy_permit()?;
+    let permit = state.stream_permit()?;
     let range = state.read(move |reader| SampleRange::read(reader, &name, from, to)).await?;
     let selection = Selection::new(range, wanted, points, format)?;
     let reader_state = state.clone();

@@ -25,8 +25,13 @@ pub struct Limits {
     pub write_stall: Duration,
     /// How long an answer may take until its head is sent.
     pub answer: Duration,
-    /// Queries at once that read many rows; one more is answered 429 at once.
-    pub heavy_queries: usize,
+    /// Streams of samples at once, each some MiB; one more is answered 429 at once.
+    pub streams: usize,
+    /// Computations at once: analyses of a running capture, pictures, pages; one more waits up to [`Self::turn`], and is then
+    /// answered 429.
+    pub computations: usize,
+    /// How long a computation waits for its turn.
+    pub turn: Duration,
     /// Other queries at once; one more waits for its turn.
     pub light_queries: usize,
     /// How long requests under way may take at the end.
@@ -40,7 +45,9 @@ impl Default for Limits {
             header: Duration::from_secs(5),
             write_stall: Duration::from_secs(30),
             answer: Duration::from_secs(10),
-            heavy_queries: 16,
+            streams: 4,
+            computations: 2,
+            turn: Duration::from_secs(5),
             light_queries: 16,
             farewell: Duration::from_secs(5),
         }
@@ -59,12 +66,13 @@ impl Limits {
     pub fn fitting(open_files: u64) -> Self {
         let usual = Self::default();
         let left = open_files.saturating_sub(OWN_FILES);
-        let queries = (left / (4 * READER_FILES)).clamp(1, usual.heavy_queries as u64);
+        let queries = (left / (4 * READER_FILES)).clamp(1, usual.light_queries as u64);
         // A refused connection has a file too, for as long as it takes to say so.
         let connections = left.saturating_sub(2 * queries * READER_FILES + 4).clamp(4, usual.connections as u64);
         Self {
             connections: connections as usize,
-            heavy_queries: queries as usize,
+            streams: usual.streams.min(queries as usize),
+            computations: usual.computations.min(queries as usize),
             light_queries: queries as usize,
             ..usual
         }

@@ -61,7 +61,8 @@ pub(super) struct Inner {
     pub(super) parts: ApiParts,
     pub(super) started: Instant,
     readers: ReaderPool,
-    heavy: Arc<Semaphore>,
+    streams: Arc<Semaphore>,
+    computations: Arc<Semaphore>,
     light: Arc<Semaphore>,
     changes: Arc<Semaphore>,
     imports: Arc<Semaphore>,
@@ -79,12 +80,13 @@ impl std::ops::Deref for ApiState {
 
 impl ApiState {
     pub(super) fn new(parts: ApiParts) -> Self {
-        let (heavy, light) = (parts.limits.heavy_queries, parts.limits.light_queries);
+        let Limits { streams, computations, light_queries, .. } = parts.limits;
         Self(Arc::new(Inner {
             readers: ReaderPool::new(parts.store.path()),
             started: Instant::now(),
-            heavy: Arc::new(Semaphore::new(heavy)),
-            light: Arc::new(Semaphore::new(light)),
+            streams: Arc::new(Semaphore::new(streams)),
+            computations: Arc::new(Semaphore::new(computations)),
+            light: Arc::new(Semaphore::new(light_queries)),
             changes: Arc::new(Semaphore::new(CHANGES)),
             imports: Arc::new(Semaphore::new(1)),
             bodies: Arc::new(Semaphore::new(1)),
@@ -108,13 +110,17 @@ impl ApiState {
         self.query(permit, work).await
     }
 
-    /// A permit to read many rows, or 429 at once.
-    pub(super) fn heavy_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
-        Arc::clone(&self.heavy).try_acquire_owned().map_err(|_| {
-            self.parts.metrics.query_refused();
-            let most = self.parts.limits.heavy_queries;
-            ApiError::busy(format!("{most} large queries are running, which is all that may: ask again"), 1)
-        })
+    /// The permit to send samples, or 429 at once.
+    pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        let most = self.parts.limits.streams;
+        let busy =
+            || self.busy(format!("{most} streams of samples are being sent, which is all that may: ask again"), 1);
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| busy())
+    }
+
+    fn busy(&self, reason: String, retry_after_s: u32) -> ApiError {
+        self.parts.metrics.query_refused();
+        ApiError::busy(reason, retry_after_s)
     }
 
     /// The permit to listen to events, or 429 at once.
@@ -127,26 +133,30 @@ impl ApiState {
 
     /// The permit to send a large body for a diagnosis, or 429 at once: one at a time.
     pub(super) fn body_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
-        Arc::clone(&self.bodies).try_acquire_owned().map_err(|_| {
-            self.parts.metrics.query_refused();
-            ApiError::busy("another diagnosis with a reference is being taken in: ask again when it is", 2)
-        })
+        let busy =
+            || self.busy("another diagnosis with a reference is being taken in: ask again when it is".to_owned(), 2);
+        Arc::clone(&self.bodies).try_acquire_owned().map_err(|_| busy())
     }
 
     /// The permit to import, or 429 at once: one recording at a time.
     pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
-        Arc::clone(&self.imports).try_acquire_owned().map_err(|_| {
-            self.parts.metrics.query_refused();
-            ApiError::busy("another recording is being imported: ask again when it is done", 5)
-        })
+        let busy = || self.busy("another recording is being imported: ask again when it is done".to_owned(), 5);
+        Arc::clone(&self.imports).try_acquire_owned().map_err(|_| busy())
     }
 
-    /// A query of many rows, or a computation over them.
-    pub(super) async fn read_heavy<T: Send + 'static>(
+    /// A computation over what is stored: an analysis of a running capture, a picture, a page. Waits for its turn, and answers
+    /// 429 if that does not come.
+    pub(super) async fn compute<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Reader, &ApiParts) -> Result<T, JobError> + Send + 'static,
     ) -> Result<T, ApiError> {
-        let permit = self.heavy_permit()?;
+        let Limits { turn, computations: most, .. } = self.parts.limits;
+        let permit = tokio::time::timeout(turn, Arc::clone(&self.computations).acquire_owned()).await;
+        let busy = |_| {
+            let reason = format!("{most} computations are running, which is all that may, and others wait: ask again");
+            self.busy(reason, turn.as_secs() as u32)
+        };
+        let permit = permit.map_err(busy)?.map_err(|_| stopping())?;
         let state = self.clone();
         self.query(permit, move |reader| work(reader, &state.parts)).await
     }

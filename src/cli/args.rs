@@ -517,6 +517,8 @@ pub struct WorkerArgs {
 /// Work of a process of its own.
 #[derive(Debug, Clone, Subcommand)]
 pub enum Work {
+    /// Make a PNG of the SVG on standard input
+    Png,
     /// Read the body of a request for a diagnosis
     Wish {
         /// The body

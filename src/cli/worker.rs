@@ -2,8 +2,8 @@
 
 use super::Outcome;
 use super::args::{Work, WorkerArgs};
-use crate::jobs;
 use crate::process::{Confinement, confine};
+use crate::{gallery, jobs};
 use anyhow::Context as _;
 
 /// Does the work within its limits, and writes frames to standard output.
@@ -11,6 +11,7 @@ pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
     confine(Confinement { memory_bytes: args.memory, parent: args.parent }).context("the limits cannot be set")?;
     let out = std::io::BufWriter::new(std::io::stdout());
     match &args.work {
+        Work::Png => gallery::apart::answer(std::io::stdin().lock(), out)?,
         Work::Wish { file } => jobs::answer_wish(file, out)?,
         Work::Job { id, database } => jobs::answer(database, *id, out)?,
     }

@@ -3,6 +3,7 @@
 //! In: a picture's name, a reader of the store, and the documents of the analyses that it is drawn of. Out: SVG ([`crate::plot`]).
 //! Memory is that of one chunk of samples and of what is drawn, however long the capture is.
 
+pub mod apart;
 mod facts;
 mod samples;
 

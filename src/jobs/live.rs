@@ -15,9 +15,15 @@ use crate::store::Reader;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Samples taken in by one call: about a second of work.
 pub const CATCH_UP: usize = 500_000;
+/// For how long a noise report stands for a newer one, if the capture has grown by less than [`FRESH_SHARE`]: fitting nine
+/// channels takes half a second of a core.
+const FRESH: Duration = Duration::from_secs(2);
+/// The part of the samples, 1/20, by which a capture may have grown meanwhile.
+const FRESH_SHARE: u64 = 20;
 /// Samples read at a time.
 const CHUNK: usize = 32_768;
 
@@ -25,6 +31,8 @@ const CHUNK: usize = 32_768;
 #[derive(Debug)]
 pub struct Live {
     pyramids: Mutex<Option<Pyramids>>,
+    /// The last noise report: of which capture, up to which sample, made when.
+    noise: Mutex<Option<(i64, u64, Instant, SoFar<NoiseReport>)>>,
     catch_up: usize,
 }
 
@@ -104,7 +112,7 @@ impl Live {
     /// The same, taking in at most `catch_up` samples per call instead of [`CATCH_UP`].
     #[must_use]
     pub fn taking_in(catch_up: usize) -> Self {
-        Self { pyramids: Mutex::default(), catch_up }
+        Self { pyramids: Mutex::default(), noise: Mutex::default(), catch_up }
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Pyramids>> {
@@ -183,10 +191,20 @@ impl Live {
     /// As [`Self::points`].
     pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<NoiseReport>, JobError> {
         let points = self.points(reader, capture_id)?;
+        // Whoever asks meanwhile waits here instead of fitting the same.
+        let mut noise = self.noise.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_fresh = |id: i64, next_seq: u64, made: Instant| {
+            id == capture_id && points.next_seq.abs_diff(next_seq) < next_seq / FRESH_SHARE && made.elapsed() < FRESH
+        };
+        if let Some((.., report)) = noise.as_ref().filter(|(id, next_seq, made, _)| is_fresh(*id, *next_seq, *made)) {
+            return Ok(report.clone());
+        }
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
         let report = report::noise_of_points(&points, self.moving_s(capture_id), &sampling, extent);
-        Ok(SoFar { report, caught_up: Some(points.caught_up) })
+        let report = SoFar { report, caught_up: Some(points.caught_up) };
+        *noise = Some((capture_id, points.next_seq, Instant::now(), report.clone()));
+        Ok(report)
     }
 
     /// How long the sensor moved, s, of what the octaves are made of; none if motion is unknown.

@@ -190,6 +190,12 @@ impl Jobs {
         JobKind::USUAL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
     }
 
+    /// Where heavy work is done.
+    #[must_use]
+    pub fn place(&self) -> Place {
+        self.inner.options.place
+    }
+
     /// Calls a job off.
     ///
     /// # Errors

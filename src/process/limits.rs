@@ -44,6 +44,8 @@ pub fn confine(confinement: Confinement) -> std::io::Result<()> {
         return Err(std::io::Error::other("the process that asked for this work has ended"));
     }
     step_back();
+    // It was started by a path that says nothing; `ps` and `top` show this name.
+    let _ = std::fs::write("/proc/self/comm", "vn100d-worker");
     // A process may always make itself more expendable; a system without the file has no such order.
     let _ = std::fs::write("/proc/self/oom_score_adj", OOM_SCORE);
     let limit = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };

@@ -31,6 +31,8 @@ const MIGRATIONS: &[&str] = &[
 const WRITER_BUSY: Duration = Duration::from_millis(5000);
 /// How long a reader waits.
 const READER_BUSY: Duration = Duration::from_millis(2000);
+/// Pages that a reader keeps, KiB: it reads on or looks up a row, and the system's own cache has the rest.
+const READER_CACHE_KIB: i64 = 256;
 /// Statements that a connection keeps prepared.
 const STATEMENTS: usize = 64;
 
@@ -195,6 +197,7 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
         return Err(StoreError::OlderSchema { path: path.to_owned(), found, expected: schema_version() });
     }
     connection.pragma_update(None, "query_only", true)?;
+    connection.pragma_update(None, "cache_size", -READER_CACHE_KIB)?;
     connection.pragma_update(None, "wal_autocheckpoint", 0)?;
     common_pragmas(&connection)?;
     Ok(connection)

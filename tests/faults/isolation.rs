@@ -4,16 +4,16 @@
 //! its unit.
 
 use crate::http::{ask, memory, p99};
-use crate::jobs::{fill, noise, plain, settle};
+use crate::jobs::{fill, noise, plain, settle, wakes};
 use crate::tools::{root, scaled};
-use crate::world::{Process, World};
+use crate::world::{Process, World, program};
 use serde_json::json;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use vn100d::sample::Channel;
 
 const MIB: u64 = 1 << 20;
@@ -152,8 +152,20 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     let world = World::new();
     let nine = &Channel::ANALYSED;
     let night = fill(&world, "night", nine, &plain(if long { 720_000 } else { scaled(60_000, 720_000) }), noise);
-    let _sensor = world.emulate(&["--baud", "921600"]);
-    let mut daemon = world.daemon("[sensor]\nrate-hz = 800\nbaud = 921600\n", &["--capture", "12h"]);
+    let sensor = world.emulate(&["--baud", "921600"]);
+    if root("the emulated sensor ahead of everything else") {
+        // It stands for a sensor, which sends on whatever the host does.
+        for task in std::fs::read_dir(format!("/proc/{}/task", sensor.id())).unwrap().flatten() {
+            let id = task.file_name().to_str().and_then(|id| rustix::process::Pid::from_raw(id.parse().ok()?));
+            rustix::process::setpriority_process(id, -15).unwrap();
+        }
+    }
+    let mut command = program();
+    // As the unit has it.
+    command.env("MALLOC_ARENA_MAX", std::env::var("ARENAS").unwrap_or("64".to_owned()));
+    let port = world.port();
+    let configuration = "[sensor]\nrate-hz = 800\nbaud = 921600\n";
+    let mut daemon = world.daemon_of(command, port.to_str().unwrap(), configuration, &["--capture", "12h"]);
     let cgroup = root("the daemon in a memory cgroup").then(|| Cgroup::new(&daemon)).flatten();
     let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(800));
     world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
@@ -294,13 +306,18 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
         unit_most / MIB,
         codes.lock().unwrap(),
     );
-    let gaps = world.get("/v1/captures/latest/gaps");
+    let gaps = || world.get(&format!("/v1/captures/{}/gaps", running["id"]));
+    let listed = || (gaps()["gaps"].as_array().unwrap().len() as u64 >= running["gaps"].as_u64().unwrap()).then(gaps);
+    let gaps = world.until("the gaps are listed", Duration::from_secs(5), listed, &daemon);
+    let (late, all) = wakes(&world, "0.02");
+    eprintln!("H1: {} of {all} wakes were more than 20 ms late", all - late);
     assert_eq!((running["missing"].as_u64(), running["gaps"].as_u64()), (Some(0), Some(0)), "{gaps}");
     assert!(most < RECORDER_BYTES, "the recorder had {} MiB", most / MIB);
     assert!(p99(&took) < Duration::from_millis(scaled(500, 50)), "{:?}", p99(&took));
     assert!(cgroup.as_ref().is_none_or(|cgroup| cgroup.killed() == 0 && unit_most < UNIT_BYTES));
     assert!(asked.kills.into_inner() > 0 && asked.bodies.into_inner() > 0, "nothing was asked");
-    assert!(codes.into_inner().unwrap().keys().all(|code| matches!(code, Some(200..=202 | 413 | 429))));
+    // None: who sends on after a refusal may not hear it. 503: the picture's process was among those that were killed.
+    assert!(codes.into_inner().unwrap().keys().all(|code| matches!(code, None | Some(200..=202 | 413 | 429 | 503))));
     daemon.terminate();
     drop(daemon);
     settle(&world);

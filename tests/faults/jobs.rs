@@ -280,7 +280,7 @@ fn a_job_over_a_running_capture_takes_in_what_was_there_and_says_so() {
 }
 
 /// How many of the reader's wakes were at most `late_s` late, and how many there were.
-fn wakes(world: &World, late_s: &str) -> (f64, f64) {
+pub fn wakes(world: &World, late_s: &str) -> (f64, f64) {
     let text = world.request("GET", "/metrics", "").unwrap().1;
     let value = |name: &str| {
         let line = text.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{name} in {text}"));
@@ -341,6 +341,81 @@ fn threads_nice(pid: u32, name: &str) -> Vec<String> {
     let named = stats.filter(|stat| stat.contains(&format!("({name}")));
     // proc(5): field 19 is nice; the name may hold spaces and ends with the last parenthesis.
     named.map(|stat| stat.rsplit(") ").next().unwrap().split(' ').nth(16).unwrap().to_owned()).collect()
+}
+
+/// The process in which the daemon works on a job.
+fn worker(daemon: &Process) -> Option<u32> {
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).unwrap().flatten();
+    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
+    let words: Vec<u32> =
+        lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect();
+    words.into_iter().find(|pid| {
+        std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.starts_with(b"vn100d\0worker\0"))
+    })
+}
+
+/// F8. Whoever kills the worker, for want of memory or by hand, harms nothing but the job's time; a daemon that is killed takes
+/// its worker with it, and counts for nothing.
+#[test]
+fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
+    let world = World::new();
+    let capture = fill(&world, "night", &SIX, &plain(scaled(12 * CHUNK, 12 * 3600 * 40)), noise);
+    let wanted = json!({"kind": "noise", "capture": capture});
+    let uninterrupted = copy(&world);
+    let whole = {
+        let daemon = uninterrupted.daemon("", &[]);
+        let job = submit(&uninterrupted, &wanted);
+        assert_eq!(ended(&uninterrupted, job, &daemon)["state"], "done");
+        body(&uninterrupted, job)
+    };
+    let mut job = 0;
+    for killed in 0..5 {
+        let mut daemon = world.daemon("", &[]);
+        job = submit(&world, &wanted);
+        let pid = world.until("a worker", Duration::from_secs(20), || worker(&daemon), &daemon);
+        let limits = std::fs::read_to_string(format!("/proc/{pid}/limits")).unwrap();
+        if killed == 0 {
+            let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+            assert!(data.contains(&vn100d::jobs::JOB_MEMORY_BYTES.to_string()), "{data}");
+            assert_eq!(threads_nice(pid, "vn100d"), ["10"]);
+            assert_eq!(std::fs::read_to_string(format!("/proc/{pid}/oom_score_adj")).unwrap().trim(), "900");
+        }
+        daemon.kill();
+        let gone = || (!Path::new(&format!("/proc/{pid}")).exists()).then_some(());
+        world.until("the worker ends with its daemon", Duration::from_secs(5), gone, &daemon);
+    }
+    let daemon = world.daemon("", &[]);
+    let kill = |before: Option<u32>| {
+        let next = || worker(&daemon).filter(|pid| Some(*pid) != before);
+        let pid = world.until("a worker", Duration::from_secs(20), next, &daemon);
+        let raw = rustix::process::Pid::from_raw(pid as i32).unwrap();
+        rustix::process::kill_process(raw, rustix::process::Signal::KILL).unwrap();
+        pid
+    };
+    let first = kill(None);
+    assert_eq!(world.get(&format!("/v1/jobs/{job}"))["error"], serde_json::Value::Null);
+    kill(Some(first));
+    assert_eq!(ended(&world, job, &daemon)["state"], "done", "two killed workers are two starts more");
+    assert!(body(&world, job) == whole, "the result differs from that of the uninterrupted run");
+    // A diagnosis begins again each time, so that three in a row fail it.
+    let model =
+        json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": {"gyro_x": {"N": 1e-3}}});
+    let (status, text) = world
+        .request("POST", &format!("/v1/captures/{capture}/diagnoses"), &json!({"sim": model}).to_string())
+        .unwrap();
+    assert_eq!(status, 202, "{text}");
+    let job = serde_json::from_str::<serde_json::Value>(&text).unwrap()["id"].as_i64().unwrap();
+    let mut last = None;
+    for _ in 0..3 {
+        last = Some(kill(last));
+    }
+    let row = ended(&world, job, &daemon);
+    assert_eq!(
+        (&row["state"], &row["error"]),
+        (&"failed".into(), &"tried 3 times: its process ended by signal 9".into())
+    );
+    drop(daemon);
+    settle(&world);
 }
 
 /// F5.

@@ -101,7 +101,7 @@ fn bytes_that_are_no_http_do_no_harm() {
 fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
     let world = limited(|limits| {
         limits.write_stall = Duration::from_secs(3);
-        limits.heavy_queries = 1;
+        limits.streams = 1;
     });
     world.capture("a", CaptureState::Complete, 150_000);
     let mut stream = TcpStream::connect(world.address).unwrap();

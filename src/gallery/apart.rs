@@ -1,0 +1,60 @@
+//! Apart: a picture becomes PNG in a process of its own, because that takes many times the memory of its SVG.
+
+use crate::plot::raster::{self, SCALE};
+use crate::process::{Child, Frame, FrameError, Heard, write_frame};
+use serde::{Deserialize, Serialize};
+use std::ffi::OsStr;
+use std::io::{Read, Write};
+use std::time::Duration;
+
+/// Private memory of the process: a picture of 1680 pixels across takes a tenth.
+const MEMORY_BYTES: u64 = 192 << 20;
+/// How long it may take.
+const TIME: Duration = Duration::from_secs(8);
+/// Bytes of a picture at most.
+const PNG_BYTES_MAX: u64 = 32 << 20;
+/// Bytes of SVG at most.
+const SVG_BYTES_MAX: u64 = 8 << 20;
+
+/// What the process says.
+#[derive(Debug, Serialize, Deserialize)]
+enum Word {
+    /// The frame's body is the PNG.
+    Png,
+    /// There is none.
+    Refused(String),
+}
+
+/// The picture as PNG, made by a child.
+///
+/// # Errors
+/// Why there is none, for people.
+pub fn png(svg: &str) -> Result<Vec<u8>, String> {
+    let (parent, memory) = (std::process::id().to_string(), MEMORY_BYTES.to_string());
+    let arguments = ["worker", "--parent", &parent, "--memory", &memory, "png"].map(OsStr::new);
+    let failed = |error: std::io::Error| format!("a process for the picture cannot be started: {error}");
+    let mut child = Child::<Word>::start(&arguments, PNG_BYTES_MAX).map_err(failed)?;
+    if let Some(mut stdin) = child.stdin() {
+        // A child that does not read has ended, and says why below.
+        let _ = stdin.write_all(svg.as_bytes());
+    }
+    match child.hear(TIME).map_err(failed)? {
+        Heard::Frame(Frame { header: Word::Png, body }) => Ok(body),
+        Heard::Frame(Frame { header: Word::Refused(reason), .. }) => Err(reason),
+        Heard::Ended(ended) => Err(format!("the picture was not made: {}", ended.reason)),
+        Heard::Nothing => Err(format!("the picture was not made within {} s", TIME.as_secs())),
+    }
+}
+
+/// Makes a PNG of the SVG from `from`, in the process that [`png`] has started, and says it to `out`.
+///
+/// # Errors
+/// [`FrameError`], if the SVG cannot be read or the parent does not listen.
+pub fn answer(from: impl Read, mut out: impl Write) -> Result<(), FrameError> {
+    let mut svg = String::new();
+    from.take(SVG_BYTES_MAX).read_to_string(&mut svg)?;
+    match raster::png(&svg, SCALE) {
+        Ok(png) => write_frame(&mut out, &Word::Png, &png),
+        Err(error) => write_frame(&mut out, &Word::Refused(error.to_string()), &[]),
+    }
+}
