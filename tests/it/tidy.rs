@@ -60,6 +60,7 @@ const MAY_USE: [(&str, &[&str]); 31] = [
             "datasheet",
             "export",
             "observe",
+            "process",
             "control",
             "noise",
             "sample",
