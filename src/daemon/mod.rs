@@ -405,11 +405,7 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
             .filter(|_| unfinished.samples > 0)
             .and_then(|sensor| sensor["serial_number"].as_str())
             .map(str::to_owned),
-        baud: unfinished
-            .sensor
-            .as_ref()
-            .and_then(|sensor| sensor["baud"].as_u64())
-            .and_then(|baud| u32::try_from(baud).ok()),
+        baud: unfinished.baud,
         previous_output: unfinished
             .configuration
             .as_ref()
