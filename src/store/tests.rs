@@ -96,6 +96,7 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
         records,
         commands,
         progress: progress.clone(),
+        waiting: Default::default(),
         lock: lock::WriterLock::take(lock).unwrap(),
         file_check: Duration::from_secs(10),
         wal_alarm_bytes: 1 << 28,
@@ -341,8 +342,13 @@ fn a_full_queue_gives_the_record_back_at_once() {
     };
     assert_eq!(refused, Refused::Full(sample(1, sent)));
     assert_eq!((sent, sender.queued(), sender.room()), (4, 4, 0));
+    std::thread::sleep(Duration::from_millis(20));
+    // The writer stands: it has seen none of them, and their age is known all the same.
+    assert!(store.status().oldest_waiting_s.unwrap() >= 0.02, "{:?}", store.status());
     hold.send(()).unwrap();
     holder.join().unwrap().unwrap();
+    store.flush_blocking().unwrap();
+    assert_eq!(store.status().oldest_waiting_s, None);
 }
 
 #[test]
