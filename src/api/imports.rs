@@ -253,11 +253,12 @@ fn too_large() -> ApiError {
 }
 
 fn too_slow() -> ApiError {
-    ApiError::bad_request(format!(
+    let detail = format!(
         "less than {} KiB came within {} s: send the recording again",
         PROGRESS_BYTES >> 10,
         PATIENCE.as_secs()
-    ))
+    );
+    ApiError::new(ProblemType::BodyTimeout, detail)
 }
 
 fn no_room(error: &std::io::Error) -> ApiError {

@@ -32,11 +32,12 @@ pub enum ProblemType {
     Unavailable,
     Busy,
     Timeout,
+    BodyTimeout,
 }
 
 impl ProblemType {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::BadRequest,
         Self::NotAuthorized,
         Self::NotFound,
@@ -50,6 +51,7 @@ impl ProblemType {
         Self::Unavailable,
         Self::Busy,
         Self::Timeout,
+        Self::BodyTimeout,
     ];
 
     /// The member `type` (docs/api.md lists them).
@@ -69,6 +71,7 @@ impl ProblemType {
             Self::Unavailable => "urn:vn100d:problem:unavailable",
             Self::Busy => "urn:vn100d:problem:busy",
             Self::Timeout => "urn:vn100d:problem:timeout",
+            Self::BodyTimeout => "urn:vn100d:problem:body-timeout",
         }
     }
 
@@ -89,6 +92,7 @@ impl ProblemType {
             Self::Unavailable => "This cannot be answered now",
             Self::Busy => "This has to wait for something else",
             Self::Timeout => "The answer took too long",
+            Self::BodyTimeout => "The body took too long",
         }
     }
 
@@ -107,6 +111,7 @@ impl ProblemType {
             Self::AnalysisFailed => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
             Self::Unavailable | Self::Busy | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
+            Self::BodyTimeout => StatusCode::REQUEST_TIMEOUT,
         }
     }
 
@@ -121,6 +126,7 @@ impl ProblemType {
             StatusCode::PAYLOAD_TOO_LARGE | StatusCode::URI_TOO_LONG => Self::TooLarge,
             StatusCode::UNSUPPORTED_MEDIA_TYPE => Self::UnsupportedMediaType,
             StatusCode::SERVICE_UNAVAILABLE => Self::Unavailable,
+            StatusCode::REQUEST_TIMEOUT => Self::BodyTimeout,
             status if status.is_client_error() => Self::BadRequest,
             _ => Self::Internal,
         }
@@ -191,7 +197,7 @@ impl ApiError {
     pub fn foreign_site() -> Self {
         let error = Self::new(
             ProblemType::NotAuthorized,
-            "requests that change something are not taken from another site's page (header `Origin`)",
+            "requests that change something are not taken from another site's page (headers `Origin`, `Sec-Fetch-Site`)",
         );
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
