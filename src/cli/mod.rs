@@ -42,12 +42,12 @@ use crate::config::{Config, ConfigError, Environment, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
-use crate::recording::RecordingError;
+use crate::recording::{RecordingError, open_regular};
 use crate::store::{Reader, StoreError, StoreErrorKind};
 use args::{Cli, Command};
 use clap::Parser as _;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// How a command ended, where it did not fail.
@@ -121,6 +121,26 @@ impl Context {
     /// The database's path.
     fn database(&self) -> Result<PathBuf, ConfigError> {
         Ok(Environment::from_process().data_dir(self.data_dir.as_deref())?.join("vn100d.db"))
+    }
+
+    /// The capture that was named. A path that leads to no file, or to a folder, a pipe or a device, is refused as what it
+    /// is: whoever typed it meant a recording.
+    fn capture(&self, named: &str) -> anyhow::Result<(Reader, i64)> {
+        let found = self.reader().and_then(|reader| {
+            let id = reader.resolve(named)?;
+            Ok((reader, id))
+        });
+        found.map_err(|error| {
+            let is_unknown =
+                matches!(error.downcast_ref(), Some(StoreError::NoDatabase { .. } | StoreError::NoSuchCapture { .. }));
+            let path = Path::new(named);
+            // No capture's name has a `/`.
+            let is_path = named.contains('/') || path.exists();
+            match open_regular(path) {
+                Err(refused) if is_unknown && is_path => refused.into(),
+                _ => error,
+            }
+        })
     }
 
     /// The database, for reading; also beside a running daemon.
