@@ -15,6 +15,7 @@ mod emulate;
 mod export;
 mod export_source;
 mod generate;
+mod hangup;
 mod import;
 mod jobs;
 mod model;
@@ -212,13 +213,15 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
 /// Parses the arguments, runs the command, says what failed.
 #[must_use]
 pub fn main() -> ExitCode {
+    use std::io::Write as _;
     let cli = Cli::parse();
     match run(cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::WithLoss) => ExitCode::from(3),
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", sentence(&error));
+            // Standard error may be a terminal that was closed; the exit code says it all the same.
+            let _ = writeln!(std::io::stderr(), "error: {}", sentence(&error));
             ExitCode::from(failure(&error).code())
         }
     }

@@ -10,6 +10,7 @@ mod identities;
 pub mod import;
 pub mod notices;
 pub mod publish;
+mod reload;
 pub mod retention;
 pub mod schedule;
 pub mod watchdog;
@@ -47,8 +48,8 @@ const DISK_LOOK: Duration = Duration::from_millis(200);
 pub struct Options {
     /// The database.
     pub database: PathBuf,
-    /// The configuration, flags applied.
-    pub config: Config,
+    /// The configuration, flags applied; another one that comes is taken as far as it can be ([`reload`]).
+    pub config: watch::Receiver<Config>,
     /// A capture to start at once, unless one goes on.
     pub capture: Option<CaptureRequest>,
     /// The clock.
@@ -152,7 +153,8 @@ pub async fn run(
     stop: CancellationToken,
     ready: impl FnOnce(Handle) + Send,
 ) -> Result<(), DaemonError> {
-    let Options { database, config, capture, clock } = options;
+    let Options { database, config: configuration, capture, clock } = options;
+    let config = configuration.borrow().clone();
     let session = session_options(&config)?;
     let address = config.http.listen;
     let listener =
@@ -210,28 +212,19 @@ pub async fn run(
     let (status_sender, status) = watch::channel(Status::default());
     let publishing = CancellationToken::new();
     let (retention_sender, retention) = watch::channel(RetentionStatus::default());
-    let keeping_within = tokio::spawn(
-        retention::Retention {
+    let (schedule_sender, schedule) = watch::channel(None);
+    let reloading = tokio::spawn(
+        reload::Reloading {
             store: store.clone(),
             jobs: jobs.clone(),
-            tap: tap.clone(),
-            clock: Arc::clone(&clock),
-            limits: retention::limits(&config),
-        }
-        .run(retention_sender, stop.child_token()),
-    );
-    let (schedule_sender, schedule) = watch::channel(None);
-    let scheduling = schedule::schedule(&config).map(|schedule| {
-        let scheduler = schedule::Scheduler {
-            store: store.clone(),
             control: control.clone(),
             tap: tap.clone(),
             clock: Arc::clone(&clock),
-            zone: crate::clock::local_offset_s,
-            schedule,
-        };
-        tokio::spawn(scheduler.run(schedule_sender, stop.child_token()))
-    });
+            retention: retention_sender,
+            schedule: schedule_sender,
+        }
+        .run(configuration, stop.child_token()),
+    );
     let unattended = publish::Unattended { retention, schedule, notify: notifier.figures() };
     let publisher = tokio::spawn(publish::run(
         store.clone(),
@@ -292,8 +285,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
         keeping.abort();
     }
-    keeping_within.abort();
-    scheduling.iter().for_each(tokio::task::JoinHandle::abort);
+    reloading.abort();
     importer.ended(IMPORT_END).await;
     let closed = {
         let store = store.clone();
