@@ -39,7 +39,7 @@ mod trial_on;
 mod trial_part;
 mod trial_show;
 
-use crate::config::{Config, ConfigError, Environment, Overrides};
+use crate::config::{Config, ConfigError, Environment, MACHINE_TOKEN, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
@@ -150,16 +150,25 @@ impl Context {
     }
 
     /// The token for the daemon at `--listen`, or at the configured address; empty where there is none, or none for that
-    /// address ([`may_have_token`]): then its file is not read.
+    /// address ([`may_have_token`]): then its file is not read. A daemon on this machine gets the machine's token if the
+    /// configuration, which may be the user's own, has none.
     fn token_for(&self, listen: Option<&str>) -> anyhow::Result<String> {
-        if let Some(named) = address(listen)? {
+        let named = address(listen)?;
+        if let Some(named) = named {
             let configured = self.load(&Overrides { without_token: true, ..Overrides::default() })?.http.listen;
             if !may_have_token(named, configured, self.config.is_some()) {
                 return Ok(String::new());
             }
         }
-        let config = self.load(&Overrides::default())?;
-        Ok(config.http.token.secret().to_owned())
+        let http = self.load(&Overrides::default())?.http;
+        let is_here = named.unwrap_or(http.listen).ip().to_canonical().is_loopback();
+        let token = if http.token.is_empty() && is_here {
+            // Who may not read it hears so if the daemon asks for it.
+            crate::config::token_in(Path::new(MACHINE_TOKEN)).unwrap_or_default()
+        } else {
+            http.token
+        };
+        Ok(token.secret().to_owned())
     }
 
     /// Where the daemon is asked.
