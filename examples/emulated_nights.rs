@@ -68,6 +68,7 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
         move || terminal.run(sensor, source, &clock, &stop)
     });
     let capture = CaptureRequest { duration: length, name: Some("night".to_owned()), start_at_utc_ns: None };
+    let config = tokio::sync::watch::channel(config).1;
     let options = Options { database: folder.join("vn100d.db"), config, capture: Some(capture), clock };
     let found = tokio::runtime::Runtime::new()?.block_on(async {
         let stop = CancellationToken::new();

@@ -41,6 +41,9 @@ DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$
 [ "$(dpkg-query -W -f '${Status}' vn100d)" = "install ok installed" ] || fail "not installed"
 getent passwd vn100d >/dev/null || fail "no user vn100d"
 id -nG vn100d | tr ' ' '\n' | grep -qx dialout || fail "vn100d is not in dialout"
+[ "$(stat -c '%a %U:%G' /etc/vn100d/token)" = "640 root:vn100d" ] || fail "the token: $(stat -c '%a %U:%G' /etc/vn100d/token)"
+grep -qxE '[0-9a-f]{48}' /etc/vn100d/token || fail "the token is none"
+token=$(cat /etc/vn100d/token)
 [ ! -e /etc/systemd/system/multi-user.target.wants/vn100d.service ] || fail "enabled without being asked"
 vn100d --version
 for exe in /proc/[0-9]*/exe; do
@@ -114,6 +117,30 @@ echo instance >/var/lib/vn100d/left/vn100d.db
 kill "$emulator"
 wait "$emulator" || true
 emulator=''
+
+say "a shared machine: the group's users change something, others do not"
+sed -i 's|^#token-file = ""|token-file = "/etc/vn100d/token"|' /etc/vn100d/vn100d.toml
+install -d -o vn100d -g vn100d -m 755 "$work/shared"
+setpriv --reuid vn100d --regid vn100d --init-groups env -i PATH=/usr/bin:/bin STATE_DIRECTORY="$work/shared" \
+  vn100d run --device /nowhere --listen 127.0.0.1:8177 2>"$work/log" & daemon=$!
+printf 'time_s,gyro_x_rad_s\n0.000,0.1\n0.025,0.2\n0.050,0.1\n' >"$work/recording.csv"
+# Somebody in no group of ours, and somebody in the group; each with the system's configuration and with one of its own.
+asking() { who=$1; shift; case $who in
+  stranger) setpriv --reuid nobody --regid nogroup --clear-groups env -i PATH=/usr/bin:/bin "$@" ;;
+  member) setpriv --reuid nobody --regid nogroup --groups "$(getent group vn100d | cut -d: -f3)" env -i PATH=/usr/bin:/bin "$@" ;;
+esac; }
+for _ in $(seq 100); do asking stranger vn100d status --listen 127.0.0.1:8177 >"$work/status" 2>&1 && break; sleep 0.1; done
+grep -q 'vn100d ' "$work/status" || { cat "$work/status" "$work/log"; fail "a stranger cannot read the status"; }
+echo '[log]' >"$work/own.toml"
+for own in '' "$work/own.toml"; do
+  import=(vn100d ${own:+--config "$own"} --data-dir "$work/shared" import --listen 127.0.0.1:8177 "$work/recording.csv")
+  ! asking stranger "${import[@]}" >"$work/import" 2>&1 || fail "a stranger changes something"
+  grep -q 'group vn100d' "$work/import" || { cat "$work/import"; fail "a stranger is not told of the group"; }
+  asking member "${import[@]}" >"$work/import" 2>&1 || { cat "$work/import"; fail "a member of the group is refused"; }
+done
+kill -TERM "$daemon"
+wait "$daemon" || fail "the daemon ended with $?"
+daemon=''
 sums() { find /var/lib/vn100d -type f -print0 | sort -z | xargs -0 sha256sum; }
 before=$(sums)
 
@@ -122,6 +149,7 @@ echo '# changed here' >>/etc/vn100d/vn100d.toml
 touch /etc/vn100d/left.toml
 dpkg -i "$deb" >/dev/null
 tail -n 1 /etc/vn100d/vn100d.toml | grep -q 'changed here' || fail "the upgrade took the configuration"
+[ "$(cat /etc/vn100d/token)" = "$token" ] || fail "the upgrade made another token"
 ln -sf /lib/systemd/system/vn100d.service /etc/systemd/system/multi-user.target.wants/vn100d.service
 
 say "remove: configuration and data stay"
@@ -132,7 +160,7 @@ tail -n 1 /etc/vn100d/vn100d.toml | grep -q 'changed here' || fail "remove took 
 
 say "purge: data and configurations that are not the package's stay"
 apt-get purge -y -qq vn100d >/dev/null
-[ ! -e /etc/vn100d/vn100d.toml ] || fail "purge left the configuration"
+[ ! -e /etc/vn100d/vn100d.toml ] && [ ! -e /etc/vn100d/token ] || fail "purge left the configuration"
 [ -e /etc/vn100d/left.toml ] || fail "purge took an instance's configuration"
 [ ! -L /etc/systemd/system/multi-user.target.wants/vn100d.service ] || fail "purge left a dangling link"
 [ "$(sums)" = "$before" ] || fail "purge changed the data"

@@ -10,8 +10,8 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-/// Data that has waited longer for its commit makes the daemon not ready; a healthy commit begins within a second.
-const COMMIT_AGE_MAX_S: f64 = 10.0;
+/// A sample that has waited longer for the disk makes the daemon not ready; a healthy commit begins within a second.
+const WAIT_MAX_S: f64 = 10.0;
 
 /// The program runs.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
@@ -80,8 +80,11 @@ fn reasons(status: &Status, reserve_bytes: u64) -> Vec<String> {
         let error = storage.error.as_deref().unwrap_or("commits are late");
         reasons.push(format!("storage {}: {error}", named(&storage.state)));
     }
-    if let Some(age_s) = storage.last_commit_age_s.filter(|age_s| storage.queued > 0 && *age_s > COMMIT_AGE_MAX_S) {
-        reasons.push(format!("storage: {} samples wait, the last commit was {age_s:.0} s ago", storage.queued));
+    if let Some(wait_s) = storage.oldest_waiting_s.filter(|wait_s| *wait_s > WAIT_MAX_S) {
+        reasons.push(format!(
+            "storage: {} samples wait for the disk, the oldest for {wait_s:.1} s (at most {WAIT_MAX_S} s are allowed)",
+            storage.queued
+        ));
     }
     if storage.free_bytes < reserve_bytes {
         reasons.push(format!(
@@ -134,6 +137,19 @@ mod tests {
         assert_eq!(reasons(&Status { capture: capture("waiting"), ..healthy() }, 0), Vec::<String>::new());
     }
 
+    /// The first sample after an hour without one is no hour old, and a first commit that never ends has no age.
+    #[test]
+    fn the_age_of_the_oldest_sample_counts_and_not_that_of_the_last_commit() {
+        let mut status = healthy();
+        status.storage.queued = 1;
+        status.storage.last_commit_age_s = Some(3600.0);
+        status.storage.oldest_waiting_s = Some(0.1);
+        assert_eq!(reasons(&status, 0), Vec::<String>::new());
+        status.storage.last_commit_age_s = None;
+        status.storage.oldest_waiting_s = Some(10.2);
+        assert_eq!(reasons(&status, 0).len(), 1);
+    }
+
     #[test]
     fn each_reason_is_named() {
         let mut status = Status { capture: capture("capturing"), ..healthy() };
@@ -141,14 +157,14 @@ mod tests {
         status.sensor.hint = Some("stop minicom".to_owned());
         status.storage.state = StorageState::StorageFull;
         status.storage.queued = 400;
-        status.storage.last_commit_age_s = Some(12.3);
+        status.storage.oldest_waiting_s = Some(12.3);
         status.storage.free_bytes = 3 << 20;
         assert_eq!(
             reasons(&status, 512 << 20),
             [
                 "sensor port_busy: stop minicom",
                 "storage storage_full: commits are late",
-                "storage: 400 samples wait, the last commit was 12 s ago",
+                "storage: 400 samples wait for the disk, the oldest for 12.3 s (at most 10 s are allowed)",
                 "storage: 3 MiB free, the reserve is 512 MiB",
             ]
         );

@@ -2,12 +2,17 @@
 
 use super::problem::{self, ApiError, ProblemType};
 use super::state::ApiState;
+use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use hyper::body::{Frame, SizeHint};
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 static REQUESTS: AtomicU64 = AtomicU64::new(0);
@@ -79,8 +84,13 @@ pub(super) async fn authorize(State(state): State<ApiState>, request: Request, n
     }
 }
 
-/// A browser names the page's origin in requests that change something; ours has the host that is asked.
+/// A browser names the page's origin in requests that change something; ours has the host that is asked. Where it leaves
+/// the origin out it still tells whether the page is ours (`same-origin`) or there is none (`none`).
 fn from_foreign_site(headers: &HeaderMap) -> bool {
+    let site = headers.get("sec-fetch-site").map(HeaderValue::as_bytes);
+    if site.is_some_and(|site| site != b"same-origin" && site != b"none") {
+        return true;
+    }
     let Some(origin) = headers.get(header::ORIGIN) else { return false };
     let origin_host = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
     let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
@@ -99,6 +109,46 @@ fn same(given: &[u8], expected: &[u8]) -> bool {
     given.len() == expected.len() && differences == 0
 }
 
+/// How often it is logged that bodies do not come.
+const WARN_EVERY: Duration = Duration::from_secs(60);
+/// When that was logged last, and how many did not come since.
+static STALLED: Mutex<(Option<Instant>, u64)> = Mutex::new((None, 0));
+
+/// A body, and whether somebody waits for more of it.
+struct Awaited {
+    body: Body,
+    waits: Arc<AtomicBool>,
+}
+
+impl HttpBody for Awaited {
+    type Data = Bytes;
+    type Error = axum::Error;
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let polled = Pin::new(&mut self.body).poll_frame(context);
+        self.waits.store(polled.is_pending(), Ordering::Relaxed);
+        polled
+    }
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// Logs that a body did not come, now and then: a stranger must not fill the log.
+fn warn_of_stalled() {
+    let mut stalled = STALLED.lock().unwrap_or_else(PoisonError::into_inner);
+    stalled.1 += 1;
+    if stalled.0.is_none_or(|at| at.elapsed() >= WARN_EVERY) {
+        tracing::warn!(requests = stalled.1, "Requests announced a body that did not come.");
+        *stalled = (Some(Instant::now()), 0);
+    }
+}
+
 /// An answer's head must be sent within the time; a stream goes on as long as it is read.
 /// What is put aside as it comes has limits of its own.
 pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, next: Next) -> Response {
@@ -106,12 +156,21 @@ pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, 
         return next.run(request).await;
     }
     let limit = state.parts.limits.answer;
+    let waits = Arc::new(AtomicBool::new(false));
+    let request = request.map(|body| Body::new(Awaited { body, waits: Arc::clone(&waits) }));
     tokio::time::timeout(limit, next.run(request)).await.unwrap_or_else(|_| {
-        ApiError::new(
-            ProblemType::Timeout,
-            format!("no answer within {} s; what was asked for may still happen: see /v1/status", limit.as_secs_f64()),
-        )
-        .into_response()
+        let limit_s = limit.as_secs_f64();
+        let error = if waits.load(Ordering::Relaxed) {
+            warn_of_stalled();
+            ApiError::new(
+                ProblemType::BodyTimeout,
+                format!("the body did not come within {limit_s} s: nothing was done"),
+            )
+        } else {
+            let detail = format!("no answer within {limit_s} s; what was asked for may still happen: see /v1/status");
+            ApiError::new(ProblemType::Timeout, detail)
+        };
+        error.into_response()
     })
 }
 
@@ -168,6 +227,11 @@ mod tests {
         assert!(!foreign(Some("http://127.0.0.1:8100")));
         for other in ["http://evil.example", "null", "http://127.0.0.1:81"] {
             assert!(foreign(Some(other)), "{other}");
+        }
+        // Without an origin; `same-site` is another port of this machine, which may be another user's.
+        let site = HeaderName::from_static("sec-fetch-site");
+        for (from, is_foreign) in [("same-origin", false), ("none", false), ("same-site", true), ("cross-site", true)] {
+            assert_eq!(from_foreign_site(&headers(&[(site.clone(), from)])), is_foreign, "{from}");
         }
     }
 }

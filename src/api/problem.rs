@@ -32,7 +32,7 @@ pub enum ProblemType {
     Unavailable,
     Busy,
     Timeout,
-    RequestTimeout,
+    BodyTimeout,
 }
 
 impl ProblemType {
@@ -51,7 +51,7 @@ impl ProblemType {
         Self::Unavailable,
         Self::Busy,
         Self::Timeout,
-        Self::RequestTimeout,
+        Self::BodyTimeout,
     ];
 
     /// The member `type` (docs/api.md lists them).
@@ -71,7 +71,7 @@ impl ProblemType {
             Self::Unavailable => "urn:vn100d:problem:unavailable",
             Self::Busy => "urn:vn100d:problem:busy",
             Self::Timeout => "urn:vn100d:problem:timeout",
-            Self::RequestTimeout => "urn:vn100d:problem:request-timeout",
+            Self::BodyTimeout => "urn:vn100d:problem:body-timeout",
         }
     }
 
@@ -92,7 +92,7 @@ impl ProblemType {
             Self::Unavailable => "This cannot be answered now",
             Self::Busy => "Too many ask for this at once",
             Self::Timeout => "The answer took too long",
-            Self::RequestTimeout => "The request did not come",
+            Self::BodyTimeout => "The body took too long",
         }
     }
 
@@ -112,7 +112,7 @@ impl ProblemType {
             Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
             Self::Unavailable | Self::Timeout => StatusCode::SERVICE_UNAVAILABLE,
             Self::Busy => StatusCode::TOO_MANY_REQUESTS,
-            Self::RequestTimeout => StatusCode::REQUEST_TIMEOUT,
+            Self::BodyTimeout => StatusCode::REQUEST_TIMEOUT,
         }
     }
 
@@ -128,7 +128,7 @@ impl ProblemType {
             StatusCode::UNSUPPORTED_MEDIA_TYPE => Self::UnsupportedMediaType,
             StatusCode::SERVICE_UNAVAILABLE => Self::Unavailable,
             StatusCode::TOO_MANY_REQUESTS => Self::Busy,
-            StatusCode::REQUEST_TIMEOUT => Self::RequestTimeout,
+            StatusCode::REQUEST_TIMEOUT => Self::BodyTimeout,
             status if status.is_client_error() => Self::BadRequest,
             _ => Self::Internal,
         }
@@ -199,7 +199,7 @@ impl ApiError {
     pub fn foreign_site() -> Self {
         let error = Self::new(
             ProblemType::NotAuthorized,
-            "requests that change something are not taken from another site's page (header `Origin`)",
+            "requests that change something are not taken from another site's page (headers `Origin`, `Sec-Fetch-Site`)",
         );
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
@@ -224,7 +224,7 @@ impl ApiError {
     /// The body does not come.
     #[must_use]
     pub fn body_timeout(detail: impl Into<String>) -> Self {
-        Self::new(ProblemType::RequestTimeout, detail)
+        Self::new(ProblemType::BodyTimeout, detail)
     }
     /// As many as may ask for this at once do so already.
     #[must_use]

@@ -283,12 +283,9 @@ fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::R
 }
 
 fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::Result<(Material, Plan)> {
-    let reader = match source.reader.take() {
-        Some(reader) => reader,
-        None => context.reader()?,
-    };
+    let (reader, id) = context.capture(named)?;
     let reader = source.reader.insert(reader);
-    let row = reader.capture(reader.resolve(named)?)?;
+    let row = reader.capture(id)?;
     // As the background jobs do: the rate that most samples have; nothing mixes two.
     let plan = Plan::read(reader, row.id, row.samples, &Channel::ANALYSED)?;
     let material = Material {

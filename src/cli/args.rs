@@ -144,6 +144,9 @@ pub struct RunArgs {
     /// Start a capture of this sample time at once, such as 5h (an unfinished one goes on instead)
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub capture: Option<Duration>,
+    /// Go on when the terminal is closed or the SSH session lost, which otherwise end the daemon cleanly
+    #[arg(long)]
+    pub keep_on_hangup: bool,
     /// Run this many times faster than real time; only with an emulator at the same speed
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = speed)]
     pub speed: f64,

@@ -2,8 +2,10 @@
 
 use super::connection::Watched;
 use crate::api::ProblemType;
+use crate::config::{JOIN_GROUP, MACHINE_TOKEN};
 use serde_json::Value;
 use std::io::{self, Write};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -240,10 +242,16 @@ fn read(
             base_url: base_url.to_owned(),
             status,
             kind: body["type"].as_str().unwrap_or_default().to_owned(),
-            detail: detail.to_owned(),
+            detail: format!("{detail}{}", if status == 401 { why_no_token(Path::new(MACHINE_TOKEN)) } else { "" }),
         }),
         None => Err(foreign(format!("status {status} without a problem document"))),
     }
+}
+
+/// Says how to be let in, to whoever may not read the machine's token.
+fn why_no_token(file: &Path) -> &'static str {
+    let refused = std::fs::File::open(file).is_err_and(|error| error.kind() == io::ErrorKind::PermissionDenied);
+    if refused { JOIN_GROUP } else { "" }
 }
 
 /// Writes `text` and a line's end to standard output; a reader that has gone is no error.

@@ -1,6 +1,7 @@
 //! `vn100d demo`: the emulator on a pseudo-terminal, the daemon on it, five hours in a minute, and what its model lacks.
 
 use super::args::DemoArgs;
+use super::hangup::Hangup;
 use super::progress::bar;
 use super::{CliError, Context, Failure, Outcome};
 use crate::clock::ScaledClock;
@@ -60,10 +61,12 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
         name: folder.as_ref().map(|_| "demo".to_owned()),
         start_at_utc_ns: None,
     };
+    let config = tokio::sync::watch::channel(config).1;
     let options = Options { database, config, capture: Some(capture), clock };
     let outcome = super::run::runtime()?.block_on(async {
         let stop = CancellationToken::new();
         super::run::stop_on_signal(stop.clone())?;
+        Hangup::of_process(false).heed(stop.clone(), || ())?;
         let (ready, started) = tokio::sync::oneshot::channel();
         let running = tokio::spawn({
             let stop = stop.clone();

@@ -1,6 +1,7 @@
 //! `vn100d emulate`: a VN-100 on a pseudo-terminal.
 
 use super::args::EmulateArgs;
+use super::hangup::Hangup;
 use super::{CliError, Failure, Outcome};
 use crate::clock::ScaledClock;
 use crate::emulator::faults::{Fault, FaultError, Schedule, parse_line};
@@ -117,21 +118,23 @@ fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + S
     Ok(Box::new(lines))
 }
 
-/// A flag that SIGINT and SIGTERM set.
+/// A flag that SIGINT and SIGTERM set, and SIGHUP unless the process was started to go on without a terminal.
 pub(super) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let goes_on = Hangup::is_ignored();
     // Before the caller goes on: a signal that comes right then shall find somebody.
-    let (mut interrupt, mut terminate) = {
+    let (mut interrupt, mut terminate, mut hangup) = {
         let _inside = runtime.enter();
-        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
+        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?, signal(SignalKind::hangup())?)
     };
     std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
         runtime.block_on(async {
             tokio::select! {
                 _ = interrupt.recv() => {}
                 _ = terminate.recv() => {}
+                _ = hangup.recv(), if !goes_on => {}
             }
         });
         flag.store(true, Ordering::Relaxed);

@@ -189,7 +189,7 @@ fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
                 "{named} is a file: a data set has captures of the database, so import it first"
             )));
         }
-        ids.push(reader.resolve(named)?);
+        ids.push(context.capture(named)?.1);
     }
     let mut page = args.all.then(PageRequest::first);
     while let Some(request) = &mut page {

@@ -51,8 +51,8 @@ impl Source {
         if Path::new(named).is_file() {
             return Self::of_recording(named, rate_hz, part, keep_on);
         }
-        let reader = context.reader()?;
-        let range = SampleRange::read(&reader, named, part.from, part.to)?;
+        let (reader, id) = context.capture(named)?;
+        let range = SampleRange::read(&reader, &id.to_string(), part.from, part.to)?;
         let channels = Channel::chosen(part.channels.as_deref(), &range.capture.channels)?;
         Ok(Self::of_range(reader, range, channels)?)
     }

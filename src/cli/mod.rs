@@ -15,6 +15,7 @@ mod emulate;
 mod export;
 mod export_source;
 mod generate;
+mod hangup;
 mod import;
 mod jobs;
 mod model;
@@ -39,16 +40,16 @@ mod trial_part;
 mod trial_show;
 mod worker;
 
-use crate::config::{Config, ConfigError, Environment, Overrides};
+use crate::config::{Config, ConfigError, Environment, MACHINE_TOKEN, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
-use crate::recording::RecordingError;
+use crate::recording::{RecordingError, open_regular};
 use crate::store::{Reader, StoreError, StoreErrorKind};
 use args::{Cli, Command};
 use clap::Parser as _;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// How a command ended, where it did not fail.
@@ -124,22 +125,51 @@ impl Context {
         Ok(Environment::from_process().data_dir(self.data_dir.as_deref())?.join("vn100d.db"))
     }
 
+    /// The capture that was named. A path that leads to no file, or to a folder, a pipe or a device, is refused as what it
+    /// is: whoever typed it meant a recording.
+    fn capture(&self, named: &str) -> anyhow::Result<(Reader, i64)> {
+        let found = self.reader().and_then(|reader| {
+            let id = reader.resolve(named)?;
+            Ok((reader, id))
+        });
+        found.map_err(|error| {
+            let is_unknown =
+                matches!(error.downcast_ref(), Some(StoreError::NoDatabase { .. } | StoreError::NoSuchCapture { .. }));
+            let path = Path::new(named);
+            // No capture's name has a `/`.
+            let is_path = named.contains('/') || path.exists();
+            match open_regular(path) {
+                Err(refused) if is_unknown && is_path => refused.into(),
+                _ => error,
+            }
+        })
+    }
+
     /// The database, for reading; also beside a running daemon.
     fn reader(&self) -> anyhow::Result<Reader> {
         Ok(Reader::open(&self.database()?)?)
     }
 
     /// The token for the daemon at `--listen`, or at the configured address; empty where there is none, or none for that
-    /// address ([`may_have_token`]): then its file is not read.
+    /// address ([`may_have_token`]): then its file is not read. A daemon on this machine gets the machine's token if the
+    /// configuration, which may be the user's own, has none.
     fn token_for(&self, listen: Option<&str>) -> anyhow::Result<String> {
-        if let Some(named) = address(listen)? {
+        let named = address(listen)?;
+        if let Some(named) = named {
             let configured = self.load(&Overrides { without_token: true, ..Overrides::default() })?.http.listen;
             if !may_have_token(named, configured, self.config.is_some()) {
                 return Ok(String::new());
             }
         }
-        let config = self.load(&Overrides::default())?;
-        Ok(config.http.token.secret().to_owned())
+        let http = self.load(&Overrides::default())?.http;
+        let is_here = named.unwrap_or(http.listen).ip().to_canonical().is_loopback();
+        let token = if http.token.is_empty() && is_here {
+            // Who may not read it hears so if the daemon asks for it.
+            crate::config::token_in(Path::new(MACHINE_TOKEN)).unwrap_or_default()
+        } else {
+            http.token
+        };
+        Ok(token.secret().to_owned())
     }
 
     /// Where the daemon is asked.
@@ -193,13 +223,15 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
 /// Parses the arguments, runs the command, says what failed.
 #[must_use]
 pub fn main() -> ExitCode {
+    use std::io::Write as _;
     let cli = Cli::parse();
     match run(cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::WithLoss) => ExitCode::from(3),
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", sentence(&error));
+            // Standard error may be a terminal that was closed; the exit code says it all the same.
+            let _ = writeln!(std::io::stderr(), "error: {}", sentence(&error));
             ExitCode::from(failure(&error).code())
         }
     }

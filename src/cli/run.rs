@@ -1,7 +1,8 @@
 //! `vn100d run`: the daemon in the foreground.
 
 use super::args::RunArgs;
-use super::{Context, Outcome};
+use super::hangup::Hangup;
+use super::{Context, Outcome, sentence};
 use crate::clock::{Clock, ScaledClock, SystemClock};
 use crate::config::{LogFormat, Overrides};
 use crate::control::CaptureRequest;
@@ -9,9 +10,10 @@ use crate::daemon::{self, Options};
 use crate::observe::logging::{self, LogStyle};
 use std::sync::Arc;
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// Runs until SIGINT or SIGTERM; a second one ends at once.
+/// Runs until SIGINT or SIGTERM, of which a second one ends at once, or until the terminal is gone ([`Hangup`]).
 pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> {
     let listen = super::address(args.listen.as_deref())?;
     let overrides = Overrides { device: args.device.clone(), listen, ..Overrides::default() };
@@ -20,10 +22,19 @@ pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> 
     let clock: Arc<dyn Clock> =
         if args.speed == 1.0 { Arc::new(SystemClock) } else { Arc::new(ScaledClock::new(args.speed)) };
     let capture = args.capture.map(|duration| CaptureRequest { duration, name: None, start_at_utc_ns: None });
+    let (configuration, config) = watch::channel(config);
     let options = Options { database: context.database()?, config, capture, clock };
+    let context = context.clone();
+    let reload = move || match context.load(&overrides) {
+        Ok(config) => drop(configuration.send_replace(config)),
+        Err(error) => {
+            tracing::error!("the configuration was not reloaded, the old one stays: {}", sentence(&error.into()));
+        }
+    };
     runtime()?.block_on(async {
         let stop = CancellationToken::new();
         stop_on_signal(stop.clone())?;
+        Hangup::of_process(args.keep_on_hangup).heed(stop.clone(), reload)?;
         daemon::run(options, stop, |_| ()).await?;
         anyhow::Ok(())
     })?;

@@ -21,8 +21,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     if Path::new(capture).is_file() {
         return recording(context, capture, rate_hz);
     }
-    let reader = context.reader()?;
-    let id = reader.resolve(capture)?;
+    let (reader, id) = context.capture(capture)?;
     let row = reader.capture(id)?;
     // As of the last commit: what is in flight only the running daemon knows.
     let accounting = reader.accounting(id)?;

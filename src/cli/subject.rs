@@ -82,8 +82,8 @@ impl Subject {
         let mut subject = if Path::new(named).is_file() {
             stop.unless(Self::of_recording(Path::new(named), rate_hz, stop))?
         } else {
-            let reader = context.reader()?;
-            let row = reader.capture(reader.resolve(named)?)?;
+            let (reader, id) = context.capture(named)?;
+            let row = reader.capture(id)?;
             Self { reader, row, of_file: false, told: None, remarks: Vec::new(), _folder: None }
         };
         if subject.row.rate_assumed {

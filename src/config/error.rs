@@ -30,6 +30,15 @@ impl fmt::Display for Place {
     }
 }
 
+/// Says how to be let in, to whoever may not read a token's file.
+fn token_hint(source: &std::io::Error) -> &'static str {
+    if source.kind() == std::io::ErrorKind::PermissionDenied { JOIN_GROUP } else { "" }
+}
+
+/// How a user gets to read the token that the package made.
+pub const JOIN_GROUP: &str = "; the package's token is for the group vn100d: add yourself to it (`sudo usermod -aG vn100d \
+                              $USER`) and log in again";
+
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -86,7 +95,7 @@ pub enum ConfigError {
         listen: SocketAddr,
     },
     /// The token cannot be read.
-    #[error("{place}: `http.token-file`: cannot read {file}: {source}")]
+    #[error("{place}: `http.token-file`: cannot read {file}: {source}{}", token_hint(source))]
     TokenFile {
         /// Where the name of the file stands.
         place: Place,

@@ -14,7 +14,7 @@ mod source;
 mod values;
 
 pub use check::{ASCII_RATES_HZ, BAUDS, Refusal, TOKEN_LENGTH_MIN, check};
-pub use error::{ConfigError, Place};
+pub use error::{ConfigError, JOIN_GROUP, Place};
 pub use place::Environment;
 pub use sections::{
     CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, ScheduleConfig, SensorConfig, StorageConfig,
@@ -124,12 +124,9 @@ fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigErro
         });
     }
     let file = &config.http.token_file;
-    // Bounded: a device such as /dev/zero has no end.
-    let mut text = String::new();
-    let read = std::fs::File::open(file).and_then(|opened| opened.take(TOKEN_FILE_BYTES).read_to_string(&mut text));
-    read.map_err(|source| ConfigError::TokenFile { place: place.clone(), file: file.clone(), source })?;
-    let first = text.lines().next().unwrap_or_default().trim();
-    if first.is_empty() {
+    let unreadable = |source| ConfigError::TokenFile { place: place.clone(), file: file.clone(), source };
+    config.http.token = token_in(file).map_err(unreadable)?;
+    if config.http.token.is_empty() {
         return Err(ConfigError::Value {
             place,
             key: "http.token-file".to_owned(),
@@ -137,8 +134,21 @@ fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigErro
             allowed: "expected a file whose first line is the token".to_owned(),
         });
     }
-    config.http.token = Token::new(first);
     Ok(())
+}
+
+/// Where the package leaves a token for this machine's users, readable by the group `vn100d`.
+pub const MACHINE_TOKEN: &str = "/etc/vn100d/token";
+
+/// Reads the token that a file holds, its first line.
+///
+/// # Errors
+/// What the system says.
+pub fn token_in(file: &Path) -> std::io::Result<Token> {
+    let mut text = String::new();
+    // Bounded: a device such as /dev/zero has no end.
+    std::fs::File::open(file)?.take(TOKEN_FILE_BYTES).read_to_string(&mut text)?;
+    Ok(Token::new(text.lines().next().unwrap_or_default().trim()))
 }
 
 #[cfg(test)]

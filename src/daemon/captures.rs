@@ -137,24 +137,26 @@ impl Keeper {
         capture.name.clone_from(&request.name);
         capture.planned = Some(request.duration);
         capture.start_at_utc_ns = request.start_at_utc_ns;
-        let id = self.create(capture).await?;
-        let name = request.name.unwrap_or_else(|| id.to_string());
+        let (id, name) = self.create(capture).await?;
         let duration_ns = request.duration.as_nanos() as u64;
         self.hand_over(Plan { id, name, duration_ns, start_at_utc_ns: request.start_at_utc_ns }, None).await;
         Ok(id)
     }
 
-    /// Makes the capture, once, however often a disk that fails has to be asked. Where it does not answer in time the
-    /// request is taken back as soon as it does.
-    async fn create(&self, mut capture: NewCapture) -> Result<i64, ControlError> {
+    /// Makes the capture, once, however often a disk that fails has to be asked, and answers its id and the name that the
+    /// database gave it. Where it does not answer in time the request is taken back as soon as it does.
+    async fn create(&self, mut capture: NewCapture) -> Result<(i64, String), ControlError> {
         let token = token();
         capture.token = Some(token.clone());
         let until = Instant::now() + PATIENCE;
         let reason = loop {
             let (left, capture) = (until.saturating_duration_since(Instant::now()), capture.clone());
-            let made = self.store.offload(move |store| store.create_capture(capture));
+            let made = self.store.offload(move |store| {
+                let id = store.create_capture(capture)?;
+                Ok((id, store.reader()?.capture(id)?.name))
+            });
             match tokio::time::timeout(left, made).await {
-                Ok(Ok(id)) => return Ok(id),
+                Ok(Ok(made)) => return Ok(made),
                 Ok(Err(error)) if !is_storage(&error) => return Err(refused(error)),
                 Ok(Err(error)) if Instant::now() + RETRY >= until => break error.to_string(),
                 Ok(Err(_)) => tokio::time::sleep(RETRY).await,

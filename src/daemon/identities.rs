@@ -316,6 +316,25 @@ fn both_identities_hold_where_ticks_leave_their_grid() {
     play(&[Rate(80.0), Reset(100), Drop(1), Configure(40.0), Run(1), Reset(100), Configure(40.0), Run(1)]);
 }
 
+/// The rate that worked last, not the one that the capture began with: the sensor may have been set to another between.
+#[test]
+fn a_capture_goes_on_at_the_baud_rate_that_worked_last() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = store.create_capture(NewCapture::new("pty", CaptureState::Capturing)).unwrap();
+    let point = || {
+        store.flush_blocking().unwrap();
+        resume_point(&store.unfinished().unwrap()[0], Some(BOOT), 0)
+    };
+    assert_eq!(point().baud, None);
+    for baud in [115_200, 921_600] {
+        // As capture/description.rs writes it.
+        let description = serde_json::json!({ "baud": baud, "model": "VN-100", "serial_number": "1" });
+        store.records().try_send(id, Record::Configuration(description)).unwrap();
+        assert_eq!(point().baud, Some(baud));
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
     #[test]

@@ -11,6 +11,7 @@ pub mod import;
 pub mod notices;
 pub mod publish;
 mod reader;
+mod reload;
 pub mod retention;
 pub mod schedule;
 pub mod watchdog;
@@ -48,8 +49,8 @@ const DISK_LOOK: Duration = Duration::from_millis(200);
 pub struct Options {
     /// The database.
     pub database: PathBuf,
-    /// The configuration, flags applied.
-    pub config: Config,
+    /// The configuration, flags applied; another one that comes is taken as far as it can be ([`reload`]).
+    pub config: watch::Receiver<Config>,
     /// A capture to start at once, unless one goes on.
     pub capture: Option<CaptureRequest>,
     /// The clock.
@@ -156,7 +157,8 @@ pub async fn run(
     stop: CancellationToken,
     ready: impl FnOnce(Handle) + Send,
 ) -> Result<(), DaemonError> {
-    let Options { database, config, capture, clock } = options;
+    let Options { database, config: configuration, capture, clock } = options;
+    let config = configuration.borrow().clone();
     let session = session_options(&config)?;
     let address = config.http.listen;
     let listener =
@@ -214,28 +216,19 @@ pub async fn run(
     let (status_sender, status) = watch::channel(Status::default());
     let publishing = CancellationToken::new();
     let (retention_sender, retention) = watch::channel(RetentionStatus::default());
-    let keeping_within = tokio::spawn(
-        retention::Retention {
+    let (schedule_sender, schedule) = watch::channel(None);
+    let reloading = tokio::spawn(
+        reload::Reloading {
             store: store.clone(),
             jobs: jobs.clone(),
-            tap: tap.clone(),
-            clock: Arc::clone(&clock),
-            limits: retention::limits(&config),
-        }
-        .run(retention_sender, stop.child_token()),
-    );
-    let (schedule_sender, schedule) = watch::channel(None);
-    let scheduling = schedule::schedule(&config).map(|schedule| {
-        let scheduler = schedule::Scheduler {
-            store: store.clone(),
             control: control.clone(),
             tap: tap.clone(),
             clock: Arc::clone(&clock),
-            zone: crate::clock::local_offset_s,
-            schedule,
-        };
-        tokio::spawn(scheduler.run(schedule_sender, stop.child_token()))
-    });
+            retention: retention_sender,
+            schedule: schedule_sender,
+        }
+        .run(configuration, stop.child_token()),
+    );
     let unattended = publish::Unattended { retention, schedule, notify: notifier.figures() };
     let publisher = tokio::spawn(publish::run(
         store.clone(),
@@ -296,8 +289,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
         keeping.abort();
     }
-    keeping_within.abort();
-    scheduling.iter().for_each(tokio::task::JoinHandle::abort);
+    reloading.abort();
     importer.ended(IMPORT_END).await;
     let closed = {
         let store = store.clone();
@@ -409,11 +401,7 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
             .filter(|_| unfinished.samples > 0)
             .and_then(|sensor| sensor["serial_number"].as_str())
             .map(str::to_owned),
-        baud: unfinished
-            .sensor
-            .as_ref()
-            .and_then(|sensor| sensor["baud"].as_u64())
-            .and_then(|baud| u32::try_from(baud).ok()),
+        baud: unfinished.baud,
         previous_output: unfinished
             .configuration
             .as_ref()

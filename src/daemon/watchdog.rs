@@ -53,6 +53,13 @@ pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
     }
 }
 
+/// Tells systemd that the configuration is read again, until it is told that all is ready.
+pub fn reloading() {
+    if let Ok(now) = sd_notify::NotifyState::monotonic_usec_now() {
+        notify(&[sd_notify::NotifyState::Reloading, now]);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -162,13 +162,10 @@ impl Notice {
     /// One sentence for a person.
     #[must_use]
     pub fn message(&self) -> String {
-        let capture = self.capture.as_ref().map_or("no capture".to_owned(), |capture| {
-            if capture.name == capture.id.to_string() {
-                format!("capture {}", capture.id)
-            } else {
-                format!("capture {} ({})", capture.id, capture.name)
-            }
-        });
+        let capture = self
+            .capture
+            .as_ref()
+            .map_or("no capture".to_owned(), |capture| format!("capture {} ({})", capture.id, capture.name));
         let first = rfc3339(self.first_utc_ns);
         match self.event {
             NotifyEvent::CaptureCompleted => match &self.capture {

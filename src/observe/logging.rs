@@ -1,8 +1,13 @@
 //! Logging: to standard error, for a person at a terminal, for journald, or as JSON.
 
 use std::io::IsTerminal;
-use tracing_subscriber::EnvFilter;
-use tracing_subscriber::fmt::format::FmtSpan;
+use std::sync::OnceLock;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer as _, Registry, fmt, reload};
+
+/// Changes how much is logged while the program runs.
+static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
 
 /// Why logging could not be set up.
 #[derive(Debug, thiserror::Error)]
@@ -46,23 +51,38 @@ impl LogStyle {
     }
 }
 
-/// Sends this process's log to standard error.
+/// Sends this process's log to standard error. A line that cannot be written, since the terminal was closed, is lost and
+/// nothing else.
 ///
 /// # Errors
 /// [`LoggingError`] where `level` is none or logging is set up already.
 pub fn init(level: &str, style: LogStyle) -> Result<(), LoggingError> {
-    let filter = EnvFilter::try_new(level).map_err(|_| LoggingError::Level { found: level.to_owned() })?;
-    let lines = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(style.ansi)
-        .with_span_events(FmtSpan::NONE);
-    let outcome = match (style.json, style.time) {
-        (true, _) => lines.json().flatten_event(true).try_init(),
-        (false, true) => lines.try_init(),
-        (false, false) => lines.without_time().try_init(),
+    let (filter, handle) = reload::Layer::new(filter(level)?);
+    let lines = fmt::layer().with_writer(std::io::stderr).with_ansi(style.ansi).log_internal_errors(false);
+    let lines = match (style.json, style.time) {
+        (true, _) => lines.json().flatten_event(true).boxed(),
+        (false, true) => lines.boxed(),
+        (false, false) => lines.without_time().boxed(),
     };
-    outcome.map_err(|_| LoggingError::Twice)
+    tracing_subscriber::registry().with(filter).with(lines).try_init().map_err(|_| LoggingError::Twice)?;
+    // Logging is set up once: nobody was here before.
+    let _ = FILTER.set(handle);
+    Ok(())
+}
+
+/// Changes how much is logged from here on.
+///
+/// # Errors
+/// [`LoggingError::Level`] if `level` is none.
+pub fn set_level(level: &str) -> Result<(), LoggingError> {
+    let filter = filter(level)?;
+    // Without a log there is nothing to change.
+    let _ = FILTER.get().map(|handle| handle.reload(filter));
+    Ok(())
+}
+
+fn filter(level: &str) -> Result<EnvFilter, LoggingError> {
+    EnvFilter::try_new(level).map_err(|_| LoggingError::Level { found: level.to_owned() })
 }
 
 #[cfg(test)]

@@ -263,6 +263,8 @@ fn storage(registry: &mut Registry, status: &Status, writer: &WriterFigures) {
     gauge(registry, "wal_bytes", "Size of the write-ahead log", storage.wal_bytes as f64);
     gauge(registry, "free_bytes", "Free space of the database's file system", storage.free_bytes as f64);
     gauge(registry, "queue_samples", "Samples waiting for the disk", storage.queued as f64);
+    let oldest_s = storage.oldest_waiting_s.unwrap_or(0.0);
+    gauge(registry, "queue_oldest_seconds", "For how long the oldest of them has waited", oldest_s);
     if let Some(took_s) = storage.last_commit_s {
         gauge(registry, "last_commit_seconds", "Duration of the last commit", took_s);
     }

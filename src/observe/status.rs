@@ -159,6 +159,8 @@ pub struct StorageStatus {
     pub last_commit_s: Option<f64>,
     /// Samples waiting in the queue.
     pub queued: u64,
+    /// For how long the oldest of them has waited, in real seconds in which the machine was awake; null while none waits.
+    pub oldest_waiting_s: Option<f64>,
     /// Little space is left: less than a gigabyte, or than twelve hours at the present rate.
     pub low_space: bool,
     /// What deserves attention although data is taken: little space, a log that does not shrink.

@@ -234,8 +234,10 @@ pub struct Unfinished {
     pub started_utc_ns: Option<i64>,
     /// The sensor it belongs to, where it was read.
     pub sensor: Option<serde_json::Value>,
-    /// How it was configured.
+    /// How it was configured at first.
     pub configuration: Option<serde_json::Value>,
+    /// The baud rate at which it was configured last.
+    pub baud: Option<u32>,
     /// Samples on disk; the next one's `seq`.
     pub samples: u64,
     /// Samples missing.
@@ -556,8 +558,9 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
     let mut statement = connection.prepare(
         "SELECT id, name, state, planned_duration_ns, start_at_utc_ns, started_utc_ns, sensor, configuration, samples, \
          missing, gaps, sample_time_ns, received, \
-         (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id) FROM capture \
-         WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live' ORDER BY id",
+         (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), \
+         (SELECT json_extract(registers, '$.baud') FROM configuration WHERE capture_id = capture.id \
+         ORDER BY configuration_id DESC LIMIT 1) FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live' ORDER BY id",
     )?;
     let mut rows = statement.query([])?;
     let mut captures = Vec::new();
@@ -577,6 +580,8 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
             sample_time_ns: row.get::<_, i64>(11)? as u64,
             received: row.get::<_, Option<i64>>(12)?.map(|received| received as u64),
             rejected: serde_json::from_str(&row.get::<_, String>(13)?)?,
+            // What is no baud rate is none that could be tried first.
+            baud: row.get(14).ok().flatten(),
             stream: None,
             segment: 0,
             epoch: 0,

@@ -62,6 +62,7 @@ pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_
 pub use models::{ModelHead, ModelRow};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
+use queue::SharedWaiting;
 pub use queue::{RecordSender, Refused};
 pub use reader::{Interrupt, PooledReader, Reader, ReaderPool};
 pub use recover::{RecoverReport, RecoveredCapture, recover};
@@ -162,6 +163,7 @@ impl Store {
         let (record_sender, record_receiver) = mpsc::channel(options.queue);
         let (command_sender, command_receiver) = mpsc::unbounded_channel();
         let progress = SharedProgress::default();
+        let waiting = SharedWaiting::default();
         let writer = Writer::new(WriterParts {
             path: path.clone(),
             clock: Arc::clone(&options.clock),
@@ -169,6 +171,7 @@ impl Store {
             records: record_receiver,
             commands: command_receiver,
             progress: Arc::clone(&progress),
+            waiting: Arc::clone(&waiting),
             lock: writer_lock,
             file_check: options.file_check,
             wal_alarm_bytes: options.wal_alarm_bytes,
@@ -183,7 +186,7 @@ impl Store {
             inner: Arc::new(Inner {
                 path,
                 clock: options.clock,
-                records: RecordSender(record_sender),
+                records: RecordSender { queue: record_sender, waiting },
                 commands: command_sender,
                 progress,
                 wal_alarm_bytes: options.wal_alarm_bytes,
@@ -234,6 +237,9 @@ impl Store {
             last_commit_age_s: progress.last_commit_mono_ns.map(|at| now.saturating_sub(at) as f64 / 1e9),
             last_commit_s: progress.last_commit.map(|took| took.as_secs_f64()),
             queued: (self.inner.records.queued() + progress.in_flight) as u64,
+            oldest_waiting_s: queue::locked(&self.inner.records.waiting)
+                .since_ns()
+                .map(|since| awake.saturating_sub(since) as f64 / 1e9),
             error: progress.error_now(awake),
         }
     }

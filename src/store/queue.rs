@@ -1,11 +1,66 @@
 //! Queue: the way of records to the writer.
 
+use crate::clock::{Clock as _, SystemClock};
 use crate::sample::Record;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::mpsc;
+
+/// The age of the oldest record that waits is known to this, ns.
+const MARK_EVERY_NS: u64 = 100_000_000;
+
+/// Knows since when the oldest record waits that is not on disk, in the queue or in the writer's hands.
+#[derive(Debug, Default)]
+pub(super) struct Waiting {
+    /// Records that came.
+    came: u64,
+    /// Records that are on disk.
+    written: u64,
+    /// Numbers of records, the oldest that waits or one shortly before it first, and when they came.
+    marks: VecDeque<(u64, u64)>,
+}
+
+/// The same, shared between those who put records in and the writer.
+pub(super) type SharedWaiting = Arc<Mutex<Waiting>>;
+
+pub(super) fn locked(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
+    waiting.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Waiting {
+    /// Notes that a record came at `now_ns`.
+    fn come(&mut self, now_ns: u64) {
+        self.came += 1;
+        let is_due = self.marks.back().is_none_or(|(_, at_ns)| now_ns.saturating_sub(*at_ns) >= MARK_EVERY_NS);
+        // The writer may have been faster than this note.
+        if is_due && self.came > self.written {
+            self.marks.push_back((self.came, now_ns));
+        }
+    }
+
+    /// Notes that the oldest `count` records are on disk.
+    pub(super) fn write(&mut self, count: u64) {
+        self.written += count;
+        while self.marks.get(1).is_some_and(|(number, _)| *number <= self.written + 1) {
+            self.marks.pop_front();
+        }
+        if self.written >= self.came {
+            self.marks.clear();
+        }
+    }
+
+    /// When the oldest record came that waits.
+    pub(super) fn since_ns(&self) -> Option<u64> {
+        self.marks.front().map(|(_, at_ns)| *at_ns)
+    }
+}
 
 /// Puts records into the writer's queue.
 #[derive(Debug, Clone)]
-pub struct RecordSender(pub(super) mpsc::Sender<(i64, Record)>);
+pub struct RecordSender {
+    pub(super) queue: mpsc::Sender<(i64, Record)>,
+    pub(super) waiting: SharedWaiting,
+}
 
 /// A record that was not taken.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +78,7 @@ impl RecordSender {
     /// [`Refused`] with the record where the queue is full or the writer has ended.
     #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
     pub fn try_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.try_send((capture_id, record)).map_err(|error| match error {
+        self.queue.try_send((capture_id, record)).map(|()| self.came()).map_err(|error| match error {
             mpsc::error::TrySendError::Full((_, record)) => Refused::Full(record),
             mpsc::error::TrySendError::Closed((_, record)) => Refused::Closed(record),
         })
@@ -34,7 +89,9 @@ impl RecordSender {
     /// # Errors
     /// [`Refused::Closed`] where the writer has ended.
     pub async fn send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.send((capture_id, record)).await.map_err(|error| Refused::Closed(error.0.1))
+        self.queue.send((capture_id, record)).await.map_err(|error| Refused::Closed(error.0.1))?;
+        self.came();
+        Ok(())
     }
 
     /// As [`Self::send`], from a thread outside the asynchronous runtime.
@@ -43,24 +100,63 @@ impl RecordSender {
     /// [`Refused::Closed`] where the writer has ended.
     #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
     pub fn blocking_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.0.blocking_send((capture_id, record)).map_err(|error| Refused::Closed(error.0.1))
+        self.queue.blocking_send((capture_id, record)).map_err(|error| Refused::Closed(error.0.1))?;
+        self.came();
+        Ok(())
+    }
+
+    fn came(&self) {
+        locked(&self.waiting).come(SystemClock.awake_ns());
     }
 
     /// Records that wait in the queue.
     #[must_use]
     pub fn queued(&self) -> usize {
-        self.0.max_capacity() - self.0.capacity()
+        self.queue.max_capacity() - self.queue.capacity()
     }
 
     /// Records that still fit.
     #[must_use]
     pub fn room(&self) -> usize {
-        self.0.capacity()
+        self.queue.capacity()
     }
 
     /// Whether the writer has ended.
     #[must_use]
     pub fn is_closed(&self) -> bool {
-        self.0.is_closed()
+        self.queue.is_closed()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_that_waits_is_known_whatever_was_written_before_it() {
+        let second = 1_000_000_000;
+        let mut waiting = Waiting::default();
+        assert_eq!(waiting.since_ns(), None);
+        // Ten a second for five seconds; of the first 25 the disk has all.
+        (0..50).for_each(|number| waiting.come(number * second / 10));
+        assert_eq!(waiting.since_ns(), Some(0));
+        waiting.write(25);
+        assert_eq!(waiting.since_ns(), Some(25 * second / 10));
+        waiting.write(25);
+        assert_eq!((waiting.since_ns(), waiting.marks.len()), (None, 0));
+        // An hour without a record says nothing of the next one.
+        waiting.come(3600 * second);
+        assert_eq!(waiting.since_ns(), Some(3600 * second));
+        // Many at once take one mark.
+        (0..1000).for_each(|number| waiting.come(3600 * second + number));
+        assert_eq!(waiting.marks.len(), 1);
+        waiting.write(1000);
+        assert_eq!(waiting.since_ns(), Some(3600 * second));
+        waiting.write(1);
+        assert_eq!(waiting.since_ns(), None);
+        // The writer may be faster than the note of what it wrote.
+        waiting.write(1);
+        waiting.come(3700 * second);
+        assert_eq!(waiting.since_ns(), None);
     }
 }

@@ -101,6 +101,7 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
         records,
         commands,
         progress: progress.clone(),
+        waiting: Default::default(),
         lock: lock::WriterLock::take(lock).unwrap(),
         file_check: Duration::from_secs(10),
         wal_alarm_bytes: 1 << 28,
@@ -346,8 +347,13 @@ fn a_full_queue_gives_the_record_back_at_once() {
     };
     assert_eq!(refused, Refused::Full(sample(1, sent)));
     assert_eq!((sent, sender.queued(), sender.room()), (4, 4, 0));
+    std::thread::sleep(Duration::from_millis(20));
+    // The writer stands: it has seen none of them, and their age is known all the same.
+    assert!(store.status().oldest_waiting_s.unwrap() >= 0.02, "{:?}", store.status());
     hold.send(()).unwrap();
     holder.join().unwrap().unwrap();
+    store.flush_blocking().unwrap();
+    assert_eq!(store.status().oldest_waiting_s, None);
 }
 
 #[test]
@@ -646,7 +652,9 @@ fn a_job_whose_process_dies_three_times_fails_and_a_daemon_that_ends_counts_for_
     store.claim_job().unwrap();
     assert!(store.checkpoint_job(job, JobCheckpoint { next_seq: 1, state: vec![7] }, 0.1).unwrap());
     store.release_job(job).unwrap();
-    [false, false, true].map(die);
+    die(false);
+    die(false);
+    die(true);
     assert_eq!(store.claim_job().unwrap(), None);
     let row = store.reader().unwrap().job(job).unwrap();
     assert_eq!((row.state, row.finished_at.is_some()), (JobState::Failed, true));

@@ -27,6 +27,7 @@ use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::Lost;
 use super::progress::{SLOW, SharedProgress, locked};
+use super::queue::{self, SharedWaiting};
 use super::schema::{Durability, set_durability};
 use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
@@ -93,6 +94,7 @@ pub(super) struct WriterParts {
     pub(super) records: mpsc::Receiver<(i64, Record)>,
     pub(super) commands: mpsc::UnboundedReceiver<Command>,
     pub(super) progress: SharedProgress,
+    pub(super) waiting: SharedWaiting,
     pub(super) lock: WriterLock,
     pub(super) file_check: Duration,
     pub(super) wal_alarm_bytes: u64,
@@ -104,6 +106,7 @@ pub(super) struct Writer {
     records: mpsc::Receiver<(i64, Record)>,
     commands: mpsc::UnboundedReceiver<Command>,
     progress: SharedProgress,
+    waiting: SharedWaiting,
     lock: WriterLock,
     connection: Option<Connection>,
     /// Which file it is, and since when that is known.
@@ -144,8 +147,18 @@ pub(super) struct Writer {
 
 impl Writer {
     pub(super) fn new(parts: WriterParts) -> Result<Self, StoreError> {
-        let WriterParts { path, clock, connection, records, commands, progress, lock, file_check, wal_alarm_bytes } =
-            parts;
+        let WriterParts {
+            path,
+            clock,
+            connection,
+            records,
+            commands,
+            progress,
+            waiting,
+            lock,
+            file_check,
+            wal_alarm_bytes,
+        } = parts;
         let number = last_batch(&connection)? + 1;
         let identity = identity_of(&connection)?;
         let mut writer = Self {
@@ -162,6 +175,7 @@ impl Writer {
             records,
             commands,
             progress,
+            waiting,
             lock,
             connection: Some(connection),
             damage: None,
@@ -372,6 +386,7 @@ impl Writer {
                 let took = Duration::from_nanos(SystemClock.awake_ns().saturating_sub(started));
                 let written = self.batch.len();
                 self.batch.clear();
+                queue::locked(&self.waiting).write(written as u64);
                 self.remember_commit();
                 self.in_doubt = false;
                 self.due = None;

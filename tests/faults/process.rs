@@ -1,5 +1,7 @@
 //! The process and its host: killed, stopped, out of memory, upgraded (rows A1 to A10).
 
+mod hangup;
+
 use crate::audit::{Held, lines_with};
 use crate::tools;
 use crate::world::{Process, World, program};
@@ -10,6 +12,7 @@ use std::os::unix::net::UnixDatagram;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 const START: Duration = Duration::from_secs(20);
@@ -232,6 +235,21 @@ impl Manager {
             }
         }
         count
+    }
+
+    /// Reads what it is told from here on, as systemd does: the socket holds ten messages, and whoever sends more waits.
+    fn listens(&self) -> Arc<Mutex<String>> {
+        let told = Arc::new(Mutex::new(String::new()));
+        let (socket, heard) = (self.socket.try_clone().unwrap(), Arc::downgrade(&told));
+        std::thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Some(heard) = heard.upgrade() {
+                if let Ok(length) = socket.recv(&mut buffer) {
+                    heard.lock().unwrap().push_str(&String::from_utf8_lossy(&buffer[..length]));
+                }
+            }
+        });
+        told
     }
 
     /// The daemon as systemd starts it, with a watchdog of 8 s.
@@ -528,4 +546,59 @@ fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_
     assert!(took <= 10.0, "{took} s: the longest wait, and a second to configure");
     let found = world.settle_and_audit(&mut daemon, &log, None);
     assert_eq!(found.missing, 0);
+}
+
+/// Of eight baud rates the one that worked is the first that a resumed capture tries.
+#[test]
+fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
+    let world = World::new();
+    let _sensor = world.emulate(&["--strict-baud", "--baud", "57600"]);
+    let streams = |daemon: &Process| {
+        let (begun, mut tried) = (Instant::now(), Vec::new());
+        let streaming = || {
+            let sensor = world.try_get("/v1/status")?["sensor"].take();
+            tried.extend(sensor["baud"].as_u64().filter(|baud| tried.last() != Some(baud)));
+            (sensor["state"] == "streaming").then_some(())
+        };
+        world.until("it streams", START, streaming, daemon);
+        (tried, begun.elapsed().as_secs_f64())
+    };
+    let mut daemon = world.daemon("", &["--capture", "5h"]);
+    let (first, first_s) = streams(&daemon);
+    world.until("samples are safe", START, || (world.committed() > 0).then_some(()), &daemon);
+    daemon.kill();
+    let daemon = world.daemon("", &[]);
+    let (again, again_s) = streams(&daemon);
+    println!("baud rates tried: {first:?} in {first_s:.2} s, after the restart {again:?} in {again_s:.2} s");
+    assert!(first.len() > 1, "{first:?}");
+    assert_eq!(again, [57_600]);
+}
+
+/// Whoever asks is told one name, which is the database's.
+#[test]
+fn a_capture_that_nobody_named_has_one_name_everywhere() {
+    let world = World::new();
+    let _sensor = world.emulate(&[]);
+    let told = world.path("told");
+    let notify = format!(
+        "[notify]\ncommand = [\"/bin/sh\", \"-c\", \"cat >> {}\"]\nevents = [\"capture_completed\"]\n",
+        told.display()
+    );
+    let daemon = world.daemon(&notify, &["--capture", "2s"]);
+    let name = world.get("/v1/captures/latest")["name"].as_str().unwrap().to_owned();
+    let running = || world.try_get("/v1/status").filter(|status| !status["capture"].is_null());
+    let status = world.until("it runs", START, running, &daemon);
+    assert_eq!(status["capture"]["name"], name.as_str());
+    let heard = || std::fs::read_to_string(&told).ok().filter(|told| told.ends_with('}') || told.ends_with('\n'));
+    let notice = world.until("its end is told", START, heard, &daemon);
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&notice).unwrap()["capture"]["name"], name.as_str());
+    let events = world.get("/v1/captures/latest/events").to_string();
+    assert!(events.contains(&format!("capture `{name}` has its first sample")), "{events}");
+    let page = world.request("GET", "/captures/latest", "").unwrap().1;
+    assert!(page.contains(&name), "{page}");
+    let data = world.path("data").display().to_string();
+    for arguments in [&["captures"][..], &["show", "latest"], &["noise", "latest"]] {
+        let output = crate::world::vn100d(&[&["--data-dir", &data], arguments].concat());
+        assert!(String::from_utf8_lossy(&output.stdout).contains(&name), "{arguments:?}: {output:?}");
+    }
 }

@@ -100,3 +100,25 @@ fn a_recording_that_is_none_names_the_file_and_leaves_nothing() {
     assert_eq!(captures["captures"].as_array().unwrap().len(), 0);
     fails(&["--data-dir", data, "show", "latest"], 1, &["latest"]);
 }
+
+/// Whoever types a path means a recording: what is none is called what it is, not a capture of no database.
+#[test]
+fn a_path_that_is_no_recording_is_called_what_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let data = at("data");
+    assert!(std::process::Command::new("mkfifo").arg(at("pipe")).status().unwrap().success());
+    let cases = [
+        (at("pipe"), "a pipe"),
+        (folder.path().display().to_string(), "a folder"),
+        ("/dev/null".to_owned(), "a device"),
+        (at("nothing.csv"), "No such file"),
+    ];
+    for (path, word) in &cases {
+        for command in [&["noise"][..], &["allan"], &["show"], &["export"], &["report", "--out", &at("out.html")]] {
+            fails(&[&["--data-dir", &data], command, &[path]].concat(), 74, &[path, word]);
+        }
+    }
+    // A name is a capture's.
+    fails(&["--data-dir", &data, "noise", "night"], 1, &["there is no database"]);
+}
