@@ -31,14 +31,31 @@ const CHUNK: usize = 32_768;
 #[derive(Debug)]
 pub struct Live {
     pyramids: Mutex<Option<Pyramids>>,
-    /// The last noise report: of which capture, up to which sample, made when.
-    noise: Mutex<Option<(i64, u64, Instant, SoFar<NoiseReport>)>>,
+    noise: Mutex<Option<Kept>>,
     catch_up: usize,
 }
 
 impl Default for Live {
     fn default() -> Self {
         Self::taking_in(CATCH_UP)
+    }
+}
+
+/// The last noise report.
+#[derive(Debug)]
+struct Kept {
+    capture_id: i64,
+    /// The samples that it is made of.
+    next_seq: u64,
+    made: Instant,
+    report: SoFar<NoiseReport>,
+}
+
+impl Kept {
+    /// Whether it stands for the report of this capture's samples up to `next_seq`.
+    fn stands_for(&self, capture_id: i64, next_seq: u64) -> bool {
+        let is_near = self.next_seq.abs_diff(next_seq) < self.next_seq / FRESH_SHARE;
+        self.capture_id == capture_id && is_near && self.made.elapsed() < FRESH
     }
 }
 
@@ -193,17 +210,15 @@ impl Live {
         let points = self.points(reader, capture_id)?;
         // Whoever asks meanwhile waits here instead of fitting the same.
         let mut noise = self.noise.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_fresh = |id: i64, next_seq: u64, made: Instant| {
-            id == capture_id && points.next_seq.abs_diff(next_seq) < next_seq / FRESH_SHARE && made.elapsed() < FRESH
-        };
-        if let Some((.., report)) = noise.as_ref().filter(|(id, next_seq, made, _)| is_fresh(*id, *next_seq, *made)) {
-            return Ok(report.clone());
+        if let Some(kept) = noise.as_ref().filter(|kept| kept.stands_for(capture_id, points.next_seq)) {
+            return Ok(kept.report.clone());
         }
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
         let report = report::noise_of_points(&points, self.moving_s(capture_id), &sampling, extent);
         let report = SoFar { report, caught_up: Some(points.caught_up) };
-        *noise = Some((capture_id, points.next_seq, Instant::now(), report.clone()));
+        let (next_seq, made) = (points.next_seq, Instant::now());
+        *noise = Some(Kept { capture_id, next_seq, made, report: report.clone() });
         Ok(report)
     }
 
