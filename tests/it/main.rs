@@ -14,6 +14,7 @@ mod export_line;
 mod gap;
 mod imports;
 mod night;
+mod odd_diagnoses;
 mod pages;
 mod plots;
 mod real_recordings;
