@@ -25,6 +25,8 @@ pub(super) struct Kind {
     pub(super) called: &'static str,
     /// Bytes at most.
     pub(super) bytes_max: u64,
+    /// How long it may take in all, if others wait for it.
+    pub(super) time_max: Option<Duration>,
 }
 
 impl Kind {
@@ -71,6 +73,10 @@ impl Kind {
                 Ok(Some(Ok(frame))) => frame,
             };
             stopping()?;
+            if self.time_max.is_some_and(|time| begun.elapsed() > time) {
+                let time = self.time_max.unwrap_or_default().as_secs();
+                return Err(ApiError::body_timeout(format!("{} must come within {time} s", self.called)));
+            }
             let Ok(bytes) = frame.into_data() else { continue };
             received += bytes.len() as u64;
             in_window += bytes.len() as u64;
@@ -98,7 +104,7 @@ impl Kind {
     }
 
     /// Whether so many more bytes leave the reserve untouched.
-    fn room_for(self, state: &ApiState, bytes: u64) -> Result<(), ApiError> {
+    pub(super) fn room_for(self, state: &ApiState, bytes: u64) -> Result<(), ApiError> {
         if bytes > self.bytes_max {
             return Err(self.too_large());
         }

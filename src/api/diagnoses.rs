@@ -14,6 +14,7 @@ use axum::response::Response;
 use hyper::body::Body as _;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::time::Duration;
 
 /// What a capture is compared with.
 #[derive(Debug, utoipa::ToSchema)]
@@ -97,7 +98,11 @@ pub(super) struct DiagnosesQuery {
 }
 
 /// A wish with a reference of half an hour at 100 Hz and some.
-const WISH: aside::Kind = aside::Kind { called: "a diagnosis with its reference", bytes_max: 32 << 20 };
+const WISH: aside::Kind = aside::Kind {
+    called: "a diagnosis with its reference",
+    bytes_max: 32 << 20,
+    time_max: Some(Duration::from_secs(120)),
+};
 /// A body of at most so many bytes is read at once; a larger one is put aside and read by a process of its own.
 const SMALL_BYTES: usize = 64 * 1024;
 
@@ -125,17 +130,19 @@ pub(super) async fn submit(
         return Err(no_json());
     }
     let capture_id = state.resolve(capture).await?;
+    WISH.room_for(&state, announced.unwrap_or(0))?;
     if !is_put_aside(&request) {
         let body = axum::body::to_bytes(request.into_body(), SMALL_BYTES).await;
         let body = body.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
-        return jobs::queue_diagnosis(&state, capture_id, move |jobs| jobs.wish(WishBody::Bytes(&body))).await;
+        return jobs::queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, WishBody::Bytes(&body)))
+            .await;
     }
     let permit = state.body_permit()?;
     let aside = WISH.put(&state, request.into_body(), || Ok(())).await?;
-    jobs::queue_diagnosis(&state, capture_id, move |jobs| {
-        let wish = jobs.wish(WishBody::File(aside.path()));
+    jobs::queue_diagnosis(&state, move |jobs| {
+        let submitted = jobs.submit_diagnosis(capture_id, WishBody::File(aside.path()));
         drop((aside, permit));
-        wish
+        submitted
     })
     .await
 }

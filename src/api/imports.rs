@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 /// Where a recording is sent; the limits of time and size are its own.
 pub(super) const PATH: &str = "/v1/imports";
 /// A year of raw lines at 40 Hz fits.
-const RECORDING: aside::Kind = aside::Kind { called: "a recording", bytes_max: 256 << 30 };
+const RECORDING: aside::Kind = aside::Kind { called: "a recording", bytes_max: 256 << 30, time_max: None };
 /// Media types of a recording: none that a form of another site can send.
 const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", "application/x-gzip", "text/csv"];
 /// Characters of a file's name at most.

@@ -3,8 +3,8 @@
 use super::extract::{J, P, Q};
 use super::page;
 use super::problem::{ApiError, Problem};
-use super::state::{ApiParts, ApiState};
-use crate::jobs::{JobError, JobKind, Jobs, Wish, WishBody};
+use super::state::ApiState;
+use crate::jobs::{JobError, JobKind, Jobs, WishBody};
 use crate::store::{JobRow, JobState};
 use axum::Json;
 use axum::extract::State;
@@ -149,22 +149,19 @@ pub(super) async fn queue(
 ) -> Result<Response, ApiError> {
     if kind == JobKind::Diagnosis {
         let wish = serde_json::to_vec(&parameters).map_err(JobError::from)?;
-        return queue_diagnosis(state, capture_id, move |jobs| jobs.wish(WishBody::Bytes(&wish))).await;
+        return queue_diagnosis(state, move |jobs| jobs.submit_diagnosis(capture_id, WishBody::Bytes(&wish))).await;
     }
     let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
     let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok(answer(status, row))
 }
 
-/// Queues a diagnosis: 202, or 200 if it is there already. `wish` reads what is asked for.
+/// Queues a diagnosis: 202, or 200 if it is there already. It does not stand in the way of those who start and stop captures.
 pub(super) async fn queue_diagnosis(
     state: &ApiState,
-    capture_id: i64,
-    wish: impl FnOnce(&Jobs) -> Result<Wish, JobError> + Send + 'static,
+    submit: impl FnOnce(&Jobs) -> Result<(JobRow, bool), JobError> + Send + 'static,
 ) -> Result<Response, ApiError> {
-    let submit =
-        move |parts: &ApiParts| wish(&parts.jobs).and_then(|wish| parts.jobs.submit_diagnosis(capture_id, wish));
-    let (row, is_new) = state.change(submit).await?;
+    let (row, is_new) = state.take_in(move |parts| submit(&parts.jobs)).await?;
     let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok(answer(status, row))
 }

@@ -16,6 +16,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 /// Changes at once; the writer takes one after the other anyway.
 const CHANGES: usize = 4;
 
+/// Diagnoses that are taken in at once, at most one of them with a large body.
+const TAKERS: usize = 3;
+
 /// Listeners to events at once: each has a connection.
 const LISTENERS: usize = 64;
 
@@ -67,6 +70,7 @@ pub(super) struct Inner {
     changes: Arc<Semaphore>,
     imports: Arc<Semaphore>,
     bodies: Arc<Semaphore>,
+    takers: Arc<Semaphore>,
     listeners: Arc<Semaphore>,
     pub(super) latest: Latest,
 }
@@ -90,6 +94,7 @@ impl ApiState {
             changes: Arc::new(Semaphore::new(CHANGES)),
             imports: Arc::new(Semaphore::new(1)),
             bodies: Arc::new(Semaphore::new(1)),
+            takers: Arc::new(Semaphore::new(TAKERS)),
             listeners: Arc::new(Semaphore::new(LISTENERS)),
             latest: Latest::default(),
             parts,
@@ -196,6 +201,21 @@ impl ApiState {
         work: impl FnOnce(&ApiParts) -> Result<T, E> + Send + 'static,
     ) -> Result<T, ApiError> {
         let permit = Arc::clone(&self.changes).acquire_owned().await.map_err(|_| stopping())?;
+        let state = self.clone();
+        let outcome = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            work(&state.parts)
+        })
+        .await;
+        finished(outcome)
+    }
+
+    /// Takes in what comes with a request and may take a while; who calls bounds how many do so at once.
+    pub(super) async fn take_in<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&ApiParts) -> Result<T, JobError> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let permit = Arc::clone(&self.takers).acquire_owned().await.map_err(|_| stopping())?;
         let state = self.clone();
         let outcome = tokio::task::spawn_blocking(move || {
             let _permit = permit;

@@ -536,6 +536,9 @@ pub enum Work {
         /// The database
         #[arg(long)]
         database: PathBuf,
+        /// The file that is written there
+        #[arg(long)]
+        file: String,
     },
 }
 

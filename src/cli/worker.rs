@@ -13,7 +13,7 @@ pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
     match &args.work {
         Work::Png => gallery::apart::answer(std::io::stdin().lock(), out)?,
         Work::Wish { file } => jobs::answer_wish(file, out)?,
-        Work::Job { id, database } => jobs::answer(database, *id, out)?,
+        Work::Job { id, database, file } => jobs::answer(database, file, *id, out)?,
     }
     Ok(Outcome::Done)
 }

@@ -3,12 +3,11 @@
 use crate::plot::raster::{self, SCALE};
 use crate::process::{Child, Frame, FrameError, Heard, write_frame};
 use serde::{Deserialize, Serialize};
-use std::ffi::OsStr;
 use std::io::{Read, Write};
 use std::time::Duration;
 
 /// Private memory of the process: a picture of 1680 pixels across takes a tenth.
-const MEMORY_BYTES: u64 = 192 << 20;
+const MEMORY_BYTES: u64 = 128 << 20;
 /// How long it may take.
 const TIME: Duration = Duration::from_secs(8);
 /// Bytes of a picture at most.
@@ -30,10 +29,8 @@ enum Word {
 /// # Errors
 /// Why there is none, for people.
 pub fn png(svg: &str) -> Result<Vec<u8>, String> {
-    let (parent, memory) = (std::process::id().to_string(), MEMORY_BYTES.to_string());
-    let arguments = ["worker", "--parent", &parent, "--memory", &memory, "png"].map(OsStr::new);
     let failed = |error: std::io::Error| format!("a process for the picture cannot be started: {error}");
-    let mut child = Child::<Word>::start(&arguments, PNG_BYTES_MAX).map_err(failed)?;
+    let mut child = Child::<Word>::start(MEMORY_BYTES, &["png".as_ref()], PNG_BYTES_MAX).map_err(failed)?;
     if let Some(mut stdin) = child.stdin() {
         // A child that does not read has ended, and says why below.
         let _ = stdin.write_all(svg.as_bytes());

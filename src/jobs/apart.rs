@@ -35,6 +35,8 @@ enum Word {
         reason: String,
         sqlite: Option<i32>,
     },
+    /// It could not be begun: the database could not be opened.
+    Unopened(String),
 }
 
 /// Works on a claimed job in a process of its own until it is done, cancelled, or `keep_on` answers false.
@@ -44,10 +46,10 @@ pub(super) fn run(
     job: &JobRow,
     keep_on: impl FnMut() -> bool + Send,
 ) -> Result<Outcome, JobError> {
-    let (parent, id, memory) = (std::process::id().to_string(), job.id.to_string(), JOB_MEMORY_BYTES.to_string());
-    let words = ["worker", "--parent", &parent, "--memory", &memory, "job", "--id", &id, "--database"].map(OsStr::new);
-    let arguments = [words.as_slice(), &[store.path().as_os_str()]].concat();
-    let mut child = Child::<Word>::start(&arguments, BODY_MAX).map_err(JobError::Process)?;
+    let (id, file) = (job.id.to_string(), store.file());
+    let words = ["job", "--id", &id, "--file", &file, "--database"].map(OsStr::new);
+    let work = [words.as_slice(), &[store.path().as_os_str()]].concat();
+    let mut child = Child::<Word>::start(JOB_MEMORY_BYTES, &work, BODY_MAX).map_err(JobError::Process)?;
     let mut keeper = InStore::new(store, job.id, keep_on);
     let mut looked = Instant::now();
     loop {
@@ -65,6 +67,9 @@ pub(super) fn run(
                     Some(code) => StoreError::of_code(code, reason).into(),
                     None => JobError::Refused { reason },
                 });
+            }
+            Heard::Frame(Frame { header: Word::Unopened(reason), .. }) => {
+                return Err(JobError::Process(std::io::Error::other(reason)));
             }
             Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
             Heard::Nothing => Ok(()),
@@ -103,17 +108,19 @@ impl<W: Write + Send> Keeper for InPipe<W> {
     }
 }
 
-/// Works on a job in this process, which [`run`] has started, and says to `out` what it comes to.
+/// Works on a job in this process, which [`run`] has started, and says to `out` what it comes to. `file` is the file that the
+/// parent writes under the path ([`Store::file`]): another one in its place is not read.
 ///
 /// # Errors
 /// [`FrameError`], if the parent does not listen.
-pub fn answer(database: &Path, id: i64, out: impl Write + Send) -> Result<(), FrameError> {
+pub fn answer(database: &Path, file: &str, id: i64, out: impl Write + Send) -> Result<(), FrameError> {
     let mut keeper = InPipe(out);
-    let outcome = Reader::open(database).map_err(JobError::from).and_then(|reader| {
-        let job = reader.job(id)?;
-        work(&reader, &job, CHUNK, &mut keeper)
-    });
-    match outcome {
+    let opened = Reader::open_written(database, file).and_then(|reader| reader.job(id).map(|job| (reader, job)));
+    let (reader, job) = match opened {
+        Ok(opened) => opened,
+        Err(error) => return write_frame(&mut keeper.0, &Word::Unopened(error.to_string()), &[]),
+    };
+    match work(&reader, &job, CHUNK, &mut keeper) {
         Ok(body) => write_frame(&mut keeper.0, &Word::Done, body.as_bytes()),
         Err(error) => {
             let sqlite = if let JobError::Store(error) = &error { error.sqlite_code() } else { None };

@@ -5,7 +5,7 @@
 
 use super::plan::Plan;
 use super::runner::Keeper;
-use super::{GivenReference, Gridded, JobError, JobKind, Wish, fitted, gridded};
+use super::{GivenReference, Gridded, JobError, JobKind, fitted, gridded};
 use crate::diagnosis::{self, Diagnosis, Drawings, Options, Reference, Workers};
 use crate::motion::file::Rows;
 use crate::motion::{Course, Kind, Site};
@@ -48,35 +48,36 @@ pub struct DiagnosisParameters {
     pub reference: Option<GivenReference>,
 }
 
-impl DiagnosisParameters {
+impl Simulator {
     /// Looks up what is wished for: a model by its id, a model, or a capture by its id or name.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for what is no simulator, [`JobError::Model`], [`JobError::Store`] if there is no such
     /// model or capture.
-    pub fn of(reader: &Reader, wish: Wish) -> Result<Self, JobError> {
+    pub(super) fn of(reader: &Reader, sim: Value) -> Result<Self, JobError> {
         let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
         let capture = |id: i64| {
             if reader.capture(id)?.state.is_open() {
                 return Err(refuse(&format!("capture {id} still runs: `sim` is one that has ended")));
             }
-            Ok(Simulator::Capture(id))
+            Ok(Self::Capture(id))
         };
-        let sim = match wish.sim {
-            model @ Value::Object(_) => of_model(&model, "sim")?,
+        match sim {
+            model @ Value::Object(_) => of_model(&model, "sim"),
             Value::String(text) => match text.strip_prefix(MODEL).and_then(|number| number.parse().ok()) {
-                Some(number) => of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text)?,
-                None => capture(reader.resolve(&text)?)?,
+                Some(number) => of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text),
+                None => capture(reader.resolve(&text)?),
             },
             Value::Number(number) => {
                 let id = number.as_i64().ok_or_else(|| refuse("`sim` is a number and no capture's id"))?;
-                capture(id)?
+                capture(id)
             }
-            _ => return Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
-        };
-        Ok(Self { sim, reference: wish.reference })
+            _ => Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
+        }
     }
+}
 
+impl DiagnosisParameters {
     /// The SHA-256 of the reference that the database keeps for this job.
     pub(super) fn kept_reference(&self) -> Option<&str> {
         match &self.reference {

@@ -57,5 +57,5 @@ pub use source::SampleSource;
 pub use sums::MEMORY;
 pub use threads::TwoThreads;
 pub use together::{CAPTURES_MAX, Setting, one_sensor};
-pub use wish::{GivenReference, SIM_BYTES_MAX, Wish, WishBody, answer_wish};
+pub use wish::{GivenReference, SIM_BYTES_MAX, WishBody, answer_wish};
 pub use worker::{Jobs, JobsOptions, Place, leave_for_daemon};

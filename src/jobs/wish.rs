@@ -4,7 +4,7 @@
 //! back in parts; the daemon holds one part at a time.
 
 use super::diagnosis::of_csv;
-use super::{JobError, JobKind};
+use super::{DiagnosisParameters, JobError, JobKind, Simulator};
 use crate::motion::Kind;
 use crate::process::{Child, Frame, FrameError, Heard, write_frame};
 use crate::store::{REFERENCE_PART_BYTES, Store};
@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 use sha2::{Digest as _, Sha256};
-use std::ffi::OsStr;
 use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -20,19 +19,11 @@ use std::time::{Duration, Instant};
 /// Bytes of the member `sim` at most: a model of every effect has a tenth.
 pub const SIM_BYTES_MAX: usize = 64 * 1024;
 /// Private memory of the process that reads a body of 32 MiB: the body, its text, and its rows as numbers.
-const MEMORY_BYTES: u64 = 320 << 20;
+const MEMORY_BYTES: u64 = 256 << 20;
+/// Characters of a refusal at most.
+const REASON_CHARS: usize = 500;
 /// How long that process may take.
 const TIME: Duration = Duration::from_secs(60);
-
-/// What a diagnosis is asked for.
-#[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's")]
-pub struct Wish {
-    /// What the capture is compared with: a model's id, a model, a capture's id or name.
-    pub sim: Value,
-    /// What the sensor went through.
-    pub reference: Option<GivenReference>,
-}
 
 /// What the sensor went through, as a job's parameters have it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,8 +73,10 @@ struct Members<'a> {
     reference: Option<&'a RawValue>,
 }
 
+/// A refusal, which may quote what was sent: not all of it.
 fn refused(reason: impl Into<String>) -> JobError {
-    JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.into() }
+    let reason: String = reason.into();
+    JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.chars().take(REASON_CHARS).collect() }
 }
 
 /// Reads a body. Besides the body it holds the text and the rows of the reference, and of the rest nothing.
@@ -117,36 +110,44 @@ fn sha256(text: &str) -> String {
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a body in this process.
-pub(super) fn read_here(store: &Store, body: &[u8]) -> Result<Wish, JobError> {
-    let Read { sim, reference } = read(body)?;
-    let reference = match reference {
-        None => None,
-        Some(Text::Named(name)) => Some(GivenReference::Named(name)),
+/// Reads a body in this process. `sim` looks the simulator up, and whatever else may refuse the diagnosis, before its reference
+/// is kept.
+pub(super) fn read_here<'a>(
+    store: &'a Store,
+    body: &[u8],
+    sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
+) -> Result<(DiagnosisParameters, Option<Keeping<'a>>), JobError> {
+    let read = read(body)?;
+    let sim = sim(serde_json::from_str(read.sim)?)?;
+    let (reference, keeping) = match read.reference {
+        None => (None, None),
+        Some(Text::Named(name)) => (Some(GivenReference::Named(name)), None),
         Some(Text::Csv(text)) => {
             let (sha256, bytes) = (sha256(&text), text.len() as u64);
             let mut keeping = Keeping::begin(store, &sha256, bytes)?;
             for part in text.as_bytes().chunks(REFERENCE_PART_BYTES) {
                 keeping.keep(part.to_vec())?;
             }
-            Some(GivenReference::Kept { sha256, bytes })
+            (Some(GivenReference::Kept { sha256, bytes }), Some(keeping))
         }
     };
-    Ok(Wish { sim: serde_json::from_str(sim)?, reference })
+    Ok((DiagnosisParameters { sim, reference }, keeping))
 }
 
-/// A reference on its way into the database.
-struct Keeping<'a> {
+/// A reference on its way into the database: it is let go when dropped before a job has it.
+#[derive(Debug)]
+pub(super) struct Keeping<'a> {
     store: &'a Store,
     id: i64,
     whole: bool,
     part: u32,
+    is_claimed: bool,
 }
 
 impl<'a> Keeping<'a> {
     fn begin(store: &'a Store, sha256: &str, bytes: u64) -> Result<Self, JobError> {
         let (id, whole) = store.begin_reference(sha256, bytes)?;
-        Ok(Self { store, id, whole, part: 0 })
+        Ok(Self { store, id, whole, part: 0, is_claimed: false })
     }
 
     fn keep(&mut self, content: Vec<u8>) -> Result<(), JobError> {
@@ -155,6 +156,22 @@ impl<'a> Keeping<'a> {
             self.part += 1;
         }
         Ok(())
+    }
+
+    /// A job has it.
+    pub(super) fn claimed(mut self) {
+        self.is_claimed = true;
+    }
+}
+
+impl Drop for Keeping<'_> {
+    fn drop(&mut self) {
+        if !self.is_claimed
+            && let Err(error) = self.store.let_reference_go(self.id)
+        {
+            // It goes at the next start then.
+            tracing::debug!(%error, "A reference that no diagnosis has stays for now.");
+        }
     }
 }
 
@@ -171,22 +188,27 @@ enum Word {
     Refused { reason: String, too_large: bool },
 }
 
-/// Reads a body in a process of its own.
-pub(super) fn read_apart(store: &Store, file: &Path) -> Result<Wish, JobError> {
-    let (parent, memory) = (std::process::id().to_string(), MEMORY_BYTES.to_string());
-    let words = ["worker", "--parent", &parent, "--memory", &memory, "wish", "--file"].map(OsStr::new);
-    let arguments = [words.as_slice(), &[file.as_os_str()]].concat();
-    let mut child = Child::<Word>::start(&arguments, REFERENCE_PART_BYTES as u64).map_err(JobError::Process)?;
+/// The same in a process of its own.
+pub(super) fn read_apart<'a>(
+    store: &'a Store,
+    file: &Path,
+    sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
+) -> Result<(DiagnosisParameters, Option<Keeping<'a>>), JobError> {
+    let work = ["wish".as_ref(), "--file".as_ref(), file.as_os_str()];
+    let mut child =
+        Child::<Word>::start(MEMORY_BYTES, &work, REFERENCE_PART_BYTES as u64).map_err(JobError::Process)?;
+    let died = |reason: String| JobError::Died { reason };
     let begun = Instant::now();
-    let (mut wish, mut keeping) = (None, None);
+    let (mut sim, mut parameters, mut keeping) = (Some(sim), None, None);
     loop {
-        let left = TIME.saturating_sub(begun.elapsed());
-        match child.hear(left).map_err(JobError::Process)? {
-            Heard::Frame(Frame { header: Word::Wish { sim, reference }, .. }) => {
+        match child.hear(TIME.saturating_sub(begun.elapsed())).map_err(JobError::Process)? {
+            Heard::Frame(Frame { header: Word::Wish { sim: text, reference }, .. }) => {
+                let sim = sim.take().ok_or_else(|| died("the body was read twice".to_owned()))?;
+                let sim = sim(serde_json::from_str(&text)?)?;
                 if let Some(GivenReference::Kept { sha256, bytes }) = &reference {
                     keeping = Some(Keeping::begin(store, sha256, *bytes)?);
                 }
-                wish = Some(Wish { sim: serde_json::from_str(&sim)?, reference });
+                parameters = Some(DiagnosisParameters { sim, reference });
             }
             Heard::Frame(Frame { header: Word::Part, body }) => {
                 if let Some(keeping) = &mut keeping {
@@ -200,18 +222,16 @@ pub(super) fn read_apart(store: &Store, file: &Path) -> Result<Wish, JobError> {
                 return Err(JobError::TooLarge { reason });
             }
             Heard::Frame(Frame { header: Word::End, .. }) => {
-                return wish.ok_or_else(|| JobError::Died { reason: "nothing was read of the body".to_owned() });
+                let parameters = parameters.ok_or_else(|| died("nothing was read of the body".to_owned()))?;
+                return Ok((parameters, keeping));
             }
-            Heard::Ended(ended) if ended.aborted => {
+            Heard::Ended(ended) if ended.out_of_memory => {
                 let most = MEMORY_BYTES >> 20;
                 let reason = format!("the body cannot be read within {most} MiB of memory: send a shorter reference");
                 return Err(JobError::TooLarge { reason });
             }
-            Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
-            Heard::Nothing => {
-                let reason = format!("the body was not read within {} s: send a shorter reference", TIME.as_secs());
-                return Err(JobError::TooLarge { reason });
-            }
+            Heard::Ended(ended) => return Err(died(ended.reason)),
+            Heard::Nothing => return Err(died(format!("the body was not read within {} s", TIME.as_secs()))),
         }
     }
 }

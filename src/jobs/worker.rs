@@ -1,7 +1,7 @@
 //! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
-use super::{DiagnosisParameters, JobError, JobKind, JobParameters, Wish, WishBody, together};
+use super::{JobError, JobKind, JobParameters, Simulator, WishBody, together};
 use crate::observe::JobsStatus;
 use crate::process::step_back;
 use crate::sample::Channel;
@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 
 /// How often an idle worker looks whether there is something to do that nobody told it of.
 const LOOK: Duration = Duration::from_secs(2);
+/// How long a worker waits after a job's process died, the first time; twice as long the second.
+const AGAIN: Duration = Duration::from_secs(3);
 /// How long a worker waits after the database refused.
 const PAUSE: Duration = Duration::from_secs(1);
 
@@ -133,30 +135,38 @@ impl Jobs {
         self.put(NewJob::new(kind.name(), capture_id, serde_json::to_value(parameters)?), queue_max)
     }
 
-    /// Queues a diagnosis; answers its job and whether it is new. Blocks until it is on disk.
+    /// Queues the diagnosis that the body of a request asks for; answers its job and whether it is new. Blocks until it is on
+    /// disk. The reference that comes with it is kept once everything else is found right, and let go if it is refused after all.
     ///
     /// # Errors
-    /// As [`DiagnosisParameters::of`], or [`JobError::Store`].
-    pub fn submit_diagnosis(&self, capture_id: i64, wish: Wish) -> Result<(JobRow, bool), JobError> {
-        let parameters = DiagnosisParameters::of(&*self.inner.readers.get()?, wish)?;
+    /// [`JobError::Parameters`] for what is no such wish, [`JobError::Model`], [`JobError::TooLarge`], or [`JobError::Store`].
+    pub fn submit_diagnosis(&self, capture_id: i64, body: WishBody<'_>) -> Result<(JobRow, bool), JobError> {
+        let store = &self.inner.store;
+        let sim = |sim| {
+            let reader = self.inner.readers.get()?;
+            reader.capture(capture_id)?;
+            let queued = reader.count_jobs(JobState::Queued)?;
+            if queued >= QUEUE_JOBS_MAX {
+                return Err(StoreError::QueueFull { queued }.into());
+            }
+            Simulator::of(&reader, sim)
+        };
+        let (parameters, keeping) = match (body, self.inner.options.place) {
+            (WishBody::File(path), Place::Apart) => super::wish::read_apart(store, path, sim)?,
+            (WishBody::File(path), Place::Here { .. }) => {
+                super::wish::read_here(store, &std::fs::read(path).map_err(JobError::Process)?, sim)?
+            }
+            (WishBody::Bytes(body), _) => super::wish::read_here(store, body, sim)?,
+        };
         let reference = parameters.kept_reference().map(str::to_owned);
         let new = NewJob::new(JobKind::Diagnosis.name(), capture_id, serde_json::to_value(parameters)?);
-        self.put(NewJob { reference, ..new }, QUEUE_JOBS_MAX)
-    }
-
-    /// Reads what somebody asks a diagnosis for, the body of a request. Keeps the reference that comes with it. Blocks.
-    ///
-    /// # Errors
-    /// [`JobError::Parameters`] for what is no such wish, [`JobError::TooLarge`], or [`JobError::Store`].
-    pub fn wish(&self, body: WishBody<'_>) -> Result<Wish, JobError> {
-        match (body, self.inner.options.place) {
-            (WishBody::File(path), Place::Apart) => super::wish::read_apart(&self.inner.store, path),
-            (WishBody::File(path), Place::Here { .. }) => {
-                let body = std::fs::read(path).map_err(JobError::Process)?;
-                super::wish::read_here(&self.inner.store, &body)
-            }
-            (WishBody::Bytes(body), _) => super::wish::read_here(&self.inner.store, body),
+        let submitted = self.put(NewJob { reference, ..new }, QUEUE_JOBS_MAX)?;
+        if submitted.1
+            && let Some(keeping) = keeping
+        {
+            keeping.claimed();
         }
+        Ok(submitted)
     }
 
     fn put(&self, new: NewJob, queue_max: u64) -> Result<(JobRow, bool), JobError> {
@@ -260,6 +270,12 @@ impl Inner {
                 Err(JobError::Store(StoreError::Closed)) => return,
                 Err(error) => {
                     tracing::warn!(message = "Background work waits.", %error);
+                    // What was deleted goes all the same: space may be what is lacking.
+                    if let Err(error) =
+                        self.readers.get().map_err(JobError::from).and_then(|reader| self.clear_away(&reader))
+                    {
+                        tracing::debug!(%error, "Nothing can be cleared away now.");
+                    }
                     self.wait(seen, PAUSE);
                 }
             }
@@ -316,10 +332,12 @@ impl Inner {
     /// Puts a job back into the queue, now or when the disk takes it.
     fn release(&self, id: i64) -> Result<(), JobError> {
         let released = self.store.release_job(id);
-        if released.is_err() {
-            self.stranded.lock().unwrap_or_else(PoisonError::into_inner).push(id);
-        }
-        Ok(released?)
+        Ok(released.inspect_err(|_| self.strand(id))?)
+    }
+
+    /// Remembers a job that the database did not take back: it is put into the queue before anything else.
+    fn strand(&self, id: i64) {
+        self.stranded.lock().unwrap_or_else(PoisonError::into_inner).push(id);
     }
 
     fn settle(&self, job: &JobRow, outcome: Result<Outcome, JobError>) -> Result<(), JobError> {
@@ -350,23 +368,31 @@ impl Inner {
                 self.release(job.id)?;
                 Err(JobError::Process(error))
             }
+            // Whoever ends the program may have ended the process first.
+            Err(JobError::Died { .. }) if self.stopped() => self.release(job.id),
             Err(JobError::Died { reason }) => {
-                let failed = self.store.count_attempt(job.id, &reason)?;
-                let next = if failed { "It is not tried again." } else { "It is tried again." };
+                let counted = self.store.count_attempt(job.id, &reason);
+                let Some((state, attempts)) = counted.inspect_err(|_| self.strand(job.id))? else { return Ok(()) };
                 tracing::warn!(
                     job = job.id,
                     kind = job.kind,
                     capture = job.capture,
+                    state = state.name(),
                     reason,
-                    "A job's process died. {next}"
+                    "A job's process died."
                 );
-                self.failed.fetch_add(u64::from(failed), Ordering::Relaxed);
+                self.failed.fetch_add(u64::from(state == JobState::Failed), Ordering::Relaxed);
+                if state == JobState::Queued {
+                    // What it died of, such as too little memory, may pass.
+                    let seen = *self.calls.lock().unwrap_or_else(PoisonError::into_inner);
+                    self.wait(seen, AGAIN * attempts);
+                }
                 Ok(())
             }
             Err(error) => {
                 self.failed.fetch_add(1, Ordering::Relaxed);
                 tracing::warn!(message = "A job failed.", job = job.id, kind = job.kind, capture = job.capture, %error);
-                Ok(self.store.fail_job(job.id, &error.to_string())?)
+                Ok(self.store.fail_job(job.id, &error.to_string()).inspect_err(|_| self.strand(job.id))?)
             }
         }
     }

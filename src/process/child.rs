@@ -2,6 +2,7 @@
 
 use super::frame::{Frame, read_frame};
 use serde::de::DeserializeOwned;
+use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
@@ -32,8 +33,8 @@ pub enum Heard<H> {
 pub struct Ended {
     /// Whether it ended by itself without an error.
     pub well: bool,
-    /// Whether it gave up: what it does if it has no more memory.
-    pub aborted: bool,
+    /// Whether it ended for want of memory: the limit of its own.
+    pub out_of_memory: bool,
     /// Why it ended, for people: its signal or exit code, and its last words.
     pub reason: String,
 }
@@ -47,23 +48,29 @@ pub struct Child<H> {
 }
 
 impl<H: DeserializeOwned + Send + 'static> Child<H> {
-    /// Starts this program again with `arguments`; its frames have bodies of at most `body_max` bytes.
+    /// Starts this program again as a worker that may write to so many bytes of private memory; `work` says what it does. Its
+    /// frames have bodies of at most `body_max` bytes.
     ///
     /// # Errors
     /// What the system says, if no process can be started.
-    pub fn start(arguments: &[&std::ffi::OsStr], body_max: u64) -> std::io::Result<Self> {
-        // Not the path of the program: an upgrade may have replaced what is there.
+    pub fn start(memory_bytes: u64, work: &[&OsStr], body_max: u64) -> std::io::Result<Self> {
+        // Not the path of the program: an upgrade may have replaced what is there. A group of its own: what a terminal sends to
+        // the daemon's group is for the daemon, which ends its children itself.
         let mut process = Command::new("/proc/self/exe")
             .arg0("vn100d")
-            .args(arguments)
+            .process_group(0)
+            .args(["worker", "--parent", &std::process::id().to_string(), "--memory", &memory_bytes.to_string()])
+            .args(work)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()?;
         let pipes = process.stdout.take().zip(process.stderr.take());
-        let (mut stdout, stderr) = pipes.ok_or_else(|| std::io::Error::other("a child without its pipes"))?;
         let (sender, frames) = sync_channel(1);
         let id = process.id();
+        // From here on it is killed and waited for, whatever fails.
+        let mut child = Self { process, frames, last_words: None };
+        let (mut stdout, stderr) = pipes.ok_or_else(|| std::io::Error::other("a child without its pipes"))?;
         std::thread::Builder::new().name("child-frames".to_owned()).spawn(move || {
             // Nobody listens any more, or nothing more can come: either way it is over.
             while let Some(frame) = read_frame(&mut stdout, body_max).transpose() {
@@ -74,8 +81,8 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
             }
         })?;
         let words = move || last_words(stderr, id);
-        let last_words = Some(std::thread::Builder::new().name("child-words".to_owned()).spawn(words)?);
-        Ok(Self { process, frames, last_words })
+        child.last_words = Some(std::thread::Builder::new().name("child-words".to_owned()).spawn(words)?);
+        Ok(child)
     }
 
     /// Its standard input, once.
@@ -107,8 +114,9 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
     fn end(&mut self) -> std::io::Result<Ended> {
         let status = self.process.wait()?;
         let words = self.last_words.take().and_then(|thread| thread.join().ok()).flatten();
-        let aborted = status.signal() == Some(rustix::process::Signal::ABORT.as_raw());
-        Ok(Ended { well: status.success(), aborted, reason: reason(status, words) })
+        // The standard library's words before it gives up; a panic gives up too.
+        let out_of_memory = words.as_ref().is_some_and(|words| words.starts_with("memory allocation of"));
+        Ok(Ended { well: status.success(), out_of_memory, reason: reason(status, words) })
     }
 }
 

@@ -325,15 +325,16 @@ impl StoreError {
             | Self::NoSuchCapture { .. }
             | Self::NoSuchJob { .. }
             | Self::NoSuchModel { .. }
-            | Self::NoSuchReference { .. }
             | Self::NoSuchDiagnosis { .. } => StoreErrorKind::NotFound,
             Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels { .. } => {
                 StoreErrorKind::Conflict
             }
             Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
-            Self::Closed | Self::QueueFull { .. } | Self::Refusing { .. } | Self::Lost { .. } => {
-                StoreErrorKind::Unavailable
-            }
+            Self::Closed
+            | Self::NoSuchReference { .. }
+            | Self::QueueFull { .. }
+            | Self::Refusing { .. }
+            | Self::Lost { .. } => StoreErrorKind::Unavailable,
             Self::Sqlite(error) => kind_of(error),
             Self::Migration(rusqlite_migration::Error::RusqliteError { err, .. }) => kind_of(err),
             Self::SqliteTooOld { .. } | Self::Migration(_) | Self::Json(_) | Self::Unknown { .. } => {

@@ -36,6 +36,19 @@ pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
     }
 }
 
+/// The file that this process writes under a path, as text for another process of this program.
+pub(super) fn written_file(path: &Path) -> String {
+    written().get(path).map(|(device, number)| format!("{device}:{number}")).unwrap_or_default()
+}
+
+/// Takes another process' word for which file is written under a path: [`refuse_replaced`] then refuses any other.
+pub(super) fn adopt(path: &Path, file: &str) {
+    let id = file.split_once(':').and_then(|(device, number)| Some((device.parse().ok()?, number.parse().ok()?)));
+    if let Some(id) = id {
+        written().insert(path.to_owned(), id);
+    }
+}
+
 pub(super) fn id_of(path: &Path) -> Option<Id> {
     std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
 }

@@ -278,17 +278,18 @@ impl Store {
                 "UPDATE job SET state = 'failed', error = ?2, finished_utc_ns = ?3 WHERE id = ?1 AND state = 'running'",
                 params![id, error, utc_ns],
             )?;
-            transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            leave_nothing(transaction, id)?;
             Ok(())
         })
     }
 
     /// Counts that the process of a running job died: the job waits for its next turn, or has failed with this reason if that was
-    /// the [`ATTEMPTS_MAX`]th without a checkpoint in between. Returns whether it has failed.
+    /// the [`ATTEMPTS_MAX`]th without a checkpoint in between. Returns its state after that, and how often its process died; none
+    /// of a job that is gone.
     ///
     /// # Errors
     /// What the database says.
-    pub fn count_attempt(&self, id: i64, reason: &str) -> Result<bool, StoreError> {
+    pub fn count_attempt(&self, id: i64, reason: &str) -> Result<Option<(JobState, u32)>, StoreError> {
         let (error, utc_ns) = (format!("tried {ATTEMPTS_MAX} times: {reason}"), self.utc_ns());
         self.execute(move |transaction| {
             transaction.execute(
@@ -297,8 +298,14 @@ impl Store {
                  WHERE id = ?1 AND state = 'running'",
                 params![id, ATTEMPTS_MAX, error, utc_ns],
             )?;
-            let sql = "SELECT 1 FROM job WHERE id = ?1 AND state = 'failed'";
-            Ok(transaction.query_row(sql, [id], |_| Ok(())).optional()?.is_some())
+            let sql = "SELECT state, attempts FROM job WHERE id = ?1";
+            let read = |row: &Row<'_>| Ok((row.get::<_, String>(0)?, row.get(1)?));
+            let found = transaction.query_row(sql, [id], read).optional()?;
+            let found = found.and_then(|(state, attempts)| Some((JobState::from_name(&state)?, attempts)));
+            if found.is_some_and(|(state, _)| state == JobState::Failed) {
+                leave_nothing(transaction, id)?;
+            }
+            Ok(found)
         })
     }
 
@@ -328,10 +335,17 @@ impl Store {
                 "UPDATE job SET state = 'cancelled', finished_utc_ns = ?2 WHERE id = ?1",
                 params![id, utc_ns],
             )?;
-            transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+            leave_nothing(transaction, id)?;
             Ok(())
         })
     }
+}
+
+/// A job that comes to nothing leaves neither a checkpoint nor a hold on a reference.
+fn leave_nothing(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
+    transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
+    transaction.execute("UPDATE job SET reference_id = NULL WHERE id = ?1", [id])?;
+    Ok(())
 }
 
 fn submit(

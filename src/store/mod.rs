@@ -318,6 +318,12 @@ impl Store {
         let _ = self.inner.commands.send(Command::Damage(failure));
     }
 
+    /// Which file is written, as text for [`Reader::open_written`].
+    #[must_use]
+    pub fn file(&self) -> String {
+        file_id::written_file(self.path())
+    }
+
     /// The clock's civil time.
     pub(crate) fn utc_ns(&self) -> i64 {
         self.inner.clock.utc_ns()

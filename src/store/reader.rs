@@ -31,6 +31,15 @@ impl Reader {
         Ok(Self { connection: schema::reader_connection(path)?, file })
     }
 
+    /// Opens it in a process of its own, beside the one that writes `file` there ([`super::Store::file`]).
+    ///
+    /// # Errors
+    /// As [`Self::open`], and [`StoreError::Lost`] if another file has taken its place.
+    pub fn open_written(path: &Path, file: &str) -> Result<Self, StoreError> {
+        super::file_id::adopt(path, file);
+        Self::open(path)
+    }
+
     /// What tells this database from all others, also from one whose captures have the same ids; copies have the same.
     ///
     /// # Errors

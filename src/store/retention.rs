@@ -18,7 +18,8 @@ pub struct RetentionRow {
     pub name: String,
     /// Since when it is there whole: its end, or where it was imported or simulated its making.
     pub since: UtcNs,
-    /// What its samples and the references of its diagnoses take in the file, bytes.
+    /// What its samples and the references of its diagnoses take in the file, bytes; of a reference that diagnoses of several
+    /// captures have, each counts its share.
     pub bytes: u64,
     /// Whether it runs or waits.
     pub open: bool,
@@ -38,7 +39,8 @@ impl Reader {
         let sql = "SELECT id, name, CASE WHEN state IN ('imported', 'simulated') THEN created_utc_ns \
                    ELSE max(created_utc_ns, coalesce(ended_utc_ns, created_utc_ns)) END, samples, \
                    state IN ('waiting', 'capturing'), pinned, deletion_said_utc_ns, delete_at_utc_ns, \
-                   (SELECT coalesce(sum(bytes), 0) FROM reference WHERE reference_id IN \
+                   (SELECT coalesce(sum(bytes / (SELECT count(DISTINCT capture_id) FROM job \
+                     WHERE job.reference_id = reference.reference_id)), 0) FROM reference WHERE reference_id IN \
                     (SELECT reference_id FROM job WHERE capture_id = capture.id AND reference_id IS NOT NULL)) \
                    FROM capture WHERE lifecycle = 'live' ORDER BY id";
         let mut statement = self.connection.prepare_cached(sql)?;

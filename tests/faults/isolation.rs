@@ -18,7 +18,7 @@ use vn100d::sample::Channel;
 
 const MIB: u64 = 1 << 20;
 /// The unit's `MemoryMax=`.
-const UNIT_BYTES: u64 = 768 * MIB;
+const UNIT_BYTES: u64 = 1280 * MIB;
 /// What the recorder's own process may have resident.
 const RECORDER_BYTES: u64 = 64 * MIB;
 /// A hostile body: as large as one may be.
@@ -162,7 +162,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     }
     let mut command = program();
     // As the unit has it.
-    command.env("MALLOC_ARENA_MAX", std::env::var("ARENAS").unwrap_or("64".to_owned()));
+    command.env("MALLOC_ARENA_MAX", "2");
     let port = world.port();
     let configuration = "[sensor]\nrate-hz = 800\nbaud = 921600\n";
     let mut daemon = world.daemon_of(command, port.to_str().unwrap(), configuration, &["--capture", "12h"]);
