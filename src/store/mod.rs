@@ -45,6 +45,8 @@ mod writer;
 #[cfg(test)]
 mod data_model;
 #[cfg(test)]
+mod model_test;
+#[cfg(test)]
 mod replaced;
 #[cfg(test)]
 mod safety;
