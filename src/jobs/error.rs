@@ -68,10 +68,10 @@ pub enum JobError {
     /// The result could not be written as JSON.
     #[error("the result could not be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// The job was called off while its document was made.
+    /// The job was called off.
     #[error("the job was called off")]
     CalledOff,
-    /// The job was told to wait for the next start while its document was made.
+    /// The job was told to wait for the next start.
     #[error("the job waits for the next start")]
     Stopped,
     /// A process of its own found that the job cannot be done.

@@ -16,7 +16,7 @@ use vn100d::trial::{Case, Recipe, Wanted, motion, plan};
 const SLOW: std::time::Duration = std::time::Duration::from_secs(10);
 
 fn number(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |text| text.parse().expect("a whole number"))
+    std::env::var(name).map_or(default, |text| text.parse().unwrap())
 }
 
 /// Spoils the values of one channel in one way.
