@@ -3,7 +3,7 @@
 use super::description::Registers;
 use super::port::{Latency, OpenError};
 use crate::protocol::{DeviceError, MeasurementKind, Reply};
-use crate::sample::{EventKind, GapCause};
+use crate::sample::{EventKind, GapCause, RateDoubt};
 use std::path::PathBuf;
 
 /// A serial port as it was found.
@@ -32,6 +32,8 @@ pub enum Action {
     Close,
     /// Frames of this kind are samples from now on, at this rate; `None` is any binary frame or message.
     Accept(MeasurementKind, f64),
+    /// The registers say that the sensor sends at this rate, in Hz: what came in doubt of the rate is of it.
+    RateKnown(f64),
     /// Whether the messages that are accepted next carry a serial count that steps by one for each.
     Counted(bool),
     /// No samples until the next `Accept`; what is missing until then has this cause.
@@ -64,6 +66,10 @@ pub enum Input<'a> {
     Disconnected(String),
     /// This many bytes arrived.
     Bytes(usize),
+    /// So many of them are part of no frame.
+    Rejected(usize),
+    /// Samples without time do not come at the rate that is known.
+    RateDoubted(RateDoubt),
     /// The host did not run for a while: that nothing was heard meanwhile says nothing.
     HostStalled,
     /// The sensor answered a command.

@@ -8,7 +8,7 @@ use crate::observe::Tally;
 use crate::sample::accounting::{Position, host_elapsed_ns};
 use crate::sample::record::CaptureEnd;
 use crate::sample::{
-    Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, Record, Sample, Timebase,
+    Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, RateDoubt, Record, Sample, Timebase,
 };
 use crate::units::period_ns;
 use std::collections::{BTreeMap, VecDeque};
@@ -205,6 +205,19 @@ impl Recorder {
         }
     }
 
+    /// The sensor's registers say this rate: samples without time that are held are of it.
+    pub fn rate_known(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
+        if let Some(accountant) = &mut self.accountant {
+            accountant.rate_known(rate_hz, &mut self.scratch);
+            self.forward(out);
+        }
+    }
+
+    /// What is in doubt about the rate, since the last call.
+    pub fn take_doubt(&mut self) -> Option<RateDoubt> {
+        self.accountant.as_mut().and_then(Accountant::take_doubt)
+    }
+
     /// The host stood or slept: gaps that show until then are its doing.
     pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
         if let Some(accountant) = &mut self.accountant {
@@ -305,6 +318,12 @@ impl Recorder {
                 kind: EventKind::SensorReset,
                 message: "the sensor's clock started again".to_owned(),
                 detail: None,
+            })),
+            Observation::ClockAhead(by_ns) => out.push(Record::Event(EventRecord {
+                utc_ns,
+                kind: EventKind::Warning,
+                message: format!("the sensor's clock jumped ahead by {:.3} s: a new epoch begins", by_ns as f64 / 1e9),
+                detail: Some(serde_json::json!({"sensor_clock_ahead_s": by_ns as f64 / 1e9})),
             })),
         }
         self.forward(out);

@@ -20,11 +20,12 @@ use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
 use crate::protocol::{Command, MeasurementKind};
-use crate::sample::{EventKind, GapCause};
+use crate::sample::{EventKind, GapCause, RateDoubt};
 use rand_chacha::ChaCha8Rng;
 
 mod configure;
 mod connect;
+mod rate;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -85,7 +86,14 @@ pub struct Session {
     latency: Latency,
     accepted: Option<(MeasurementKind, f64)>,
     last_sample_ns: u64,
-    bytes_since_sample: usize,
+    /// Bytes since the last sample that are part of no frame: replies to a probe are no garbage.
+    rejected_since_sample: usize,
+    /// When samples came again after the last silence that a boot would explain, ns.
+    resumed_ns: Option<u64>,
+    /// The registers are read again because of this.
+    doubt: Option<RateDoubt>,
+    /// An open doubt is looked into from then on, ns.
+    next_doubt_ns: u64,
     foreign_since_ns: Option<u64>,
     /// A sample has come since streaming began.
     flowing: bool,
@@ -122,7 +130,10 @@ impl Session {
             latency: Latency::NotApplicable,
             accepted: None,
             last_sample_ns: 0,
-            bytes_since_sample: 0,
+            rejected_since_sample: 0,
+            resumed_ns: None,
+            doubt: None,
+            next_doubt_ns: 0,
             foreign_since_ns: None,
             flowing: false,
             counted: false,
@@ -166,12 +177,13 @@ impl Session {
             Input::OpenFailed(error) => self.open_failed(now_ns, &error, actions),
             Input::Disconnected(reason) => self.disconnected(now_ns, &reason, actions),
             Input::Bytes(count) => {
-                self.bytes_since_sample = self.bytes_since_sample.saturating_add(count);
                 self.heard_any |= count > 0;
                 if count > 0 {
                     self.heard(now_ns);
                 }
             }
+            Input::Rejected(count) => self.rejected_since_sample = self.rejected_since_sample.saturating_add(count),
+            Input::RateDoubted(doubt) => self.rate_doubted(now_ns, doubt, actions),
             Input::Reply(reply) => {
                 if self.script.answer(now_ns, reply, actions) {
                     self.advance(now_ns, actions);

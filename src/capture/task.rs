@@ -9,7 +9,7 @@ use crate::clock::Clock;
 use crate::observe::{SensorState, SensorStatus, Tally};
 use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
 use crate::sample::device_clock::{ClockEstimate, DeviceClock};
-use crate::sample::{Accountant, DiscardCause, EventKind, EventRecord, GapCause, Record, Sample, Timebase};
+use crate::sample::{Accountant, DiscardCause, EventKind, EventRecord, GapCause, RateDoubt, Record, Sample, Timebase};
 use rand::SeedableRng;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -38,6 +38,10 @@ const COALESCE: Duration = Duration::from_millis(20);
 const COALESCE_ABOVE_HZ: f64 = 250.0;
 /// One read at most: 0.7 s at 921,600 baud.
 const READ_BYTES: usize = 65_536;
+/// A read of so many bytes says that the line's buffer was full: it holds 4,095 bytes, however much a read may take.
+const FULL_BYTES: usize = 4_095;
+/// What waited behind a full buffer is read within this time, ns.
+const LATE_READ_NS: u64 = 250_000_000;
 /// How long a command may take to leave the port.
 const WRITE: Duration = Duration::from_secs(1);
 
@@ -117,7 +121,9 @@ struct Book {
     accepted: Option<(MeasurementKind, f64)>,
     /// The messages carry a serial count that steps by one.
     counted: bool,
-    /// While no capture runs: what decides where the sensor's clock began again.
+    /// What the arrivals say of the rate, not yet told to the session.
+    doubt: Option<RateDoubt>,
+    /// While no capture runs: what decides where the sensor's clock began again, and whether the rate is the same.
     idle: Option<Accountant>,
     /// How many streams were accepted without a capture.
     idle_runs: i64,
@@ -156,6 +162,7 @@ pub async fn run(
             recorder: None,
             accepted: None,
             counted: false,
+            doubt: None,
             idle: None,
             idle_runs: 0,
             description: None,
@@ -352,6 +359,7 @@ impl Shell {
                     Action::Ended => self.ended = true,
                     Action::Accept(..)
                     | Action::AcceptAny
+                    | Action::RateKnown(_)
                     | Action::Counted(_)
                     | Action::Interrupt(_)
                     | Action::Event(..)
@@ -386,6 +394,10 @@ impl Shell {
         let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
         let Self { session, decoder, book, actions, device_clock, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
+        if bytes.len() >= FULL_BYTES && self.clock.speed() == 1.0 {
+            // What the full line could not take was lost, and with it a part of a frame.
+            book.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
+        }
         decoder.push(bytes, &mut |event| match event {
             Event::Measurement(measurement) => {
                 let before = actions.len();
@@ -412,12 +424,17 @@ impl Shell {
             Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
             // What is half received while the sensor is being found out was never part of the capture.
             Event::Rejected { cause, bytes } if session.status().state == SensorState::Streaming => {
+                session.handle(mono_ns, Input::Rejected(bytes.len()), actions);
                 let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
                 book.discard(cause, count);
                 book.suspect(GapCause::Checksum);
             }
-            Event::Rejected { .. } | Event::Other(_) => {}
+            Event::Rejected { bytes, .. } => session.handle(mono_ns, Input::Rejected(bytes.len()), actions),
+            Event::Other(_) => {}
         });
+        if let Some(doubt) = book.doubt.take() {
+            session.handle(mono_ns, Input::RateDoubted(doubt), actions);
+        }
         self.filter();
         self.settle();
     }
@@ -525,6 +542,7 @@ impl Book {
             match action {
                 Action::Accept(..)
                 | Action::AcceptAny
+                | Action::RateKnown(_)
                 | Action::Counted(_)
                 | Action::Interrupt(_)
                 | Action::Event(..)
@@ -553,6 +571,11 @@ impl Book {
                     }
                 }
             }
+            Action::RateKnown(rate_hz) => match (&mut self.recorder, &mut self.idle) {
+                (Some(recorder), _) => recorder.rate_known(rate_hz, &mut self.out),
+                (None, Some(idle)) => idle.rate_known(rate_hz, &mut self.out),
+                (None, None) => {}
+            },
             Action::Counted(counted) => self.counted = counted,
             Action::AcceptAny => self.filter = Some(BinaryAcceptance::Any),
             Action::Interrupt(cause) => {
@@ -598,11 +621,10 @@ impl Book {
     fn sample(&mut self, sample: Sample) {
         self.sink.seen(&sample);
         let Some(recorder) = &mut self.recorder else {
-            if let (Some(idle), Some((kind, _))) = (&mut self.idle, self.accepted)
-                && kind.has_device_time()
-            {
+            if let Some(idle) = &mut self.idle {
                 idle.observe(sample, &mut self.out);
                 idle.take_refused();
+                self.doubt = idle.take_doubt().or(self.doubt);
                 self.out.clear();
             }
             return;
@@ -615,6 +637,7 @@ impl Book {
             return;
         }
         recorder.sample(sample, &mut self.out);
+        self.doubt = recorder.take_doubt().or(self.doubt);
         self.sink.tally(recorder.tally());
         if self.overflow.is_empty() {
             let id = recorder.plan().id;

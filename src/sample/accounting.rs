@@ -6,13 +6,15 @@
 //! With the sensor's clock ([`Timebase::Device`]) a step of k periods means k − 1 missing samples, exactly; a step back
 //! beyond [`REORDER_WINDOW_NS`] is a reset and begins a new epoch, across which `missing` follows from the host's clock.
 //! Without it ([`Timebase::Arrival`]) a sample counts as missing only when the stream stays late: arrivals are late by
-//! latency, never early, and a burst that catches up lost nothing. Until that is decided the samples concerned are held
-//! back, for at most a tenth of a second of steady flow.
+//! latency, never early, and a burst that catches up lost nothing. Until that is decided, and whether the rate is still the
+//! same, the samples concerned are held back.
 //!
 //! `ticks` decides about samples with the sensor's ticks, `arrival` about those without; what both share is here.
 //! Tested by the properties below: received + missing = sent, for any losses, jitter and bursts.
 
 mod arrival;
+#[cfg(test)]
+mod rate_tests;
 #[cfg(test)]
 mod tests;
 mod ticks;
@@ -27,8 +29,6 @@ use crate::units::period_ns;
 pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
 /// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times what both may).
 const DRIFT: f64 = 500e-6;
-/// Civil and monotonic time that disagree by more about a distance: civil time was stepped, ns.
-const UTC_STEP_NS: i64 = 10_000_000;
 
 /// What came of one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,6 +41,8 @@ pub enum Observation {
     OutOfOrder,
     /// It was taken, and the sensor's clock had started again before it.
     AfterReset,
+    /// It was taken, and the sensor's clock had been set ahead before it, by so much more than the host's went on, ns.
+    ClockAhead(u64),
     /// It was taken, and the last dozen came at another rate than before.
     RateChanged {
         /// The rate so far, Hz.
@@ -48,6 +50,15 @@ pub enum Observation {
         /// The rate now, Hz.
         to_hz: f64,
     },
+}
+
+/// What the arrivals of samples without time say of the rate, for whoever can ask the sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RateDoubt {
+    /// They do not come at the rate, and it is open whether samples are lost or the rate is another one.
+    Open,
+    /// They came at another rate for long enough: it was adopted.
+    Changed,
 }
 
 /// The end of what is accounted for: where the next sample is measured from.
@@ -88,12 +99,18 @@ pub struct Accountant {
     trial: Trial,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
+    /// What was seen at a sample that was held.
+    told: Option<Observation>,
     arrival: Arrival,
+    /// Not yet told to whoever can ask the sensor.
+    doubt: Option<RateDoubt>,
     /// How late a host may read for reasons of its own, ns: lateness below it says nothing about the sensor.
     host_jitter_ns: f64,
     backward: u32,
     /// How much later than the quickest of its epoch the last sample was read, ns.
     late_ns: f64,
+    /// For how long no sample has come earlier than the quickest so far, ns of the sensor's clock.
+    on_line_ns: f64,
 }
 
 impl Accountant {
@@ -116,10 +133,13 @@ impl Accountant {
             host_trouble: None,
             trial: Trial::default(),
             refused: Vec::new(),
+            told: None,
             arrival: Arrival::default(),
+            doubt: None,
             host_jitter_ns: 0.0,
             backward: 0,
             late_ns: 0.0,
+            on_line_ns: 0.0,
         }
     }
 
@@ -228,7 +248,14 @@ impl Accountant {
 
     /// The host stood or slept: gaps that samples arriving until `until_mono_ns` show are its doing.
     pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
-        self.host_trouble = Some((cause, until_mono_ns));
+        if self.host_trouble.is_none_or(|(_, until_ns)| until_ns < until_mono_ns) {
+            self.host_trouble = Some((cause, until_mono_ns));
+        }
+    }
+
+    /// What is in doubt about the rate, since the last call.
+    pub fn take_doubt(&mut self) -> Option<RateDoubt> {
+        self.doubt.take()
     }
 
     /// Measurements that were held and turned out to be no samples, since the last call: number and cause.
@@ -256,21 +283,22 @@ impl Accountant {
         if self.host_trouble.is_some_and(|(_, until_mono_ns)| sample.host_mono_ns > until_mono_ns) {
             self.host_trouble = None;
         }
-        match (self.timebase, sample.device_time_ns, sample.sync_count) {
-            (Timebase::Device, Some(_), _) | (Timebase::SyncCounter, _, Some(_)) => self.observe_ticks(sample, out),
+        let seen = match (self.timebase, sample.device_time_ns, sample.sync_count) {
+            (Timebase::Device, Some(_), _) => self.observe_ticks(sample, out),
+            (Timebase::SyncCounter, _, Some(_)) => self.observe_counted(sample, out),
             _ => {
                 self.observe_arrival(sample, out);
                 Observation::Taken
             }
-        }
+        };
+        if seen == Observation::Taken { self.told.take().unwrap_or(seen) } else { seen }
     }
 
     /// Decides on samples that are held; to be called before the capture ends.
     pub fn settle(&mut self, out: &mut Vec<Record>) {
         self.end_trial(out);
         if !self.arrival.held.is_empty() {
-            let late = if self.arrival.steady > 0 { self.arrival.least_late_ns } else { self.arrival.previous_late_ns };
-            self.release(late, out);
+            self.release(out);
         }
     }
 
@@ -293,8 +321,9 @@ impl Accountant {
         );
     }
 
-    /// A gap between the last sample and this one. Where civil time was stepped in between it is told by the time of the
-    /// later one: a gap has no negative length.
+    /// A gap between the last sample and this one. It ends when this one would have come without delay, and is as long as the
+    /// sensor's clock says, else the host's monotonic one or what is missing: two samples that are read at once, and civil time
+    /// that was stepped or set in between, tell no length.
     fn gap(
         &self,
         last: &Position,
@@ -304,23 +333,17 @@ impl Accountant {
         missing_exact: bool,
         cause: GapCause,
     ) -> Gap {
-        let stepped = is_one_boot(last, sample)
-            && ((sample.host_utc_ns - last.host_utc_ns) - (sample.host_mono_ns - last.host_mono_ns) as i64).abs()
-                > UTC_STEP_NS;
-        let from_utc_ns = if stepped {
-            sample.host_utc_ns - (sample.host_mono_ns - last.host_mono_ns) as i64
-        } else {
-            last.host_utc_ns.min(sample.host_utc_ns)
+        let period = period_ns(self.last_rate_hz);
+        let one_boot = is_one_boot(last, sample);
+        let length_ns = match device_ns {
+            Some((from, to)) => to.wrapping_sub(from) as f64,
+            None if one_boot => ((sample.host_mono_ns - last.host_mono_ns) as f64).max(missing as f64 * period),
+            None => (missing + 1) as f64 * period,
         };
-        Gap {
-            before_seq: self.received,
-            from_utc_ns,
-            to_utc_ns: sample.host_utc_ns,
-            device_ns,
-            missing,
-            missing_exact,
-            cause,
-        }
+        let late_ns = if device_ns.is_some() && one_boot { self.late_ns } else { 0.0 };
+        let to_utc_ns = sample.host_utc_ns - late_ns as i64;
+        let from_utc_ns = to_utc_ns - length_ns as i64;
+        Gap { before_seq: self.received, from_utc_ns, to_utc_ns, device_ns, missing, missing_exact, cause }
     }
 
     fn push_gap(&mut self, gap: Gap, out: &mut Vec<Record>) {
@@ -337,7 +360,8 @@ impl Accountant {
     }
 
     fn gap_by_host(&mut self, last: &Position, sample: &Sample, host_ns: f64, cause: GapCause, out: &mut Vec<Record>) {
-        let missing = (host_ns / period_ns(self.rate_hz)).round() as u64;
+        // A gap has the rate of what was before it.
+        let missing = (host_ns / period_ns(self.last_rate_hz)).round() as u64;
         if missing > 1 {
             let cause = self.interrupted.or(self.host_trouble.map(|(cause, _)| cause)).unwrap_or(cause);
             let gap = self.gap(last, sample, None, missing - 1, false, cause);
@@ -348,9 +372,13 @@ impl Accountant {
     fn take(&mut self, sample: Sample, out: &mut Vec<Record>) {
         self.interrupted = None;
         self.suspicion = None;
-        if self.open.as_ref().is_some_and(|segment| segment.channels != sample.channels()) {
-            self.open = None;
-        }
+        // A count that was promised and does not come is none.
+        let timebase = match self.timebase {
+            Timebase::SyncCounter if sample.sync_count.is_none() => Timebase::Arrival,
+            timebase => timebase,
+        };
+        let goes_on = |open: &Segment| open.channels == sample.channels() && open.timebase == timebase;
+        self.open = self.open.take().filter(goes_on);
         if self.open.is_none() {
             self.segments += 1;
             let segment = Segment {
@@ -358,7 +386,7 @@ impl Accountant {
                 epoch: self.epoch,
                 first_seq: self.received,
                 rate_hz: self.rate_hz,
-                timebase: self.timebase,
+                timebase,
                 channels: sample.channels(),
                 first_device_time_ns: sample.device_time_ns,
                 first_utc_ns: sample.host_utc_ns,

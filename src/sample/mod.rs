@@ -7,7 +7,7 @@ pub mod device_clock;
 pub mod gap;
 pub mod record;
 
-pub use accounting::{Accountant, Observation};
+pub use accounting::{Accountant, Observation, RateDoubt};
 pub use channel::{Channel, ChannelError, ChannelSet, Triad};
 pub use gap::{Gap, GapCause};
 pub use record::{DiscardCause, EventKind, EventRecord, Record, Segment, Timebase};

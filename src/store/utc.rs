@@ -52,7 +52,7 @@ const PLACES: [Place; 6] = [
         table: "gap",
         capture: "capture_id",
         key: "before_seq",
-        columns: &[("from_utc_ns", "(before_seq > ?6 OR ?6 = 0)"), ("to_utc_ns", "before_seq >= ?6")],
+        columns: &[("from_utc_ns", "before_seq >= ?6"), ("to_utc_ns", "before_seq >= ?6")],
     },
     Place { table: "event", capture: "capture_id", key: "event_id", columns: &[("utc_ns", "event_id >= ?6")] },
     Place { table: "sample", capture: "capture_id", key: "seq", columns: &[("host_utc_ns", "seq >= ?6")] },
@@ -538,7 +538,8 @@ mod tests {
         records.push(event(7));
         records.push(started(START_NS + 100 * PERIOD_NS - second_off));
         let Record::Gap(between) = gap(100, 3) else { panic!() };
-        let (from_utc_ns, to_utc_ns) = (between.from_utc_ns - first_off, START_NS + 100 * PERIOD_NS - second_off);
+        // It is told by the clock of the later one of its two samples.
+        let (from_utc_ns, to_utc_ns) = (between.from_utc_ns - second_off, START_NS + 100 * PERIOD_NS - second_off);
         records.push(Record::Gap(Gap { from_utc_ns, to_utc_ns, ..between }));
         records.push(of_boot(off(segment(2, 100), second_off), "two"));
         records.extend((100..150).map(|seq| off(sample(2, seq), second_off)));
@@ -559,7 +560,7 @@ mod tests {
         records.extend([utc_set(second_off, UNSET_NS, Some("two"), None), sample(2, 150)]);
         let mut expected: Vec<i64> = (0..100).map(|seq| at(seq) - BY_NS).chain((100..151).map(at)).collect();
         expected.extend([at(0) - BY_NS, at(100), at(99) - BY_NS, at(150)]);
-        expected.extend([at(99) - BY_NS, at(100), at(0) - BY_NS]);
+        expected.extend([at(99), at(100), at(0) - BY_NS]);
         expected.extend([at(0) - BY_NS, 7, at(100), 9 + second_off]);
         assert_eq!(corrected_rows(records, all), expected);
         // A boot that has no samples yet has nothing to correct.

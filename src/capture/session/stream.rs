@@ -5,7 +5,7 @@ use super::super::output::is_binary;
 use super::super::rate_meter::RateMeter;
 use super::configure::COUNT_REGISTERS;
 use super::{Action, Command, EventKind, GapCause, Output, Phase, SensorState, Session, Step};
-use crate::protocol::{Measurement, MeasurementKind};
+use crate::protocol::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 use crate::units::period_ns;
 
 /// Silence that means `stalled`: this long, but at least [`STALL_PERIODS`] periods.
@@ -52,8 +52,9 @@ impl Session {
             return false;
         }
         self.numbered |= self.counted && measurement.sync_count.is_some();
+        self.note_silence(now_ns);
         self.last_sample_ns = now_ns;
-        self.bytes_since_sample = 0;
+        self.rejected_since_sample = 0;
         self.foreign_since_ns = None;
         if !self.flowing {
             self.flowing = true;
@@ -117,22 +118,34 @@ impl Session {
         (least.max(periods * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
     }
 
-    /// A sensor that fell silent has answered: another one than before is found out from the beginning.
+    /// A sensor that was asked while it streams, or fell silent, has answered: another one than before is found out from the beginning.
     pub(super) fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let found = self.script.read().get(&3).cloned();
         if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
             actions.push(Action::Interrupt(GapCause::Silent));
             self.identify(now_ns, actions);
+        } else if let Some(doubt) = self.doubt.take() {
+            self.look_again(now_ns, doubt, actions);
         }
     }
 
     /// Takes what the sensor sends, as its registers describe it; where they do not, listens first.
     pub(super) fn begin_keeping(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
-        let outputs = [75, 76, 77].into_iter().find_map(|register| self.binary_output(register));
-        match outputs.or_else(|| self.ascii_output()) {
+        match self.kept_output() {
             Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
             None => self.measure(now_ns),
         }
+    }
+
+    /// What a sensor sends whose output is kept, as its registers describe it.
+    pub(super) fn kept_output(&self) -> Option<(MeasurementKind, f64)> {
+        [75, 76, 77].into_iter().find_map(|register| self.binary_output(register)).or_else(|| self.ascii_output())
+    }
+
+    /// More bytes than those of one frame that was cut came to nothing since the last sample.
+    fn is_garbled(&self) -> bool {
+        let frame = self.accepted.map_or(0, |(kind, _)| frame_bytes(&kind, &FrameOptions::default()));
+        self.rejected_since_sample > frame
     }
 
     pub(super) fn measure(&mut self, now_ns: u64) {
@@ -160,7 +173,8 @@ impl Session {
         self.phase = Phase::Streaming;
         (self.flowing, self.numbered) = (false, false);
         self.last_sample_ns = now_ns;
-        self.bytes_since_sample = 0;
+        self.rejected_since_sample = 0;
+        (self.resumed_ns, self.doubt) = (None, None);
         self.foreign_since_ns = None;
         self.accept(kind, rate_hz, actions);
         let unit = self.status.serial_number.as_deref().unwrap_or("unknown");
@@ -191,7 +205,7 @@ impl Session {
     pub(super) fn listen(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
         if silence_ns >= self.reopen_ns() {
-            let (cause, message) = if self.bytes_since_sample > 0 {
+            let (cause, message) = if self.is_garbled() {
                 (
                     GapCause::Checksum,
                     "bytes arrive, but no valid frame: the port is opened again and its baud rate looked for",
@@ -208,7 +222,7 @@ impl Session {
         } else if silence_ns >= self.stall_ns()
             && !matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames)
         {
-            if self.bytes_since_sample > 0 {
+            if self.is_garbled() {
                 self.set_state(SensorState::NoValidFrames, Some("bytes arrive, but no valid frame".to_owned()));
                 actions.push(Action::AcceptAny);
             } else {

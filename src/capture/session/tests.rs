@@ -501,3 +501,52 @@ proptest! {
         prop_assert!(world.ended && !world.open);
     }
 }
+
+/// A sensor whose output somebody switched off answers the probe; a line that carries noise does not.
+#[test]
+fn replies_to_a_probe_are_no_garbage() {
+    for (garbage, cause) in [(0, GapCause::Silent), (40, GapCause::Silent), (400, GapCause::Checksum)] {
+        let mut world = World::new(default_output());
+        world.pass(1_000_000_000);
+        world.measured(default_kind());
+        // A frame was cut where it fell silent, and is told once more bytes come.
+        world.give(Input::Rejected(garbage));
+        for _ in 0..40 {
+            world.give(Input::Bytes(30));
+            world.pass(200_000_000);
+        }
+        assert!(world.seen.contains(&Action::Interrupt(cause)), "{garbage}: {:?}", world.seen);
+    }
+}
+
+/// The sensor sends at a rate that it was not configured to, or was reset to what its flash holds.
+#[test]
+fn a_doubt_about_the_rate_is_answered_by_the_registers() {
+    let ymr = ascii_kind(14).unwrap();
+    for (silence_ns, cause) in [(20_000_000, GapCause::RateChange), (1_250_000_000, GapCause::SensorReset)] {
+        let mut world = World::new(Output::Ascii { number: 14, rate_hz: 50 });
+        world.pass(1_000_000_000);
+        world.measured(ymr);
+        world.give(Input::RateDoubted(RateDoubt::Open));
+        assert_eq!(world.seen.last(), Some(&Action::RateKnown(50.0)), "as configured");
+        world.pass(6_000_000_000);
+        world.measured(ymr);
+        world.pass(silence_ns);
+        world.measured(ymr);
+        world.sensor.registers.insert(7, "40".to_owned());
+        world.give(Input::RateDoubted(RateDoubt::Open));
+        world.pass(500_000_000);
+        let told = |action: &Action| world.seen.iter().position(|seen| seen == action).unwrap();
+        assert!(told(&Action::RateKnown(40.0)) < told(&Action::Interrupt(cause)));
+        assert_eq!(world.sensor.registers[&7], "50", "configured again");
+        let again = world.seen.iter().rev().find(|action| matches!(action, Action::Accept(..)));
+        assert_eq!(again, Some(&Action::Accept(ymr, 50.0)));
+    }
+    let mut world = World::new(Output::Keep);
+    world.pass(1_000_000_000);
+    world.measured(ymr);
+    world.sensor.registers.insert(7, "100".to_owned());
+    world.give(Input::RateDoubted(RateDoubt::Changed));
+    assert!(world.seen.ends_with(&[Action::Counted(false), Action::Accept(ymr, 100.0)]), "{:?}", world.seen);
+    assert!(world.sensor.commands.iter().all(|command| command.starts_with("VNRRG")), "nothing is written");
+}

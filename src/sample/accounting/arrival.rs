@@ -1,34 +1,68 @@
-//! Arrival: samples that carry no time: a loss is a lasting delay, and what is late is held until that is decided. Pure.
+//! Arrival: samples that carry no time: losses and other rates from when they arrive. Pure.
+//!
+//! A message is late by its latency and never early, so that a schedule of the earliest arrivals tells what each sample means:
+//! one in time is taken at once. One that is late or early may follow a loss, stand before a burst, or be the first of
+//! another rate: from it on samples are held until their arrivals have been steady at one rate or the other ([`STEADY_NS`],
+//! [`RATE_NS`]). While that is open, whoever can ask the sensor is told of the doubt, and what its registers say decides
+//! ([`Accountant::rate_known`]). A sensor that numbers its messages by a clock of its own, not by its rate
+//! ([`Timebase::SyncCounter`]), is judged by its arrivals as well: the steps of such a count look like losses or repetitions
+//! where the rate is another one.
 
-use super::{Accountant, DRIFT, host_elapsed_ns};
-use crate::sample::{GapCause, Record, Sample};
+use super::{Accountant, DRIFT, Observation, RateDoubt, host_elapsed_ns};
+use crate::sample::{GapCause, Record, Sample, Timebase};
 use crate::units::period_ns;
 
-/// Without device time: for how long the stream must stay late before samples count as missing.
-const DECISION_S: f64 = 0.1;
-/// Without device time: the share of a period by which the stream must be late.
+/// The share of a period by which the stream must be late.
 const LATE_PERIODS: f64 = 0.75;
-/// Without device time: lateness below this says nothing by itself: an FTDI adapter's latency timer is 16 ms at worst.
+/// Lateness below this says nothing by itself, ns: an FTDI adapter's latency timer is 16 ms at worst.
 const HOST_JITTER_NS: f64 = 20e6;
-/// Without device time: how many samples may be held while a burst catches up.
+/// Held samples whose earliest arrivals keep the rate for so long are of that rate, ns; at least [`STEADY_MIN`] of them.
+/// Neighbouring rates of register 7 differ by a fifth: by 80 ms within this time.
+const STEADY_NS: f64 = 0.4e9;
+const STEADY_MIN: usize = 4;
+/// So long they must keep another rate to be of it, ns; at least [`RATE_MIN`] of them: random losses do not arrive evenly. The
+/// second time is for a sensor whose registers say that the rate is as before.
+const RATE_NS: f64 = 2e9;
+const RATE_CONFIRMED_NS: f64 = 3.5e9;
+const RATE_MIN: usize = 8;
+/// Of the arrivals that are held against another rate so many may be late by more than the jitter.
+const RATE_LATE: f64 = 0.1;
+/// Rates that differ by less are one, and a measured rate is that of the sensor's which is so near.
+const RATE_NEAR: f64 = 0.04;
+/// Samples that are held for longer put the rate in doubt, ns.
+const DOUBT_NS: u64 = 600_000_000;
+/// The longest time for which samples are held, ns, and the most of them.
+const HELD_NS: f64 = 6e9;
 const HELD_MAX: usize = 16_384;
+/// Samples that arrive so close together were read late, ns: no message comes at more than 200 Hz.
+const BURST_NS: f64 = 2.5e6;
+/// A sensor that was silent for longer before it sent at another rate was reset, ns: it boots for about 1.25 s.
+const RESET_SILENCE_NS: f64 = 0.5e9;
 
 /// The expected arrival of the next sample, for streams without device time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Arrival {
-    /// Earliest plausible arrival of the sample to come, ns of the host's monotonic clock.
+    /// Earliest plausible arrival of the sample to come, of the first one that is held where any are, ns of the host's
+    /// monotonic clock.
     pub(super) next_mono_ns: f64,
-    /// Samples that came late and not yet in time again.
+    /// Samples of which it is open what they mean.
     pub(super) held: Vec<Sample>,
-    /// How late the least late of the steady held samples was, ns.
-    pub(super) least_late_ns: f64,
-    /// Held samples in succession that did not catch up.
-    pub(super) steady: u32,
-    /// How late the last held sample was, ns.
-    pub(super) previous_late_ns: f64,
+    /// By how much the stream has run ahead of the schedule lately, ns.
+    early_ns: f64,
+    /// What the host did when the first of them came.
+    host_trouble: Option<GapCause>,
+    /// The doubt was told.
+    told: bool,
+    /// The sensor's registers say that the rate is as before.
+    confirmed: bool,
 }
 
 impl Accountant {
+    /// How late a host may read for reasons of its own, ns.
+    fn jitter_ns(&self) -> f64 {
+        self.host_jitter_ns.max(HOST_JITTER_NS)
+    }
+
     pub(super) fn observe_arrival(&mut self, sample: Sample, out: &mut Vec<Record>) {
         let period = period_ns(self.rate_hz);
         let arrived = sample.host_mono_ns as f64;
@@ -44,49 +78,236 @@ impl Accountant {
             self.take(sample, out);
             return;
         }
-        let late = arrived - self.arrival.next_mono_ns;
-        self.arrival.next_mono_ns += period;
-        // A rejected frame explains one missing sample; without it lateness must exceed what a host does by itself.
-        let jitter_ns = if self.suspicion.is_some() { 0.0 } else { self.host_jitter_ns.max(HOST_JITTER_NS) };
-        if late < (LATE_PERIODS * period).max(jitter_ns) {
-            // In time: whatever was held has caught up and nothing is missing.
-            self.arrival.next_mono_ns += if late < 0.0 { late } else { late.min(DRIFT * period) };
-            let held = std::mem::take(&mut self.arrival.held);
-            for earlier in held {
-                self.take(earlier, out);
+        if self.arrival.held.is_empty() {
+            let late_ns = arrived - self.arrival.next_mono_ns;
+            // A rejected frame explains one missing sample; without it lateness must exceed what a host does by itself.
+            let jitter_ns = if self.suspicion.is_some() { 0.0 } else { self.jitter_ns() };
+            let early_ns = (self.arrival.early_ns - late_ns.min(0.0) - 2.0 * DRIFT * period).max(0.0);
+            if late_ns < (LATE_PERIODS * period).max(jitter_ns) && early_ns < self.jitter_ns() {
+                self.arrival.early_ns = early_ns;
+                self.arrival.next_mono_ns += period + late_ns.min(DRIFT * period);
+                self.take(sample, out);
+                return;
             }
-            self.take(sample, out);
+        }
+        self.hold(sample, out);
+    }
+
+    /// With a count of the sensor's: a step of one is the next sample. Any other is a loss, a repetition, or another rate.
+    pub(super) fn observe_counted(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+        if self.arrival.held.is_empty() {
+            let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
+            let Some(last) = self.last.filter(|last| last.host_mono_ns > 0 && !explained) else {
+                return self.observe_step(sample, out);
+            };
+            let step = last.sync_count.zip(sample.sync_count).map(|(from, to)| to.wrapping_sub(from) as i32);
+            if !step.is_some_and(|step| step == 0 || (step > 1 && f64::from(step) < self.rate_hz.max(2.0) * 2.0)) {
+                return self.observe_step(sample, out);
+            }
+            self.arrival.next_mono_ns = last.host_mono_ns as f64 + period_ns(self.rate_hz);
+        }
+        self.hold(sample, out);
+        Observation::Taken
+    }
+
+    fn hold(&mut self, sample: Sample, out: &mut Vec<Record>) {
+        if self.arrival.held.is_empty() {
+            self.arrival.host_trouble = self.host_trouble.map(|(cause, _)| cause);
+        }
+        self.arrival.held.push(sample);
+        let held = &self.arrival.held;
+        // With many of them each further one changes little.
+        if !held.len().is_multiple_of(1 + held.len() / 64) {
             return;
         }
-        let arrival = &mut self.arrival;
-        if arrival.held.is_empty() || arrival.previous_late_ns - late > 0.5 * period {
-            arrival.steady = 0;
-            arrival.least_late_ns = f64::INFINITY;
-        }
-        arrival.steady += 1;
-        arrival.least_late_ns = arrival.least_late_ns.min(late);
-        arrival.previous_late_ns = late;
-        arrival.held.push(sample);
-        let enough = (DECISION_S * self.rate_hz).ceil().max(4.0) as u32;
-        if arrival.steady >= enough || arrival.held.len() >= HELD_MAX {
-            let late = arrival.least_late_ns;
-            self.release(late, out);
+        let span_ns = held[held.len() - 1].host_mono_ns.saturating_sub(held[0].host_mono_ns);
+        let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
+        if self.is_steady() || span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
+            self.release(out);
+        } else if let Some(rate_hz) = self.other_rate() {
+            self.adopt_arrivals(rate_hz, out);
+            self.doubt = Some(RateDoubt::Changed);
+        } else if span_ns > DOUBT_NS && !std::mem::replace(&mut self.arrival.told, true) {
+            self.doubt = Some(RateDoubt::Open);
         }
     }
 
-    /// The held samples are late for good: `late_ns` of samples are missing before them.
-    pub(super) fn release(&mut self, late_ns: f64, out: &mut Vec<Record>) {
-        let held = std::mem::take(&mut self.arrival.held);
-        self.arrival.steady = 0;
+    /// Where the last held samples begin that span this time and are so many; `None` where those that are held do not.
+    fn tail(&self, span_ns: f64, least: usize) -> Option<usize> {
+        let held = &self.arrival.held;
+        let span_ns = span_ns.max(16.0 * self.host_jitter_ns) as u64;
+        let until_ns = held.last()?.host_mono_ns.checked_sub(span_ns)?;
+        let from = held.partition_point(|sample| sample.host_mono_ns <= until_ns).checked_sub(1)?;
+        Some(from.min(held.len().checked_sub(least)?))
+    }
+
+    /// The last held samples keep the rate: the earliest arrivals of the four quarters of their time agree.
+    fn is_steady(&self) -> bool {
         let period = period_ns(self.rate_hz);
-        let missing = (late_ns / period).round() as u64;
-        if let (Some(last), Some(first), true) = (self.last, held.first(), missing > 0) {
-            self.arrival.next_mono_ns += missing as f64 * period;
-            let gap = self.gap(&last, first, None, missing, false, self.cause());
-            self.push_gap(gap, out);
+        let Some(from) = self.tail(STEADY_NS, STEADY_MIN) else { return false };
+        let held = &self.arrival.held[from..];
+        let since_ns = |sample: &Sample| sample.host_mono_ns.saturating_sub(held[0].host_mono_ns);
+        let span_ns = since_ns(&held[held.len() - 1]);
+        let mut earliest_ns = [f64::INFINITY; 4];
+        for (sample, late_ns) in held.iter().zip(residuals_ns(held, period)) {
+            let quarter = &mut earliest_ns[(4 * since_ns(sample) / (span_ns + 1)) as usize];
+            *quarter = quarter.min(late_ns);
         }
-        for sample in held {
-            self.take(sample, out);
+        let heard = earliest_ns.into_iter().filter(|ns| ns.is_finite());
+        let (least, most) = heard.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), ns| (a.min(ns), b.max(ns)));
+        most - least <= (LATE_PERIODS * period).clamp(0.4 * HOST_JITTER_NS, HOST_JITTER_NS).max(self.host_jitter_ns)
+    }
+
+    /// Another rate that the last held samples keep, Hz.
+    fn other_rate(&self) -> Option<f64> {
+        let least_ns = if self.arrival.confirmed { RATE_CONFIRMED_NS } else { RATE_NS };
+        let held = &self.arrival.held[self.tail(least_ns, RATE_MIN)?..];
+        // The median of the slopes over half of the time: neither a burst nor a loss moves it.
+        let half = held.len() / 2;
+        let slope =
+            |pair: (&Sample, &Sample)| pair.1.host_mono_ns.saturating_sub(pair.0.host_mono_ns) as f64 / half as f64;
+        let mut slopes: Vec<f64> = held.iter().zip(&held[half..]).map(slope).collect();
+        slopes.sort_by(f64::total_cmp);
+        let rate_hz = nearest_rate(1e9 / slopes.get(slopes.len() / 2).filter(|slope| **slope > 0.0)?)?;
+        if (rate_hz / self.rate_hz - 1.0).abs() < RATE_NEAR {
+            return None;
+        }
+        let mut late_ns = residuals_ns(held, period_ns(rate_hz));
+        late_ns.sort_by(f64::total_cmp);
+        let most = late_ns[((late_ns.len() - 1) as f64 * (1.0 - RATE_LATE)) as usize];
+        (most - late_ns[0] <= self.tolerance_ns()).then_some(rate_hz)
+    }
+
+    /// How far arrivals at one rate may stand apart from their schedule, ns.
+    fn tolerance_ns(&self) -> f64 {
+        1.25 * self.jitter_ns()
+    }
+
+    /// The registers of the sensor say this rate: what is held is of it.
+    pub fn rate_known(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
+        if self.arrival.held.is_empty() {
+            return;
+        }
+        if (rate_hz / self.rate_hz - 1.0).abs() < RATE_NEAR {
+            self.arrival.confirmed = true;
+        } else {
+            self.adopt_arrivals(rate_hz, out);
         }
     }
+
+    /// The rate is as before: what is missing before a held sample is the least lateness from it on.
+    pub(super) fn release(&mut self, out: &mut Vec<Record>) {
+        let steady = self.tail(STEADY_NS / 4.0, STEADY_MIN).unwrap_or(0);
+        let Arrival { next_mono_ns, held, host_trouble, .. } = std::mem::take(&mut self.arrival);
+        self.arrival.next_mono_ns = next_mono_ns;
+        if self.timebase == Timebase::SyncCounter {
+            self.observe_held(held, out);
+            return;
+        }
+        let period = period_ns(self.rate_hz);
+        let mut least_ns: Vec<f64> =
+            residuals_ns(&held, period).iter().map(|ns| ns + held[0].host_mono_ns as f64 - next_mono_ns).collect();
+        let mut until_now = f64::INFINITY;
+        for late_ns in least_ns.iter_mut().rev() {
+            until_now = until_now.min(*late_ns);
+            *late_ns = until_now;
+        }
+        let steady_ns = least_ns.get(steady).copied().unwrap_or(0.0);
+        let cause = self.interrupted.or(host_trouble).unwrap_or(self.cause());
+        let mut counted = 0;
+        for (sample, late_ns) in held.into_iter().zip(least_ns) {
+            let missing = (late_ns.min(steady_ns) / period).round().max(0.0) as u64;
+            if let (Some(last), true) = (self.last, missing > counted) {
+                let gap = self.gap(&last, &sample, None, missing - counted, false, cause);
+                self.push_gap(gap, out);
+                counted = missing;
+            }
+            self.arrival.next_mono_ns += period;
+            self.take(sample, out);
+        }
+        self.arrival.next_mono_ns += counted as f64 * period + steady_ns.min(0.0);
+    }
+
+    /// The first held sample of another rate: where fewest samples have to be missing before it at the old rate and after it
+    /// at the new one.
+    fn first_of(&self, rate_hz: f64) -> usize {
+        let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
+        let Arrival { held, next_mono_ns, .. } = &self.arrival;
+        let late_ns = residuals_ns(held, period);
+        let line_ns = late_ns[held.len() * 3 / 4..].iter().copied().fold(f64::INFINITY, f64::min);
+        let begun_ns = held[0].host_mono_ns as f64 - next_mono_ns;
+        let old_late_ns: Vec<f64> = residuals_ns(held, old_period).iter().map(|ns| begun_ns + ns).collect();
+        let (mut first, mut fewest) = (0, f64::INFINITY);
+        let (mut least_ns, mut most_ns) = (0.0_f64, 0.0_f64);
+        for index in (0..held.len()).rev() {
+            let off_ns = late_ns[index] - line_ns;
+            least_ns = least_ns.min(off_ns);
+            // What was read late comes at once.
+            let at_once = late_ns.get(index + 1).is_some_and(|next| next - late_ns[index] + period < BURST_NS);
+            most_ns = if at_once { most_ns } else { most_ns.max(off_ns) };
+            let old_ns = index.checked_sub(1).map_or(0.0, |before| old_late_ns[before].max(0.0));
+            let new_ns = (most_ns - self.tolerance_ns()).max(0.0) + (-least_ns - self.tolerance_ns()).max(0.0);
+            // Where both are alike, the straighter line.
+            let missing = old_ns / old_period + (new_ns + 0.05 * (most_ns - least_ns)) / period;
+            if missing <= fewest {
+                (first, fewest) = (index, missing);
+            }
+        }
+        first
+    }
+
+    /// The held samples are of this rate, from the first one on that can be.
+    fn adopt_arrivals(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
+        let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
+        let held = self.arrival.held.split_off(self.first_of(rate_hz));
+        if !self.arrival.held.is_empty() {
+            self.release(out);
+        }
+        let last_due_ns = match (self.timebase, self.last) {
+            (Timebase::SyncCounter, Some(last)) => last.host_mono_ns as f64,
+            _ => self.arrival.next_mono_ns - old_period,
+        };
+        self.timebase = Timebase::Arrival;
+        // Some samples tell better than the first one by itself when it was due: those that come at once, and some more.
+        let apart = |pair: &[Sample]| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64 >= BURST_NS;
+        let at_once = held.windows(2).position(apart).unwrap_or(0);
+        let late_ns = residuals_ns(&held[..held.len().min(at_once + 2 * STEADY_MIN)], period);
+        let mut held = held.into_iter();
+        let (Some(first), Some(last)) = (held.next(), self.last) else { return };
+        let due_ns = first.host_mono_ns as f64 + late_ns.iter().copied().fold(0.0, f64::min);
+        let (away_ns, longest) = (due_ns - last_due_ns, old_period.max(period));
+        if away_ns - longest > (LATE_PERIODS * longest).max(self.jitter_ns()) {
+            let reset = away_ns > RESET_SILENCE_NS.max(5.0 * longest);
+            // The step from one rate to the other lacks nothing.
+            let (cause, away_ns) = match reset {
+                true => (GapCause::SensorReset, away_ns),
+                false => (GapCause::RateChange, away_ns - longest + old_period),
+            };
+            self.gap_by_host(&last, &first, away_ns, cause, out);
+        }
+        self.rate_hz = rate_hz;
+        self.open = None;
+        self.take(first, out);
+        self.arrival = Arrival { next_mono_ns: due_ns + period, ..Arrival::default() };
+        // Of the new rate some may be missing as well.
+        for sample in held {
+            self.observe_arrival(sample, out);
+        }
+    }
+}
+
+/// By how much each sample arrives later than this many periods after the first, ns.
+fn residuals_ns(samples: &[Sample], period: f64) -> Vec<f64> {
+    let first_ns = samples.first().map_or(0, |sample| sample.host_mono_ns);
+    let late =
+        |(index, sample): (usize, &Sample)| sample.host_mono_ns.saturating_sub(first_ns) as f64 - index as f64 * period;
+    samples.iter().enumerate().map(late).collect()
+}
+
+/// The rates that register 7 takes, Hz.
+const MESSAGE_RATES_HZ: [f64; 11] = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
+
+/// The rate of messages that is near a measured one, Hz. Random losses leave any rate.
+fn nearest_rate(measured_hz: f64) -> Option<f64> {
+    MESSAGE_RATES_HZ.into_iter().find(|rate_hz| (rate_hz / measured_hz - 1.0).abs() < RATE_NEAR)
 }

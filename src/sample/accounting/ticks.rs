@@ -23,6 +23,11 @@ const RATE_STEP_MAX_NS: f64 = 1.5e9;
 const EPOCH_SHARE: f64 = 1e-3;
 const EPOCH_SLACK_NS: f64 = 2e9;
 
+/// After so long without a sample that came earlier than the quickest before, it is known how early one can come, ns.
+const LINE_NS: f64 = 1e9;
+/// A sample that comes earlier by more than this is no matter of jitter, ns.
+const EARLY_NS: f64 = 1e7;
+
 /// Samples in succession that do not come at the rate.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Trial {
@@ -96,13 +101,18 @@ impl Accountant {
         self.observe_held(held, out);
     }
 
-    fn observe_held(&mut self, held: Vec<Sample>, out: &mut Vec<Record>) {
+    pub(super) fn observe_held(&mut self, held: Vec<Sample>, out: &mut Vec<Record>) {
         for sample in held {
             let frame = sample.frame;
+            if self.timebase == Timebase::Arrival {
+                self.observe_arrival(sample, out);
+                continue;
+            }
             match self.observe_step(sample, out) {
                 Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
                 Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
-                _ => {}
+                Observation::Taken => {}
+                told => self.told = Some(told),
             }
         }
     }
@@ -175,13 +185,22 @@ impl Accountant {
         if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
             return self.new_epoch(&last, sample, host_ns, out);
         }
-        // No clock runs ahead of the host's monotonic one by seconds: the sensor's was set.
+        // No sample comes before its time: where the host's monotonic clock has not gone on as far, the sensor's was set.
         if is_one_boot(&last, &sample) {
             // What was read late may be followed at once by what came much later.
             let late_ns = self.late_ns + host_ns - step_ns;
-            if late_ns < -(EPOCH_SLACK_NS + self.host_jitter_ns + EPOCH_SHARE * host_ns) {
-                return self.new_epoch(&last, sample, host_ns, out);
+            let early_ns = -late_ns - self.host_jitter_ns;
+            let undisturbed = self.interrupted.is_none() && self.host_trouble.is_none();
+            let known_ns = if undisturbed && self.on_line_ns >= LINE_NS {
+                (0.5 * (step_ns - period)).max(EARLY_NS)
+            } else {
+                EPOCH_SLACK_NS + EPOCH_SHARE * host_ns
+            };
+            if step_ns > 1.5 * period && early_ns > known_ns {
+                self.new_epoch(&last, sample, host_ns, out);
+                return Observation::ClockAhead(-late_ns as u64);
             }
+            self.on_line_ns = if early_ns > EARLY_NS { 0.0 } else { self.on_line_ns + step_ns };
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
         }
         self.backward = 0;
@@ -209,7 +228,7 @@ impl Accountant {
         out: &mut Vec<Record>,
     ) -> Observation {
         self.backward = 0;
-        self.late_ns = 0.0;
+        (self.late_ns, self.on_line_ns) = (0.0, 0.0);
         self.open = None;
         self.epoch += 1;
         // The consequences of a reset are not its cause.

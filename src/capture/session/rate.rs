@@ -1,0 +1,83 @@
+//! Rate: samples without time do not come at the rate that is known: what do the sensor's registers say? Pure.
+
+use super::configure::COUNT_REGISTERS;
+use super::{Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, SensorState, Session, Step};
+use crate::units::period_ns;
+
+/// The registers that choose baud rate, message, rate and binary output: read again on doubt, with the serial number.
+const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
+/// A silence that a boot explains (about 1.25 s), ns; a doubt about the rate so soon after it is about a reset.
+const BOOT_SILENCE_NS: u64 = 500_000_000;
+const AFTER_BOOT_NS: u64 = 10_000_000_000;
+/// Arrivals that stay odd although the registers are right are no reason to ask all the time, ns.
+const DOUBT_EVERY_NS: u64 = 5_000_000_000;
+
+impl Session {
+    /// Takes note of a sample that comes after a silence.
+    pub(super) fn note_silence(&mut self, now_ns: u64) {
+        let periods_ns = self.accepted.map_or(0.0, |(_, rate_hz)| 5.0 * period_ns(rate_hz)) as u64;
+        if self.flowing && now_ns.saturating_sub(self.last_sample_ns) > BOOT_SILENCE_NS.max(periods_ns) {
+            self.resumed_ns = Some(now_ns);
+        }
+    }
+
+    /// Samples without time do not come at the rate: the registers are read again.
+    pub(super) fn rate_doubted(&mut self, now_ns: u64, doubt: RateDoubt, actions: &mut Vec<Action>) {
+        if self.phase != Phase::Streaming || (doubt == RateDoubt::Open && now_ns < self.next_doubt_ns) {
+            return;
+        }
+        self.next_doubt_ns = now_ns + DOUBT_EVERY_NS;
+        self.doubt = Some(doubt);
+        let registers = RATE_REGISTERS.into_iter().chain(COUNT_REGISTERS);
+        let steps = registers.map(|register| Step::optional(Command::read(register))).collect();
+        self.script.begin(now_ns, steps, actions);
+    }
+
+    /// The registers were read again: a sensor that was reset, or that somebody told otherwise, is configured again. One whose
+    /// output is kept is taken as it is now.
+    pub(super) fn look_again(&mut self, now_ns: u64, doubt: RateDoubt, actions: &mut Vec<Action>) {
+        let read = self.script.read().clone();
+        let Some((kind, rate_hz)) = self.accepted else { return };
+        if !(read.contains_key(&7) && read.contains_key(&75)) {
+            // It does not answer: its arrivals alone decide.
+            return;
+        }
+        self.registers.extend(read);
+        let sends = match self.options.output {
+            Output::Keep => self.kept_output(),
+            Output::Binary { .. } => self.binary_output(75),
+            Output::Ascii { .. } => self.ascii_output().filter(|_| self.binary_output(75).is_none()),
+        };
+        if sends == Some((kind, rate_hz)) && self.is_counted(kind, rate_hz) == self.counted {
+            actions.push(match doubt {
+                RateDoubt::Open => Action::RateKnown(rate_hz),
+                RateDoubt::Changed => Action::Event(
+                    EventKind::Warning,
+                    format!("the sensor's registers say that it sends {kind} at {rate_hz} Hz, but it does not come at that rate"),
+                ),
+            });
+            return;
+        }
+        let now_hz = sends.filter(|(now, _)| *now == kind).map(|(_, now_hz)| now_hz);
+        actions.extend(now_hz.map(Action::RateKnown));
+        let was_reset = self.resumed_ns.is_some_and(|at_ns| now_ns - at_ns < AFTER_BOOT_NS);
+        let reset = if was_reset { " after a silence, as if it had been reset" } else { "" };
+        let sent = sends.map_or("nothing".to_owned(), |(now, now_hz)| format!("{now} at {now_hz} Hz"));
+        let message = format!("the sensor sends {sent} instead of {kind} at {rate_hz} Hz{reset}");
+        if was_reset {
+            actions.push(Action::Event(EventKind::SensorReset, message.clone()));
+        }
+        if self.options.output == Output::Keep {
+            if let Some(now_hz) = now_hz {
+                actions.push(Action::Event(EventKind::Reconfigured, message));
+                self.accept(kind, now_hz, actions);
+            }
+            return;
+        }
+        self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
+        let cause = if was_reset { GapCause::SensorReset } else { GapCause::RateChange };
+        actions.push(Action::Interrupt(cause));
+        actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
+        self.identify(now_ns, actions);
+    }
+}

@@ -1,0 +1,318 @@
+//! Streams without the sensor's time that change their rate, lose samples or come in bursts, and clocks that jump.
+
+use super::*;
+use proptest::prelude::*;
+
+const START_NS: u64 = 1_000_000_000;
+
+/// What a made-up line delivers: when each sample arrives and the sensor's count, where it has one.
+#[derive(Default)]
+struct Line {
+    arrivals: Vec<(u64, Option<u32>)>,
+    /// When the sensor sends the next one, ns.
+    at_ns: f64,
+    lost: u64,
+}
+
+impl Line {
+    /// Sends for a while at a rate; of the samples those are lost for which `lost` says so.
+    fn send(&mut self, rate_hz: f64, seconds: f64, mut lost: impl FnMut(u64) -> bool, latency_ns: impl Fn(u64) -> u64) {
+        for index in 0..(seconds * rate_hz).round() as u64 {
+            let arrived = START_NS + self.at_ns as u64 + latency_ns(index);
+            // The line keeps the order.
+            let arrived = self.arrivals.last().map_or(arrived, |(last, _)| arrived.max(*last));
+            // SyncOut counts 800 Hz / 20, whatever the messages do.
+            let count = (self.at_ns / 25e6).round() as u32;
+            if lost(index) {
+                self.lost += 1;
+            } else {
+                self.arrivals.push((arrived, Some(count)));
+            }
+            self.at_ns += period_ns(rate_hz);
+        }
+    }
+
+    fn silence(&mut self, seconds: f64) {
+        self.at_ns += seconds * 1e9;
+    }
+
+    fn observed(&self, rate_hz: f64, timebase: Timebase) -> (Accountant, Vec<Record>) {
+        self.observed_with(rate_hz, timebase, |_| None)
+    }
+
+    /// The same with a sensor whose registers can be read on doubt: what rate they hold at this time.
+    fn observed_with(
+        &self,
+        rate_hz: f64,
+        timebase: Timebase,
+        registers: impl Fn(u64) -> Option<f64>,
+    ) -> (Accountant, Vec<Record>) {
+        let (mut accountant, mut out) = (Accountant::new(rate_hz, timebase), Vec::new());
+        for (arrived, count) in &self.arrivals {
+            let mut sample = Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64);
+            sample.sync_count = count.filter(|_| timebase == Timebase::SyncCounter);
+            accountant.observe(sample, &mut out);
+            if accountant.doubt == Some(RateDoubt::Open)
+                && let Some(rate_hz) = registers(*arrived)
+            {
+                accountant.doubt = None;
+                accountant.rate_known(rate_hz, &mut out);
+            }
+        }
+        accountant.settle(&mut out);
+        (accountant, out)
+    }
+}
+
+fn gaps(out: &[Record]) -> Vec<&Gap> {
+    out.iter().filter_map(|record| if let Record::Gap(gap) = record { Some(gap) } else { None }).collect()
+}
+
+fn rates(out: &[Record]) -> Vec<f64> {
+    let rate = |record: &Record| if let Record::Segment(segment) = record { Some(segment.rate_hz) } else { None };
+    let mut rates: Vec<f64> = out.iter().filter_map(rate).collect();
+    rates.dedup();
+    rates
+}
+
+/// As an FTDI adapter delivers: each 16 ms what has come.
+fn adapter(rate_hz: f64) -> impl Fn(u64) -> u64 {
+    move |index| 16_000_000 - (index as f64 * period_ns(rate_hz)) as u64 % 16_000_000
+}
+
+const PAIRS: [(f64, f64); 9] = [
+    (50.0, 100.0),
+    (50.0, 25.0),
+    (50.0, 40.0),
+    (40.0, 50.0),
+    (100.0, 200.0),
+    (200.0, 100.0),
+    (200.0, 40.0),
+    (40.0, 200.0),
+    (20.0, 5.0),
+];
+
+#[test]
+fn a_rate_that_changes_without_time_is_a_new_segment_and_no_loss() {
+    for (from_hz, to_hz) in PAIRS {
+        for latency in [false, true] {
+            let mut line = Line::default();
+            let delay = |rate_hz: f64| move |index: u64| if latency { adapter(rate_hz)(index) } else { 0 };
+            line.send(from_hz, 10.0, |_| false, delay(from_hz));
+            line.send(to_hz, 10.0, |_| false, delay(to_hz));
+            let (accountant, out) = line.observed(from_hz, Timebase::Arrival);
+            assert_eq!((accountant.rate_hz(), accountant.missing()), (to_hz, 0), "{from_hz} to {to_hz}, {latency}");
+            assert_eq!((accountant.received(), rates(&out)), (line.arrivals.len() as u64, vec![from_hz, to_hz]));
+            let begun = out.iter().rev().find_map(|record| match record {
+                Record::Segment(segment) => Some(segment.first_seq as f64 - from_hz * 10.0),
+                _ => None,
+            });
+            assert!(begun.unwrap().abs() <= 8.0, "{from_hz} to {to_hz}: {begun:?}");
+        }
+    }
+}
+
+/// A sensor that boots for 1.25 s and then sends what its flash says.
+#[test]
+fn a_reset_to_another_rate_is_one_gap_by_the_hosts_clock() {
+    for (from_hz, to_hz) in PAIRS {
+        let mut line = Line::default();
+        line.send(from_hz, 10.0, |_| false, |_| 0);
+        line.silence(1.25);
+        line.send(to_hz, 10.0, |_| false, |_| 0);
+        let (accountant, out) = line.observed(from_hz, Timebase::Arrival);
+        let gaps = gaps(&out);
+        let told = (accountant.rate_hz(), gaps.len(), gaps[0].cause, gaps[0].missing_exact);
+        assert_eq!(told, (to_hz, 1, GapCause::SensorReset, false), "{from_hz} to {to_hz}");
+        assert!((accountant.missing() as f64 - 1.25 * from_hz).abs() <= 2.0, "{}", accountant.missing());
+    }
+}
+
+#[test]
+fn messages_that_are_counted_by_another_clock_than_their_rate_lose_nothing_when_it_changes() {
+    for to_hz in [20.0, 25.0, 50.0, 100.0, 200.0, 10.0] {
+        let mut line = Line::default();
+        line.send(40.0, 10.0, |_| false, |_| 0);
+        line.send(to_hz, 10.0, |_| false, |_| 0);
+        let (mut accountant, out) = line.observed(40.0, Timebase::SyncCounter);
+        assert_eq!((accountant.rate_hz(), accountant.missing()), (to_hz, 0), "{to_hz}");
+        assert_eq!(accountant.received(), line.arrivals.len() as u64);
+        assert_eq!((accountant.take_doubt(), rates(&out)), (Some(RateDoubt::Changed), vec![40.0, to_hz]));
+    }
+}
+
+#[test]
+fn a_line_that_stalls_and_catches_up_keeps_its_rate() {
+    // Each second 0.3 s are delivered late, at once; the very first samples as well.
+    let late = |index: u64| if index % 50 < 15 { (15 - index % 50) * 20_000_000 } else { 0 };
+    let mut line = Line::default();
+    line.send(50.0, 60.0, |_| false, late);
+    let (accountant, out) = line.observed(50.0, Timebase::Arrival);
+    assert_eq!((accountant.rate_hz(), accountant.missing(), rates(&out)), (50.0, 0, vec![50.0]));
+}
+
+/// What follows from a late read is the host's doing, though it is decided later.
+#[test]
+fn a_loss_that_shows_while_the_host_is_to_blame_is_the_hosts() {
+    let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Arrival), Vec::new());
+    for tick in (0..100).chain(140..300) {
+        let arrived = START_NS + tick * 20_000_000;
+        if tick == 140 {
+            accountant.blame_host(GapCause::HostStall, arrived + 250_000_000);
+        }
+        accountant.observe(Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64), &mut out);
+    }
+    accountant.settle(&mut out);
+    let told: Vec<_> = gaps(&out).iter().map(|gap| (gap.before_seq, gap.missing, gap.cause)).collect();
+    assert_eq!(told, [(100, 40, GapCause::HostStall)]);
+}
+
+/// What the registers say decides before the arrivals do.
+#[test]
+fn registers_that_were_read_again_decide_about_what_is_held() {
+    for (told_hz, missing) in [(50.0, true), (25.0, false)] {
+        let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Arrival), Vec::new());
+        let mut line = Line::default();
+        line.send(50.0, 5.0, |_| false, |_| 0);
+        line.send(25.0, 3.0, |_| false, |_| 0);
+        line.send(told_hz, 3.0, |_| false, |_| 0);
+        for (arrived, _) in &line.arrivals {
+            accountant.observe(Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64), &mut out);
+            if accountant.take_doubt() == Some(RateDoubt::Open) {
+                accountant.rate_known(told_hz, &mut out);
+            }
+        }
+        accountant.settle(&mut out);
+        assert_eq!((accountant.rate_hz(), accountant.missing() > 60), (told_hz, missing), "{}", accountant.missing());
+        assert_eq!(accountant.received(), line.arrivals.len() as u64);
+    }
+}
+
+proptest! {
+    /// Losses of any pattern that is not as regular as another rate are losses.
+    #[test]
+    fn random_losses_are_never_taken_for_another_rate(share in 0.01_f64..0.7, seed in any::<u64>(), latency in 0_u64..12_000_000) {
+        let mut line = Line::default();
+        let mut state = seed | 1;
+        let lost = |index| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            // When the earliest come is not known from the very first ones.
+            index > 20 && ((state >> 33) as f64 / f64::from(1_u32 << 31)) < share
+        };
+        line.send(40.0, 30.0, lost, |index| (index.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20) % (latency + 1));
+        line.send(40.0, 2.0, |_| false, |_| 0);
+        let (accountant, out) = line.observed(40.0, Timebase::Arrival);
+        prop_assert_eq!(rates(&out), vec![40.0]);
+        prop_assert_eq!(accountant.received(), line.arrivals.len() as u64);
+        prop_assert_eq!(accountant.missing(), line.lost);
+    }
+
+    /// A rate that changes on a line that loses some and delivers late; the sensor answers, or it only sends.
+    #[test]
+    fn a_changed_rate_is_found_among_losses_and_bursts(pair in 0_usize..9, every in 40_u64..200, burst in 0_u64..300, at in 0_u64..50, answers in any::<bool>()) {
+        let (from_hz, to_hz) = PAIRS[pair];
+        // One that only sends must be heard for two seconds without a loss or a long burst.
+        let (every, burst) = if answers { (every, burst) } else { (every.max(3 * to_hz as u64), burst / 2) };
+        let mut line = Line::default();
+        // Between two rates it is open which of them lost a sample.
+        let lost = move |index: u64| index > 3 && (index + at) % every == 0;
+        // A burst each three seconds.
+        let late = move |rate_hz: f64| move |index: u64| {
+            let into_ms = (index * 1000 / rate_hz as u64 + at * 17) % 3000;
+            burst.saturating_sub(into_ms) * 1_000_000
+        };
+        line.send(from_hz, 10.0, lost, late(from_hz));
+        line.send(to_hz, 12.0, lost, late(to_hz));
+        let all_lost = line.lost;
+        line.send(to_hz, 2.0, |_| false, |_| 0);
+        let registers = |at_ns| answers.then_some(if at_ns < START_NS + 10_000_000_000 { from_hz } else { to_hz });
+        let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, registers);
+        prop_assert_eq!(accountant.received(), line.arrivals.len() as u64);
+        prop_assert_eq!(rates(&out), vec![from_hz, to_hz]);
+        // One more or less where the rates meet; less than 20 ms of loss is no lateness yet, and a stall hides the change.
+        let unseen = 4 + (0.04 * (from_hz + to_hz)) as u64;
+        prop_assert!(accountant.missing().abs_diff(all_lost) <= unseen, "{} of {}", accountant.missing(), all_lost);
+    }
+}
+
+/// One sample after another: ticks of the sensor's clock and of the host's, both in ns.
+fn observe(accountant: &mut Accountant, device_ns: u64, host_ns: u64, out: &mut Vec<Record>) -> Observation {
+    let mut sample = Sample::at(START_NS + host_ns, 1_800_000_000_000_000_000 + host_ns as i64);
+    sample.device_time_ns = Some(5_000_000_000 + device_ns);
+    accountant.observe(sample, out)
+}
+
+const PERIOD_NS: u64 = 25_000_000;
+
+#[test]
+fn a_clock_that_jumps_ahead_while_samples_keep_coming_is_no_loss() {
+    for jump in [2, 10, 40, 79] {
+        let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
+        let mut ahead = 0;
+        for tick in 0..400 {
+            let jumped = if tick < 200 { 0 } else { jump * PERIOD_NS };
+            let host_ns = tick * PERIOD_NS + tick * 7919 % 5_000_000;
+            if let Observation::ClockAhead(by_ns) =
+                observe(&mut accountant, tick * PERIOD_NS + jumped, host_ns, &mut out)
+            {
+                ahead += by_ns;
+            }
+        }
+        accountant.settle(&mut out);
+        assert_eq!((accountant.received(), accountant.missing(), accountant.epoch()), (400, 0, 2), "{jump}");
+        assert!(ahead.abs_diff(jump * PERIOD_NS) <= 10_000_000, "{ahead}");
+    }
+}
+
+/// The host reads nothing for a second; the line holds a part of it, and what did not fit is lost.
+#[test]
+fn a_stall_whose_burst_lacks_samples_is_a_loss() {
+    let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
+    let stalled = 200..240;
+    for tick in (0..215).chain(230..400) {
+        let host_ns = if stalled.contains(&tick) { 240 * PERIOD_NS } else { tick * PERIOD_NS };
+        observe(&mut accountant, tick * PERIOD_NS, host_ns, &mut out);
+    }
+    accountant.settle(&mut out);
+    assert_eq!((accountant.received(), accountant.missing(), accountant.epoch()), (385, 15, 1));
+    // By arrival it had no length.
+    let gap = gaps(&out)[0];
+    assert_eq!((gap.missing_exact, gap.to_utc_ns - gap.from_utc_ns), (true, 16 * PERIOD_NS as i64));
+    assert!((gap.from_utc_ns - 1_800_000_000_000_000_000 - 214 * PERIOD_NS as i64).abs() < 5_000_000);
+}
+
+/// A host without a clock battery is switched off: its next boot begins in 1970, or it is the boot before that was not set.
+#[test]
+fn a_gap_across_a_clock_that_was_not_set_is_as_long_as_what_is_missing() {
+    let day = 86_400_000_000_000;
+    for (before_ns, after_ns) in
+        [(1_800_000_000_000_000_000, 5_000_000_000), (5_000_000_000, 1_800_000_000_000_000_000 + day)]
+    {
+        let last =
+            Position { device_time_ns: Some(5_000_000_000), sync_count: None, host_mono_ns: 0, host_utc_ns: before_ns };
+        let mut out = Vec::new();
+        let mut accountant =
+            Accountant::resume(40.0, Timebase::Device, (1, 1, 100, 0, 0), Some(last), GapCause::DaemonStopped);
+        // The sensor lost power as well and has run for 3 s.
+        let mut sample = Sample::at(4_000_000_000, after_ns);
+        sample.device_time_ns = Some(3_000_000_000);
+        accountant.observe(sample, &mut out);
+        let gap = gaps(&out)[0];
+        let length_ns = gap.to_utc_ns - gap.from_utc_ns;
+        assert_eq!((gap.to_utc_ns, gap.missing), (after_ns, 119));
+        assert_eq!(length_ns, 120 * PERIOD_NS as i64);
+    }
+}
+
+#[test]
+fn a_segment_whose_count_never_comes_rests_on_arrival() {
+    let mut line = Line::default();
+    line.send(40.0, 2.0, |_| false, |_| 0);
+    line.arrivals.iter_mut().for_each(|(_, count)| *count = None);
+    let (_, out) = line.observed(40.0, Timebase::SyncCounter);
+    let timebases = out.iter().filter_map(|record| match record {
+        Record::Segment(segment) => Some(segment.timebase),
+        _ => None,
+    });
+    assert_eq!(timebases.collect::<Vec<_>>(), [Timebase::Arrival]);
+}
