@@ -11,6 +11,7 @@ mod http;
 mod jobs;
 mod line;
 mod process;
+mod rate;
 mod soak;
 mod storage;
 mod stream;
