@@ -357,15 +357,8 @@ impl Shell {
                         *stream = None;
                     }
                     Action::Ended => self.ended = true,
-                    Action::Accept(..)
-                    | Action::AcceptAny
-                    | Action::RateKnown(_)
-                    | Action::Counted(_)
-                    | Action::Interrupt(_)
-                    | Action::Event(..)
-                    | Action::Describe(_) => {
-                        self.book.apply(action, self.clock.utc_ns());
-                    }
+                    // The rest concerns the capture.
+                    action => self.book.apply(action, self.clock.utc_ns()),
                 }
             }
             self.filter();

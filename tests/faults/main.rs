@@ -12,6 +12,7 @@ mod isolation;
 mod jobs;
 mod line;
 mod process;
+mod rate;
 mod soak;
 mod storage;
 mod stream;

@@ -245,7 +245,10 @@ impl Accountant {
             // What was read late comes at once.
             let at_once = late_ns.get(index + 1).is_some_and(|next| next - late_ns[index] + period < BURST_NS);
             most_ns = if at_once { most_ns } else { most_ns.max(off_ns) };
-            let old_ns = index.checked_sub(1).map_or(0.0, |before| old_late_ns[before].max(0.0));
+            let old_ns = match index.checked_sub(1).map(|before| old_late_ns[before]) {
+                Some(early_ns) if early_ns < 0.0 => (-early_ns - self.tolerance_ns()).max(0.0),
+                late_ns => late_ns.unwrap_or(0.0),
+            };
             let new_ns = (most_ns - self.tolerance_ns()).max(0.0) + (-least_ns - self.tolerance_ns()).max(0.0);
             // Where both are alike, the straighter line.
             let missing = old_ns / old_period + (new_ns + 0.05 * (most_ns - least_ns)) / period;

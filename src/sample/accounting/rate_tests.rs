@@ -80,6 +80,11 @@ fn adapter(rate_hz: f64) -> impl Fn(u64) -> u64 {
     move |index| 16_000_000 - (index as f64 * period_ns(rate_hz)) as u64 % 16_000_000
 }
 
+/// A number that has nothing to do with its neighbours'.
+fn random(index: u64) -> u64 {
+    index.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20
+}
+
 const PAIRS: [(f64, f64); 9] = [
     (50.0, 100.0),
     (50.0, 25.0),
@@ -95,9 +100,15 @@ const PAIRS: [(f64, f64); 9] = [
 #[test]
 fn a_rate_that_changes_without_time_is_a_new_segment_and_no_loss() {
     for (from_hz, to_hz) in PAIRS {
-        for latency in [false, true] {
+        for latency in ["none", "adapter", "random"] {
             let mut line = Line::default();
-            let delay = |rate_hz: f64| move |index: u64| if latency { adapter(rate_hz)(index) } else { 0 };
+            let delay = |rate_hz: f64| {
+                move |index: u64| match latency {
+                    "adapter" => adapter(rate_hz)(index),
+                    "random" => random(index) % 3_000_000,
+                    _ => 0,
+                }
+            };
             line.send(from_hz, 10.0, |_| false, delay(from_hz));
             line.send(to_hz, 10.0, |_| false, delay(to_hz));
             let (accountant, out) = line.observed(from_hz, Timebase::Arrival);
@@ -199,7 +210,7 @@ proptest! {
             // When the earliest come is not known from the very first ones.
             index > 20 && ((state >> 33) as f64 / f64::from(1_u32 << 31)) < share
         };
-        line.send(40.0, 30.0, lost, |index| (index.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20) % (latency + 1));
+        line.send(40.0, 30.0, lost, |index| random(index) % (latency + 1));
         line.send(40.0, 2.0, |_| false, |_| 0);
         let (accountant, out) = line.observed(40.0, Timebase::Arrival);
         prop_assert_eq!(rates(&out), vec![40.0]);
@@ -215,7 +226,7 @@ proptest! {
         let (every, burst) = if answers { (every, burst) } else { (every.max(3 * to_hz as u64), burst / 2) };
         let mut line = Line::default();
         // Between two rates it is open which of them lost a sample.
-        let lost = move |index: u64| index > 3 && (index + at) % every == 0;
+        let lost = move |index: u64| index > 3 && (index + at).is_multiple_of(every);
         // A burst each three seconds.
         let late = move |rate_hz: f64| move |index: u64| {
             let into_ms = (index * 1000 / rate_hz as u64 + at * 17) % 3000;
