@@ -442,12 +442,11 @@ fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
         .execute_batch(&format!(
             "UPDATE result SET software = 'vn100d 0.0.1';
              UPDATE job SET software = 'vn100d 0.0.1',
-                 fingerprint = replace(fingerprint, 'vn100d {version}', 'vn100d 0.0.1');
+                 fingerprint = 'older ' || id;
              INSERT INTO job (id, kind, capture_id, params, end_seq, fingerprint, software, state, progress, created_utc_ns)
                  SELECT {waiting}, 'statistics', capture_id, params, end_seq, 'older', software, 'running', 0.5, created_utc_ns
                  FROM job WHERE id = {old};
-             INSERT INTO job_checkpoint (job_id, next_seq, state, software) VALUES ({waiting}, 2000, x'09', 'vn100d 0.0.1');",
-            version = env!("CARGO_PKG_VERSION"),
+             INSERT INTO job_checkpoint (job_id, next_seq, state, software) VALUES ({waiting}, 2000, x'09', 'vn100d 0.0.1');"
         ))
         .unwrap();
     drop(connection);
