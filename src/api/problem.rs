@@ -296,7 +296,9 @@ impl From<ImportError> for ApiError {
             ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
             ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
             ImportError::NameRefused { .. } => Self::bad_request(detail),
-            ImportError::Stopping | ImportError::Store { .. } => Self::unavailable(detail, 5),
+            // Nothing is wrong with the disk: whoever imports tries again.
+            ImportError::Stopping => Self { status: StatusCode::SERVICE_UNAVAILABLE, ..Self::busy(detail, 5) },
+            ImportError::Store { .. } => Self::unavailable(detail, 5),
         }
     }
 }
