@@ -200,22 +200,23 @@ impl ApiState {
         &self,
         work: impl FnOnce(&ApiParts) -> Result<T, E> + Send + 'static,
     ) -> Result<T, ApiError> {
-        let permit = Arc::clone(&self.changes).acquire_owned().await.map_err(|_| stopping())?;
-        let state = self.clone();
-        let outcome = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
-            work(&state.parts)
-        })
-        .await;
-        finished(outcome)
+        self.in_turn(&self.changes, work).await
     }
 
-    /// Takes in what comes with a request and may take a while; who calls bounds how many do so at once.
+    /// Takes in a diagnosis, which may come with a large body; waits for its turn among [`TAKERS`].
     pub(super) async fn take_in<T: Send + 'static>(
         &self,
         work: impl FnOnce(&ApiParts) -> Result<T, JobError> + Send + 'static,
     ) -> Result<T, ApiError> {
-        let permit = Arc::clone(&self.takers).acquire_owned().await.map_err(|_| stopping())?;
+        self.in_turn(&self.takers, work).await
+    }
+
+    async fn in_turn<T: Send + 'static, E: Into<ApiError> + Send + 'static>(
+        &self,
+        turns: &Arc<Semaphore>,
+        work: impl FnOnce(&ApiParts) -> Result<T, E> + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let permit = Arc::clone(turns).acquire_owned().await.map_err(|_| stopping())?;
         let state = self.clone();
         let outcome = tokio::task::spawn_blocking(move || {
             let _permit = permit;

@@ -53,7 +53,7 @@ pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
     }
 }
 
-/// Tells systemd that the configuration is read again, until it is told that all is ready.
+/// Reports to systemd that the daemon reads its configuration again. [`notify`] with `Ready` ends that.
 pub fn reloading() {
     if let Ok(now) = sd_notify::NotifyState::monotonic_usec_now() {
         notify(&[sd_notify::NotifyState::Reloading, now]);

@@ -538,7 +538,7 @@ mod tests {
         records.push(event(7));
         records.push(started(START_NS + 100 * PERIOD_NS - second_off));
         let Record::Gap(between) = gap(100, 3) else { panic!() };
-        // It is told by the clock of the later one of its two samples.
+        // The clock of the later of its two samples gives its times.
         let (from_utc_ns, to_utc_ns) = (between.from_utc_ns - second_off, START_NS + 100 * PERIOD_NS - second_off);
         records.push(Record::Gap(Gap { from_utc_ns, to_utc_ns, ..between }));
         records.push(of_boot(off(segment(2, 100), second_off), "two"));

@@ -5,7 +5,7 @@
 //! its unit.
 
 use crate::http::{ask, memory, p99};
-use crate::jobs::{fill, noise, plain, settle, wakes};
+use crate::jobs::{children, fill, noise, plain, settle, wakes};
 use crate::tools::{root, scaled};
 use crate::world::{Process, World, program};
 use serde_json::json;
@@ -122,13 +122,6 @@ fn send_recording(stream: &mut TcpStream, bytes: u64, seed: u64) -> std::io::Res
     }
     out.write_all(&vec![b'\n'; left as usize])?;
     out.flush()
-}
-
-/// The processes that the daemon has started.
-fn children(daemon: u32) -> Vec<u32> {
-    let tasks = std::fs::read_dir(format!("/proc/{daemon}/task")).unwrap().flatten();
-    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
-    lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect()
 }
 
 /// What is asked of the daemon, and how often it was answered.

@@ -155,6 +155,15 @@ fn copy(world: &World) -> World {
     other
 }
 
+/// The bytes of this job's result if nothing interrupts it.
+fn uninterrupted(world: &World, wanted: &serde_json::Value) -> String {
+    let world = copy(world);
+    let daemon = world.daemon("", &[]);
+    let job = submit(&world, wanted);
+    assert_eq!(ended(&world, job, &daemon)["state"], "done");
+    body(&world, job)
+}
+
 /// F1.
 #[test]
 fn a_job_killed_at_four_fifths_goes_on_there_and_comes_to_the_same_bytes() {
@@ -162,13 +171,7 @@ fn a_job_killed_at_four_fifths_goes_on_there_and_comes_to_the_same_bytes() {
     let samples = scaled(6 * CHUNK, 12 * 3600 * 40);
     let capture = fill(&world, "night", &SIX, &plain(samples), noise);
     let wanted = json!({"kind": "noise", "capture": capture});
-    let uninterrupted = copy(&world);
-    let whole = {
-        let daemon = uninterrupted.daemon("", &[]);
-        let job = submit(&uninterrupted, &wanted);
-        assert_eq!(ended(&uninterrupted, job, &daemon)["state"], "done");
-        body(&uninterrupted, job)
-    };
+    let whole = uninterrupted(&world, &wanted);
     let mut daemon = world.daemon("", &[]);
     let job = submit(&world, &wanted);
     let far = || progress(&world, job).filter(|progress| *progress >= 0.8);
@@ -343,15 +346,19 @@ fn threads_nice(pid: u32, name: &str) -> Vec<String> {
     named.map(|stat| stat.rsplit(") ").next().unwrap().split(' ').nth(16).unwrap().to_owned()).collect()
 }
 
+/// The processes that the daemon has started.
+pub fn children(daemon: u32) -> Vec<u32> {
+    let tasks = std::fs::read_dir(format!("/proc/{daemon}/task")).unwrap().flatten();
+    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
+    lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect()
+}
+
 /// The process in which the daemon works on a job.
 fn worker(daemon: &Process) -> Option<u32> {
-    let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).unwrap().flatten();
-    let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
-    let words: Vec<u32> =
-        lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect();
-    words.into_iter().find(|pid| {
+    let is_worker = |pid: &u32| {
         std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.starts_with(b"vn100d\0worker\0"))
-    })
+    };
+    children(daemon.id()).into_iter().find(is_worker)
 }
 
 /// F8. Whoever kills the worker, for want of memory or by hand, harms nothing but the job's time; a daemon that is killed takes
@@ -361,13 +368,7 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     let world = World::new();
     let capture = fill(&world, "night", &SIX, &plain(scaled(12 * CHUNK, 12 * 3600 * 40)), noise);
     let wanted = json!({"kind": "noise", "capture": capture});
-    let uninterrupted = copy(&world);
-    let whole = {
-        let daemon = uninterrupted.daemon("", &[]);
-        let job = submit(&uninterrupted, &wanted);
-        assert_eq!(ended(&uninterrupted, job, &daemon)["state"], "done");
-        body(&uninterrupted, job)
-    };
+    let whole = uninterrupted(&world, &wanted);
     let mut job = 0;
     for killed in 0..5 {
         let mut daemon = world.daemon("", &[]);

@@ -237,7 +237,7 @@ impl Manager {
         count
     }
 
-    /// Reads what it is told from here on, as systemd does: the socket holds ten messages, and whoever sends more waits.
+    /// Reads the daemon's messages from here on, as systemd does: the socket holds ten, and a daemon that sends more waits.
     fn listens(&self) -> Arc<Mutex<String>> {
         let told = Arc::new(Mutex::new(String::new()));
         let (socket, heard) = (self.socket.try_clone().unwrap(), Arc::downgrade(&told));
@@ -560,7 +560,7 @@ fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
     assert_eq!(again, [57_600]);
 }
 
-/// Whoever asks is told one name, which is the database's.
+/// Status, events and notifications give one name, which is the database's.
 #[test]
 fn a_capture_that_nobody_named_has_one_name_everywhere() {
     let world = World::new();

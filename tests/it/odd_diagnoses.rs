@@ -12,7 +12,7 @@ use vn100d::diagnosis::{self, Options, Recording, Reference};
 use vn100d::simulator::{Motion, SensorModel};
 use vn100d::trial::{Case, Recipe, Wanted, motion, plan};
 
-/// A diagnosis of so few samples that takes longer is told.
+/// The test prints a case that takes longer.
 const SLOW: std::time::Duration = std::time::Duration::from_secs(10);
 
 fn number(name: &str, default: u64) -> u64 {

@@ -509,7 +509,7 @@ fn replies_to_a_probe_are_no_garbage() {
         let mut world = World::new(default_output());
         world.pass(1_000_000_000);
         world.measured(default_kind());
-        // A frame was cut where it fell silent, and is told once more bytes come.
+        // The sensor fell silent within a frame; the decoder rejects that frame once more bytes come.
         world.give(Input::Rejected(garbage));
         for _ in 0..40 {
             world.give(Input::Bytes(30));

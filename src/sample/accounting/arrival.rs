@@ -3,7 +3,7 @@
 //! A message is late by its latency and never early, so that a schedule of the earliest arrivals tells what each sample means:
 //! one in time is taken at once. One that is late or early may follow a loss, stand before a burst, or be the first of
 //! another rate: from it on samples are held until their arrivals have been steady at one rate or the other ([`STEADY_NS`],
-//! [`RATE_NS`]). While that is open, whoever can ask the sensor is told of the doubt, and what its registers say decides
+//! [`RATE_NS`]). While that is open, [`Accountant::take_doubt`] reports the doubt to the session, which asks the sensor; its registers decide
 //! ([`Accountant::rate_known`]). A sensor that numbers its messages by a clock of its own, not by its rate
 //! ([`Timebase::SyncCounter`]), is judged by its arrivals as well: the steps of such a count look like losses or repetitions
 //! where the rate is another one.

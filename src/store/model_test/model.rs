@@ -109,7 +109,7 @@ const PAGE: usize = 4096;
 /// An instant at which the power may go between two states of the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Instant {
-    /// The header of a log that begins anew is half written.
+    /// The log starts again, and only half of its header is written.
     Header,
     /// The log is being written, and not yet synced.
     Log,
