@@ -92,8 +92,14 @@ pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
     if !text.contains('\n') {
         return Err("expected a motion's CSV with a header line, or one of still, tumble, rate-table".to_owned());
     }
-    let rows = Rows::new(text.as_bytes(), "reference", None).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-    Reference::new(rows.map_err(|error| error.to_string())?).map_err(|error| error.to_string())
+    let rows = Rows::new(text.as_bytes(), "reference", None).map_err(|error| error.to_string())?;
+    let mut refused = None;
+    // The rows are many: they are kept once.
+    let reference = Reference::new(rows.map_while(|row| row.map_err(|error| refused = Some(error)).ok()));
+    match refused {
+        Some(error) => Err(error.to_string()),
+        None => reference.map_err(|error| error.to_string()),
+    }
 }
 
 /// What the sensor went through during a recording.

@@ -136,9 +136,9 @@ fn reason(status: ExitStatus, words: Option<String>) -> String {
     words.map_or_else(|| end.clone(), |words| format!("{end}: {words}"))
 }
 
-/// Writes what the child complains of into the log, and gives its last line back.
+/// Writes what the child complains of into the log, and gives its first two lines back.
 fn last_words(stderr: impl Read, process: u32) -> Option<String> {
-    let mut last = None;
+    let mut first: Vec<String> = Vec::new();
     let mut lines = BufReader::new(stderr.take(STDERR_BYTES));
     let mut line = Vec::new();
     while lines.read_until(b'\n', &mut line).is_ok_and(|count| count > 0) {
@@ -146,13 +146,13 @@ fn last_words(stderr: impl Read, process: u32) -> Option<String> {
         line.clear();
         if !text.is_empty() {
             tracing::warn!(process, "A child process says: {text}");
-            // A backtrace's hint is no reason.
-            if !text.starts_with("note:") {
-                last = Some(text);
+            // A panic takes two lines; the backtrace that may follow is no reason.
+            if first.len() < 2 && !text.starts_with("note:") && !text.starts_with("stack backtrace") {
+                first.push(text);
             }
         }
     }
     // A child that goes on complaining must not wait for somebody to listen.
     let _ = std::io::copy(&mut lines.into_inner().into_inner(), &mut std::io::sink());
-    last
+    (!first.is_empty()).then(|| first.join(" "))
 }
