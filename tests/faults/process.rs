@@ -421,7 +421,7 @@ fn a_job_that_panics_three_times_is_failed_and_the_daemon_goes_on() {
     let job = world.until("the job is failed", 2 * START, failed, &daemon);
     println!("A6: {}", job["error"]);
     assert!(job["error"].as_str().unwrap().starts_with("tried 3 times: its process ended by signal 6"), "{job}");
-    assert_eq!(lines_with(&daemon.log(), &["panicked"]), 3, "{}", daemon.log());
+    assert_eq!(lines_with(&daemon.log(), &["A child process says", "panicked"]), 3, "{}", daemon.log());
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
     assert_eq!(world.query("PRAGMA integrity_check")[0][0], Value::Text("ok".into()));
 }
