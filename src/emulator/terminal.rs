@@ -35,6 +35,13 @@ const IDLE_TICKS: u64 = 80;
 const PENDING_BYTES: usize = 8192;
 /// What a burst that was held back may wait for the terminal.
 const BURST_BYTES: usize = 1 << 20;
+/// What the kernel keeps of a serial line before its own worker hands it on to the reader (`TTYB_DEFAULT_MEM_LIMIT`). A
+/// pseudo-terminal keeps only 8 KiB, so the rest waits here.
+const DRIVER_BYTES: usize = 640 << 10;
+/// A terminal with this many bytes to read is full: its line discipline holds 4095, and takes no more a little before.
+const FULL_BYTES: u64 = 3900;
+/// How long a terminal is full and takes nothing before what comes is lost.
+const OVERRUN_AFTER: Duration = Duration::from_millis(20);
 /// Seed of the faults' bits and noise.
 const FAULT_SEED: u64 = 0x5eed;
 
@@ -114,6 +121,8 @@ pub struct Terminal {
     held: Vec<Piece>,
     /// What was held is on its way.
     burst: bool,
+    /// Since when nobody reads what the terminal has.
+    full_since: Option<Instant>,
     log: Option<std::fs::File>,
     /// Lines of the log that are still to be written.
     lines: String,
@@ -142,6 +151,7 @@ impl Terminal {
             outbox: Outbox::default(),
             held: Vec::new(),
             burst: false,
+            full_since: None,
             log,
             lines: "# frame tick device_time_ns host_mono_ns bytes fate; ! tick host_mono_ns event\n".to_owned(),
         };
@@ -229,10 +239,8 @@ impl Terminal {
                     }
                 }
                 if !held {
-                    // On a real line the rest of a frame that does not fit is simply lost.
                     self.write()?;
-                    let most = if self.burst { BURST_BYTES } else { PENDING_BYTES / 2 };
-                    if self.outbox.waiting().len() > most {
+                    if self.overruns() {
                         self.outbox.lose(Fate::Overrun);
                     }
                 }
@@ -450,12 +458,34 @@ impl Terminal {
         }
     }
 
+    /// Whether what waits is lost, as on a real line: nobody reads what the terminal has. If the terminal is not full, it is the
+    /// kernel that is late, and that loses nothing until its own buffer is full.
+    fn overruns(&mut self) -> bool {
+        let waiting = self.outbox.waiting().len();
+        let (most, driver) = if self.burst { (BURST_BYTES, BURST_BYTES) } else { (PENDING_BYTES / 2, DRIVER_BYTES) };
+        if waiting <= most {
+            self.full_since = None;
+            return false;
+        }
+        let Some(pair) = &self.pair else { return true };
+        let is_full = rustix::io::ioctl_fionread(&pair.slave).is_ok_and(|bytes| bytes >= FULL_BYTES);
+        let since = if is_full { *self.full_since.get_or_insert_with(Instant::now) } else { Instant::now() };
+        if !is_full {
+            self.full_since = None;
+        }
+        waiting > driver || since.elapsed() > OVERRUN_AFTER
+    }
+
     /// Gives the terminal what it takes.
     fn write(&mut self) -> Result<(), EmulatorError> {
         let Some(pair) = &self.pair else { return Ok(()) };
         while !self.outbox.is_empty() {
             match rustix::io::write(&pair.master, self.outbox.waiting()) {
-                Ok(count) => self.outbox.took(count),
+                Ok(count) => {
+                    self.outbox.took(count);
+                    // Somebody reads.
+                    self.full_since = None;
+                }
                 Err(Errno::INTR) => {}
                 Err(Errno::AGAIN | Errno::IO) => return Ok(()),
                 Err(error) => return Err(failed(error)),
