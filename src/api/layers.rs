@@ -4,7 +4,7 @@ use super::problem::{self, ApiError, ProblemType};
 use super::state::ApiState;
 use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use hyper::body::{Frame, SizeHint};
@@ -172,6 +172,18 @@ pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, 
         };
         error.into_response()
     })
+}
+
+/// How long a refusal waits: who asks again at once would otherwise cost the machine as much as who is served.
+const REFUSAL_PAUSE: Duration = Duration::from_secs(1);
+
+/// Answers 429 after a pause.
+pub(super) async fn slow_refusals(request: Request, next: Next) -> Response {
+    let response = next.run(request).await;
+    if response.status() == StatusCode::TOO_MANY_REQUESTS {
+        tokio::time::sleep(REFUSAL_PAUSE).await;
+    }
+    response
 }
 
 #[cfg(test)]

@@ -63,6 +63,7 @@ pub fn router(parts: ApiParts) -> Router {
         .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))
         .fallback(nothing_here)
         .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))
+        .layer(middleware::from_fn(layers::slow_refusals))
         .layer(middleware::from_fn_with_state(state.clone(), layers::authorize))
         .layer(DefaultBodyLimit::max(BODY_BYTES))
         .layer(middleware::from_fn_with_state(state.clone(), layers::check_host))
