@@ -512,6 +512,9 @@ pub struct WorkerArgs {
     /// Private memory that it may write to, bytes
     #[arg(long)]
     pub memory: u64,
+    /// Processor time that it may use, s
+    #[arg(long)]
+    pub processor_s: u64,
     /// What it does
     #[command(subcommand)]
     pub work: Work,

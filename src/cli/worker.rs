@@ -8,7 +8,8 @@ use anyhow::Context as _;
 
 /// Does the work within its limits, and writes frames to standard output.
 pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
-    confine(Confinement { memory_bytes: args.memory, parent: args.parent }).context("the limits cannot be set")?;
+    confine(Confinement { memory_bytes: args.memory, processor_s: args.processor_s, parent: args.parent })
+        .context("the limits cannot be set")?;
     let out = std::io::BufWriter::new(std::io::stdout());
     match &args.work {
         Work::Png => gallery::apart::answer(std::io::stdin().lock(), out)?,

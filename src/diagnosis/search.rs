@@ -75,6 +75,8 @@ const ANY_LEVELS: f64 = 12.0;
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
+    /// Steps may be taken back as they are made, and found again: after so many turns the search ends whatever it has.
+    const TURNS: usize = 3 * MOST;
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     // What they are is asked once all else is known.
@@ -87,7 +89,10 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     }
     // What was taken back at once would be found again.
     let mut refused: Vec<Kind> = Vec::new();
-    while steps.len() < MOST {
+    for _ in 0..TURNS {
+        if steps.len() >= MOST {
+            break;
+        }
         let mut candidates = everything(series, prices);
         candidates.retain(|of| !refused.contains(&of.kind));
         let others = candidates.clone();
@@ -319,7 +324,8 @@ fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Expla
 
 /// Names what is the matter of single samples.
 fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    loop {
+    const MOST: usize = 12;
+    for _ in 0..MOST {
         let candidates = evidence::of_samples(series);
         let others = candidates.clone();
         let Some((step, chosen)) = best_of(candidates, prices, steps) else { break };

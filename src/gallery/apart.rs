@@ -30,7 +30,8 @@ enum Word {
 /// Why there is none, for people.
 pub fn png(svg: &str) -> Result<Vec<u8>, String> {
     let failed = |error: std::io::Error| format!("a process for the picture cannot be started: {error}");
-    let mut child = Child::<Word>::start(MEMORY_BYTES, &["png".as_ref()], PNG_BYTES_MAX).map_err(failed)?;
+    let mut child =
+        Child::<Word>::start(MEMORY_BYTES, TIME.as_secs(), &["png".as_ref()], PNG_BYTES_MAX).map_err(failed)?;
     if let Some(mut stdin) = child.stdin() {
         // A child that does not read has ended, and says why below.
         let _ = stdin.write_all(svg.as_bytes());

@@ -20,6 +20,9 @@ const LOOK: Duration = Duration::from_millis(200);
 const BODY_MAX: u64 = 256 << 20;
 /// Private memory that a job may write to: more than a diagnosis of five hours of nine channels takes.
 pub const JOB_MEMORY_BYTES: u64 = 640 << 20;
+/// Processor time of a job from one checkpoint of its state to its end: a hundred times that of a diagnosis of five hours of
+/// nine channels. Other jobs wait meanwhile.
+const JOB_PROCESSOR_S: u64 = 6 * 3600;
 
 /// What a child says of its job; a checkpoint's state and a result's text are the frame's body.
 #[derive(Debug, Serialize, Deserialize)]
@@ -49,7 +52,8 @@ pub(super) fn run(
     let (id, file) = (job.id.to_string(), store.file());
     let words = ["job", "--id", &id, "--file", &file, "--database"].map(OsStr::new);
     let work = [words.as_slice(), &[store.path().as_os_str()]].concat();
-    let mut child = Child::<Word>::start(JOB_MEMORY_BYTES, &work, BODY_MAX).map_err(JobError::Process)?;
+    let mut child =
+        Child::<Word>::start(JOB_MEMORY_BYTES, JOB_PROCESSOR_S, &work, BODY_MAX).map_err(JobError::Process)?;
     let mut keeper = InStore::new(store, job.id, keep_on);
     let mut looked = Instant::now();
     loop {
@@ -71,6 +75,8 @@ pub(super) fn run(
             Heard::Frame(Frame { header: Word::Unopened(reason), .. }) => {
                 return Err(JobError::Process(std::io::Error::other(reason)));
             }
+            // The next attempt would end in the same way.
+            Heard::Ended(ended) if ended.out_of_time => return Err(JobError::OutOfTime),
             Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
             Heard::Nothing => Ok(()),
         };

@@ -86,6 +86,11 @@ pub enum JobError {
         /// How it ended.
         reason: String,
     },
+    /// The process of the job reached its limit of processor time.
+    #[error(
+        "the job used all the processor time that a job may use: limit its samples or channels, or run it with the command line"
+    )]
+    OutOfTime,
     /// A process for the job could not be started.
     #[error("a process for the job could not be started: {0}")]
     Process(std::io::Error),

@@ -195,8 +195,8 @@ pub(super) fn read_apart<'a>(
     sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
 ) -> Result<(DiagnosisParameters, Option<Keeping<'a>>), JobError> {
     let work = ["wish".as_ref(), "--file".as_ref(), file.as_os_str()];
-    let mut child =
-        Child::<Word>::start(MEMORY_BYTES, &work, REFERENCE_PART_BYTES as u64).map_err(JobError::Process)?;
+    let mut child = Child::<Word>::start(MEMORY_BYTES, TIME.as_secs(), &work, REFERENCE_PART_BYTES as u64)
+        .map_err(JobError::Process)?;
     let died = |reason: String| JobError::Died { reason };
     let begun = Instant::now();
     let (mut sim, mut parameters, mut keeping) = (Some(sim), None, None);

@@ -1,6 +1,7 @@
 //! Child: another process of this program, which is asked one thing and answers in frames.
 
 use super::frame::{Frame, read_frame};
+use rustix::process::Signal;
 use serde::de::DeserializeOwned;
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
@@ -35,6 +36,8 @@ pub struct Ended {
     pub well: bool,
     /// Whether it ended for want of memory: the limit of its own.
     pub out_of_memory: bool,
+    /// Whether it ended because it used all the processor time that it may use.
+    pub out_of_time: bool,
     /// Why it ended, for people: its signal or exit code, and its last words.
     pub reason: String,
 }
@@ -48,18 +51,19 @@ pub struct Child<H> {
 }
 
 impl<H: DeserializeOwned + Send + 'static> Child<H> {
-    /// Starts this program again as a worker that may write to so many bytes of private memory; `work` says what it does. Its
-    /// frames have bodies of at most `body_max` bytes.
+    /// Starts this program again as a worker that may write to `memory_bytes` of private memory and use `processor_s` seconds
+    /// of processor time; `work` says what it does. Its frames have bodies of at most `body_max` bytes.
     ///
     /// # Errors
     /// What the system says, if no process can be started.
-    pub fn start(memory_bytes: u64, work: &[&OsStr], body_max: u64) -> std::io::Result<Self> {
+    pub fn start(memory_bytes: u64, processor_s: u64, work: &[&OsStr], body_max: u64) -> std::io::Result<Self> {
         // Not the path of the program: an upgrade may have replaced what is there. A group of its own: what a terminal sends to
         // the daemon's group is for the daemon, which ends its children itself.
         let mut process = Command::new("/proc/self/exe")
             .arg0("vn100d")
             .process_group(0)
-            .args(["worker", "--parent", &std::process::id().to_string(), "--memory", &memory_bytes.to_string()])
+            .args(["worker", "--parent", &std::process::id().to_string()])
+            .args(["--memory", &memory_bytes.to_string(), "--processor-s", &processor_s.to_string()])
             .args(work)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -116,7 +120,8 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
         let words = self.last_words.take().and_then(|thread| thread.join().ok()).flatten();
         // The standard library's words before it gives up; a panic gives up too.
         let out_of_memory = words.as_ref().is_some_and(|words| words.starts_with("memory allocation of"));
-        Ok(Ended { well: status.success(), out_of_memory, reason: reason(status, words) })
+        let out_of_time = status.signal() == Some(Signal::XCPU.as_raw());
+        Ok(Ended { well: status.success(), out_of_memory, out_of_time, reason: reason(status, words) })
     }
 }
 

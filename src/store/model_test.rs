@@ -11,6 +11,7 @@ use super::*;
 use crate::sample::{Channel, Record};
 use model::{Content, Files, Instant};
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -133,6 +134,40 @@ struct Driver {
     image: (Files, Content),
     random: ChaCha8Rng,
     images: BTreeMap<&'static str, u64>,
+    mutant: Mutant,
+}
+
+/// A store that is broken on purpose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Mutant {
+    /// It is sound.
+    None,
+    /// It loses the last of the records that are sent together.
+    LosesARecord,
+    /// It stores a sample with another value.
+    ChangesAValue,
+    /// It acknowledges before the commit is on the disk.
+    AcknowledgesEarly,
+    /// It writes a checkpoint in two transactions.
+    SplitsATransaction,
+}
+
+impl Mutant {
+    /// What such a store stores of what is sent.
+    fn changed(self, mut records: Vec<Record>) -> Vec<Record> {
+        match self {
+            Self::LosesARecord if records.len() > 1 => drop(records.pop()),
+            Self::ChangesAValue => {
+                let last = records.iter_mut().rev().find_map(|record| match record {
+                    Record::Sample { sample, .. } => Some(sample),
+                    _ => None,
+                });
+                last.into_iter().for_each(|sample| sample.set(Channel::GyroX, 0.5));
+            }
+            _ => {}
+        }
+        records
+    }
 }
 
 impl Driver {
@@ -149,6 +184,7 @@ impl Driver {
             image: Default::default(),
             random: ChaCha8Rng::seed_from_u64(seed),
             images: BTreeMap::new(),
+            mutant: Mutant::None,
         };
         driver.safe = driver.files();
         driver.image = (driver.safe.clone(), Content::default());
@@ -168,7 +204,7 @@ impl Driver {
     /// The store went on to `content` in so many transactions; None says that this is not known.
     fn went_on(&mut self, content: Content, transactions: Option<u64>, synced: bool) {
         self.states.push(content);
-        let after = self.files();
+        let after = if self.mutant == Mutant::AcknowledgesEarly { self.safe.clone() } else { self.files() };
         let one = transactions.is_some_and(|count| count <= 1);
         let copied = self.safe.database != after.database;
         for at in self.safe.instants(&after, one) {
@@ -204,7 +240,7 @@ impl Driver {
         if let Some(room) = room {
             limit(Some(log.max(1 << 16) + room));
         }
-        for record in records {
+        for record in self.mutant.changed(records) {
             self.store.records().blocking_send(id, record).unwrap();
         }
         let begun = std::time::Instant::now();
@@ -319,6 +355,10 @@ impl Driver {
                 } else {
                     let state: Vec<u8> = (0..self.random.random_range(0..9000)).map(|_| self.random.random()).collect();
                     job.2 = Some(state.clone());
+                    if self.mutant == Mutant::SplitsATransaction {
+                        let half = JobCheckpoint { next_seq: 0, state: vec![0; state.len()] };
+                        assert!(self.store.checkpoint_job(id, half, 0.5).unwrap());
+                    }
                     assert!(self.store.checkpoint_job(id, JobCheckpoint { next_seq: 0, state }, 0.5).unwrap());
                 }
                 self.went_on(content, Some(1), true);
@@ -381,6 +421,31 @@ fn the_model_notices_that_an_acknowledged_sample_is_gone() {
         let (_folder, path) = Files { log, ..driver.safe.clone() }.write();
         assert_ne!(read(&path), driver.now());
         assert!(Store::open(&path, StoreOptions::default()).is_err(), "the lock remembers that it was acknowledged");
+    }
+}
+
+/// Each kind of broken store fails the model within some cases: the test can fail.
+#[test]
+fn a_store_that_is_broken_fails_its_model() {
+    const CASES: u64 = 10;
+    let mutants = [Mutant::LosesARecord, Mutant::ChangesAValue, Mutant::AcknowledgesEarly, Mutant::SplitsATransaction];
+    for mutant in mutants {
+        let mut runner = TestRunner::deterministic();
+        // A disk that refuses needs a process of its own.
+        let some = proptest::collection::vec(action(), 1..60)
+            .prop_map(|all| all.into_iter().filter(|of| !matches!(of, Action::Refused { .. })).collect::<Vec<_>>());
+        let failed = (0..CASES).position(|seed| {
+            let mut actions = vec![Action::Create, Action::Submit, Action::Work { finish: false }];
+            actions.extend((0..8).map(|_| Action::Work { finish: false }));
+            actions.extend(some.new_tree(&mut runner).unwrap().current());
+            let run = || {
+                let mut driver = Driver { mutant, ..Driver::new(seed) };
+                actions.iter().for_each(|action| driver.run(action));
+            };
+            std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)).is_err()
+        });
+        println!("{mutant:?} failed the model in case {failed:?}");
+        assert!(failed.is_some(), "{mutant:?} passed {CASES} cases");
     }
 }
 

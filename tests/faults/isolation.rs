@@ -5,7 +5,7 @@
 //! its unit.
 
 use crate::http::{ask, memory, p99};
-use crate::jobs::{children, fill, noise, plain, settle, wakes};
+use crate::jobs::{children, fill, model, noise, plain, settle, wakes};
 use crate::tools::{root, scaled};
 use crate::world::{Process, World, program};
 use serde_json::json;
@@ -68,13 +68,49 @@ impl Cgroup {
 
 impl Drop for Cgroup {
     fn drop(&mut self) {
-        // Its processes have to be gone first.
-        for _ in 0..50 {
-            if std::fs::remove_dir(&self.folder).is_ok() {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(100));
+        remove(&self.folder);
+    }
+}
+
+/// Removes a group once its processes are gone.
+fn remove(folder: &Path) {
+    for _ in 0..50 {
+        if std::fs::remove_dir(folder).is_ok() {
+            return;
         }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// A group that has a share of the processor (cgroup v1); removed when dropped.
+struct Share(PathBuf);
+
+impl Share {
+    /// 1024 is the share of a group that says nothing.
+    fn new(name: &str, shares: u32) -> Option<Self> {
+        let folder = Path::new("/sys/fs/cgroup/cpu").join(format!("vn100d-test-{}-{name}", std::process::id()));
+        std::fs::create_dir(&folder).ok()?;
+        let share = Self(folder);
+        std::fs::write(share.0.join("cpu.shares"), shares.to_string()).ok()?;
+        // A kernel that shares out real-time priority among groups takes no thread that has it into a group without.
+        let _ = std::fs::write(share.0.join("cpu.rt_runtime_us"), "100000");
+        Some(share)
+    }
+
+    fn take(&self, pid: u32) {
+        std::fs::write(self.0.join("cgroup.procs"), pid.to_string()).unwrap();
+    }
+
+    /// Takes the thread that calls it.
+    fn take_thread(&self) {
+        let thread = std::fs::read_link("/proc/thread-self").unwrap();
+        std::fs::write(self.0.join("tasks"), thread.file_name().unwrap().as_encoded_bytes()).unwrap();
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        remove(&self.0);
     }
 }
 
@@ -163,6 +199,12 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     let configuration = "[sensor]\nrate-hz = 800\nbaud = 921600\n";
     let mut daemon = world.daemon_of(command, port.to_str().unwrap(), configuration, &["--capture", "12h"]);
     let cgroup = root("the daemon in a memory cgroup").then(|| Cgroup::new(&daemon)).flatten();
+    // As under systemd, whose unit has CPUWeight=200. The clients stand for other machines: what they do costs this one nothing.
+    let shares = root("the daemon and its clients in processor groups")
+        .then(|| Some((Share::new("unit", 2048)?, Share::new("clients", 2)?)))
+        .flatten();
+    shares.iter().for_each(|(unit, _)| unit.take(daemon.id()));
+    let elsewhere = || shares.iter().for_each(|(_, clients)| clients.take_thread());
     let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(800));
     world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
     let (pid, over, asked) = (daemon.id(), AtomicBool::new(false), Asked::default());
@@ -182,9 +224,10 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
         format!("{begin}{middle}{end}").into_bytes()
     };
     let took = std::thread::scope(|scope| {
-        let (world, asked, hostile, count, go_on) = (&world, &asked, &hostile, &count, &go_on);
+        let (world, asked, hostile, count, go_on, elsewhere) = (&world, &asked, &hostile, &count, &go_on, &elsewhere);
         for _ in 0..4 {
             scope.spawn(move || {
+                elsewhere();
                 while go_on() {
                     let route = format!("/v1/captures/{night}/diagnoses");
                     let status =
@@ -194,12 +237,9 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
             });
         }
         scope.spawn(move || {
+            elsewhere();
             for number in 1.. {
-                let channel = |unit: f64| json!({"N": unit * f64::from(number)});
-                let channels: serde_json::Map<String, serde_json::Value> =
-                    nine.iter().map(|of| (of.name().to_owned(), channel(1e-5))).collect();
-                let model =
-                    json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": channels});
+                let model = model(nine, 40.0, 1e-5 * f64::from(number));
                 let answer = world.request(
                     "POST",
                     &format!("/v1/captures/{night}/diagnoses"),
@@ -225,6 +265,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
         });
         for browser in 0..6 {
             scope.spawn(move || {
+                elsewhere();
                 let get = |route: &str| world.request("GET", route, "").map(|(status, _)| status);
                 while go_on() {
                     count(&asked.pages, get("/captures/latest"));
@@ -237,6 +278,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
             });
         }
         scope.spawn(move || {
+            elsewhere();
             for seed in 0.. {
                 let bytes = if long { 2_000_000_000 } else { scaled(5_000_000, 200_000_000) };
                 let route = format!("/v1/imports?file=bench-{seed}.csv");
@@ -248,6 +290,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
             }
         });
         scope.spawn(move || {
+            elsewhere();
             while go_on() {
                 let route = format!("/v1/captures/{night}/samples?format=csv");
                 let request = format!("GET {route} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");

@@ -1,10 +1,13 @@
 //! Background work that is interrupted, starved or fed nonsense (rows F1 to F7).
 
-use crate::tools::scaled;
-use crate::world::{Process, World};
+use crate::audit::lines_with;
+use crate::http::memory;
+use crate::tools::{have, scaled};
+use crate::world::{Process, World, program};
 use rusqlite::types::Value;
 use serde_json::json;
 use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 use vn100d::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
@@ -420,6 +423,78 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
 }
 
 /// F5.
+/// A model of white noise alone: `n` is N of each channel.
+pub fn model(channels: &[Channel], rate_hz: f64, n: f64) -> serde_json::Value {
+    let channels: serde_json::Map<_, _> = channels.iter().map(|of| (of.name().to_owned(), json!({"N": n}))).collect();
+    json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": rate_hz, "channels": channels})
+}
+
+/// F9: a job that takes too long. Its limit is lowered to 3 s of processor time by that of the daemon, which children inherit.
+#[test]
+fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() {
+    if !have("prlimit", "it limits processor time") {
+        return;
+    }
+    let world = World::new();
+    let night = fill(&world, "night", &Channel::ANALYSED, &plain(300_000), noise);
+    fill(&world, "short", &SIX, &plain(2000), noise);
+    let own = program();
+    let mut command = Command::new("prlimit");
+    command.args(["--cpu=3:600", "--"]).arg(own.get_program());
+    let mut daemon = world.daemon_of(command, "/nowhere", "", &[]);
+    let wanted = json!({"sim": model(&Channel::ANALYSED, 40.0, 1e-4)}).to_string();
+    let (code, text) = world.request("POST", &format!("/v1/captures/{night}/diagnoses"), &wanted).unwrap();
+    assert_eq!(code, 202, "{text}");
+    let first = serde_json::from_str::<serde_json::Value>(&text).unwrap()["id"].as_i64().unwrap();
+    let next = submit(&world, &json!({"kind": "allan", "capture": "short"}));
+    let failed = ended(&world, first, &daemon);
+    assert_eq!(failed["state"], "failed", "{failed}");
+    assert!(failed["error"].as_str().unwrap().contains("all the processor time"), "{failed}");
+    assert_eq!(lines_with(&daemon.log(), &["A job failed"]), 1, "tried once: {}", daemon.log());
+    assert_eq!(ended(&world, next, &daemon)["state"], "done");
+    assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
+    drop(daemon);
+    settle(&world);
+}
+
+/// F10: references of the largest size that is taken: many short rows, which take the most memory.
+#[test]
+fn the_largest_reference_costs_the_daemon_little_memory_and_is_kept_once() {
+    let rows = scaled(500_000, 1_500_000);
+    let world = World::new();
+    let night = fill(&world, "night", &SIX, &plain(2000), noise);
+    let long = fill(&world, "long", &SIX, &plain(300_000), noise);
+    let mut daemon = world.daemon("", &[]);
+    let diagnose = |capture: i64, wanted: serde_json::Value| {
+        let (code, answer) =
+            world.request("POST", &format!("/v1/captures/{capture}/diagnoses"), &wanted.to_string()).unwrap();
+        assert_eq!(code, 202, "{answer}");
+        serde_json::from_str::<serde_json::Value>(&answer).unwrap()["id"].as_i64().unwrap()
+    };
+    // What waits behind it keeps its reference; what has failed does not.
+    diagnose(long, json!({"sim": model(&SIX, 40.0, 1e-4)}));
+    let head = "time_s,ref_gyro_x_rad_s,ref_gyro_y_rad_s,ref_gyro_z_rad_s,ref_accel_x_m_s2,ref_accel_y_m_s2,ref_accel_z_m_s2\n";
+    let text: String = (0..rows).fold(head.to_owned(), |text, row| text + &format!("{row},0,0,0,0,0,1\n"));
+    let jobs = [&SIX[..], &SIX[..3]]
+        .map(|channels| diagnose(night, json!({"sim": model(channels, 40.0, 1e-4), "reference": text})));
+    let kept = "SELECT count(*), sum(bytes) FROM reference";
+    assert_eq!(world.query(kept)[0], [Value::Integer(1), Value::Integer(text.len() as i64)]);
+    let most = memory(daemon.id(), "VmHWM");
+    println!("F10: {} MiB of text, the daemon at most {} MiB", text.len() >> 20, most >> 20);
+    let allowed = if cfg!(debug_assertions) { 128 << 20 } else { 64 << 20 };
+    assert!(most < allowed, "{most}");
+    for job in jobs {
+        // The job before them may have ended meanwhile, and so have they.
+        let (code, answer) = world.request("DELETE", &format!("/v1/jobs/{job}"), "").unwrap();
+        assert!(code == 200 || code == 409, "{code} {answer}");
+    }
+    let gone = || (world.query(kept)[0][0] == Value::Integer(0)).then_some(());
+    world.until("the reference is gone", Duration::from_secs(60), gone, &daemon);
+    assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
+    drop(daemon);
+    settle(&world);
+}
+
 #[test]
 fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
     let world = World::new();

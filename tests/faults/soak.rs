@@ -2,9 +2,11 @@
 //!
 //! `VN100D_SOAK=8h` runs it for eight hours (30 s where it is not set), `VN100D_SOAK_SEED=N` repeats a run: the same faults in
 //! the same order after the same pauses. What depends on the scheduler (which sample a kill falls on) differs.
+//! `VN100D_SOAK_RATE=800` sets the sensor's rate in Hz (400 unless it is set): 75 minutes of it are the samples of 25 hours at 40 Hz.
 //! `VN100D_SOAK_CALM=1` leaves faults, kills and jobs out: what memory does by itself.
 
 use crate::audit::Held;
+use crate::jobs::model;
 use crate::storage::{Mount, full};
 use crate::tools::{self, Faketime};
 use crate::world::{Process, World, program, vn100d};
@@ -14,9 +16,8 @@ use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use vn100d::sample::Channel;
 
-const CONFIGURATION: &str = "[sensor]\nrate-hz = 400.0\nbaud = 921600\n";
-const RATE_HZ: u64 = 400;
 /// What a sample takes in the database (docs/performance.md).
 const BYTES_PER_SAMPLE: u64 = 190;
 /// Requests per second.
@@ -32,6 +33,10 @@ const ROUTES: [&str; 8] = [
     "/v1/status",
 ];
 
+fn rate_hz() -> u64 {
+    std::env::var("VN100D_SOAK_RATE").map_or(400, |text| text.parse().expect("VN100D_SOAK_RATE is a number"))
+}
+
 /// How long, and from which seed.
 fn asked() -> (Duration, u64) {
     let duration = std::env::var("VN100D_SOAK").map_or(Duration::from_secs(30), |text| {
@@ -46,7 +51,8 @@ fn asked() -> (Duration, u64) {
 fn start(world: &World, civil: Option<&Faketime>, arguments: &[&str]) -> Process {
     let mut command = program();
     command.envs(civil.iter().flat_map(|civil| civil.environment()));
-    world.daemon_of(command, world.port().to_str().unwrap(), CONFIGURATION, arguments)
+    let configuration = format!("[sensor]\nrate-hz = {}.0\nbaud = 921600\n", rate_hz());
+    world.daemon_of(command, world.port().to_str().unwrap(), &configuration, arguments)
 }
 
 /// What happens next.
@@ -123,10 +129,18 @@ impl Asked {
         }
     }
 
-    /// One job after the other.
+    /// One job after the other: a noise report, then a diagnosis.
     fn work(&self, world: &World, stop: &AtomicBool) {
-        while !stop.load(Ordering::Relaxed) {
-            let submitted = world.request("POST", "/v1/jobs", r#"{"kind": "noise", "capture": "latest"}"#);
+        let diagnosis = serde_json::json!({"sim": model(&Channel::ANALYSED[..6], rate_hz() as f64, 1e-4)}).to_string();
+        let wanted = [
+            ("/v1/jobs", r#"{"kind": "noise", "capture": "latest"}"#),
+            ("/v1/captures/latest/diagnoses", diagnosis.as_str()),
+        ];
+        for (route, wanted) in wanted.iter().cycle() {
+            if stop.load(Ordering::Relaxed) {
+                return;
+            }
+            let submitted = world.request("POST", route, wanted);
             let id =
                 submitted.and_then(|(_, body)| serde_json::from_str::<serde_json::Value>(&body).ok()?["id"].as_u64());
             while let Some(id) = id.filter(|_| !stop.load(Ordering::Relaxed)) {
@@ -181,7 +195,7 @@ fn everything_at_once_loses_nothing_silently() {
     let mean_s = (duration.as_secs_f64() / 200.0).clamp(2.0, 150.0);
     let world = World::new();
     // Twice the room that the samples need: a disk that is full was filled on purpose.
-    let size = (64 << 20) + 2 * BYTES_PER_SAMPLE * RATE_HZ * duration.as_secs();
+    let size = (64 << 20) + 2 * BYTES_PER_SAMPLE * rate_hz() * duration.as_secs();
     let disk = tools::root("a file system of its own is mounted").then(|| Mount::tmpfs(&world, &size.to_string()));
     let can_trace = tools::have("strace", "it makes fsync slow");
     let log = world.path("sensor.log");

@@ -160,9 +160,10 @@ impl Files {
 }
 
 fn mixed(before: &[u8], after: &[u8], random: &mut impl RngExt) -> Vec<u8> {
-    let kind = random.random_range(0..4);
     // The writes came in order up to some byte, or the pages reached the disk in any order.
-    let cut = random.random_range(0..=after.len());
+    let kind = random.random_range(0..6_u32).saturating_sub(2);
+    let same = before.iter().zip(after).take_while(|(old, new)| old == new).count();
+    let cut = random.random_range(same..=after.len());
     let length = after.len().max(before.len());
     let old = |at: usize| before.get(at).copied().unwrap_or(0);
     let new = |at: usize| after.get(at).copied().unwrap_or_else(|| old(at));
