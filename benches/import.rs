@@ -1,4 +1,4 @@
-//! How fast a CSV becomes a capture: ten channels with stamps, as the contract writes them. Prints rows per second of one
+//! How fast a CSV becomes a capture: ten channels with stamps, as docs/formats.md has them. Prints rows per second of one
 //! pass over the file, of the pass that also finds the rate and what is odd, and of a whole import into SQLite (hash, both
 //! passes, every transaction synced to the disk under `TMPDIR`), with processor times.
 //!

@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn durations_are_read_as_the_contract_writes_them() {
+    fn durations_are_read_as_documented() {
         assert_eq!(parse_duration("5h").unwrap(), Duration::from_secs(18_000));
         assert_eq!(parse_duration("90m").unwrap(), Duration::from_secs(5_400));
         assert_eq!(parse_duration("30s").unwrap(), Duration::from_secs(30));

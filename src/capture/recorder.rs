@@ -1,7 +1,7 @@
 //! Recorder: one capture from its first sample to its planned end. Pure.
 //!
 //! A capture runs on sample time: it is complete when received + missing = duration × rate, however long that took
-//! (contract, section 2). A gap that reaches beyond the planned end is cut there; what arrives later is no part of the
+//! (docs/formats.md). A gap that reaches beyond the planned end is cut there; what arrives later is no part of the
 //! capture.
 
 use crate::observe::Tally;

@@ -79,7 +79,7 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// The exit code (contract, section 1; the numbers above 63 are those of sysexits.h).
+    /// The exit code (docs/formats.md; the numbers above 63 are those of sysexits.h).
     fn code(self) -> u8 {
         match self {
             Self::Other => 1,

@@ -309,7 +309,7 @@ impl Run<'_> {
     }
 }
 
-/// Rows of the contract's CSV (section 4); lost samples have none. Standard output where there is no file.
+/// Rows of the CSV of docs/formats.md; lost samples have none. Standard output where there is no file.
 fn to_csv(output: Option<Output>, run: &mut Run<'_>) -> anyhow::Result<Made> {
     let Some(output) = output else { return csv_rows(std::io::stdout().lock(), run) };
     let made = csv_rows(output.file(), run).map_err(|error| match error.is::<std::io::Error>() {

@@ -4,7 +4,7 @@
 //! which every value is in its range. Promises: an unknown key, a value of the wrong kind or out of range, and a
 //! listening address that others can reach without a token are refused with file, line, key and what is allowed.
 //! Refuses to merge several files: the first that exists counts alone. The data directory is not a key: it decides
-//! which database a command means, and must be the same for every command (contract, section 1).
+//! which database a command means, and must be the same for every command (docs/formats.md).
 
 mod check;
 mod error;

@@ -1,4 +1,4 @@
-//! Where the configuration and the data are looked for (contract, section 1).
+//! Where the configuration and the data are looked for (docs/formats.md).
 
 use super::ConfigError;
 use std::collections::HashMap;

@@ -1,6 +1,6 @@
 //! Diagnosis: where a record and a simulator's law differ, and which effect the simulator lacks. Pure.
 //!
-//! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of the contract's section 6,
+//! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of docs/formats.md,
 //! and the model with its parameters corrected and the effects found added.
 //!
 //! Everything is in one currency: nats of log density of the real samples per sample. A channel's samples are transformed
@@ -87,7 +87,7 @@ pub use recording::Recording;
 pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
 
-/// The effects that can be found in a record at rest: the contract's, on channels.
+/// The effects that can be found in a record at rest: those of docs/effects.md that act on channels.
 #[must_use]
 pub fn effect_names() -> Vec<&'static str> {
     crate::effects::registry::names(&crate::effects::registry::CHANNEL)

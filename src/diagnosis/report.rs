@@ -1,4 +1,4 @@
-//! The report: what a diagnosis says, in the form of the contract (section 6).
+//! The report: what a diagnosis says, in the form of docs/formats.md.
 
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -10,7 +10,7 @@ pub const FORMAT: &str = "vn100d-diagnosis-1";
 /// What was found in all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the contract's four")]
+#[expect(clippy::exhaustive_enums, reason = "the documented four")]
 pub enum Verdict {
     /// Nothing beyond chance.
     NoGap,
@@ -24,7 +24,7 @@ pub enum Verdict {
 
 /// The discrepancy in nats of log density of the real samples per sample, a mean over the channels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Discrepancy {
     /// Always `nats/sample`.
     pub unit: &'static str,
@@ -48,7 +48,7 @@ pub struct Discrepancy {
 
 /// What lies in a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's three")]
+#[expect(clippy::exhaustive_enums, reason = "the documented three")]
 pub enum Of {
     /// The cause of this number in the list.
     Cause(usize),
@@ -70,7 +70,7 @@ impl Serialize for Of {
 
 /// A place where real and simulated samples differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Place {
     /// What lies in it.
     pub of: Of,
@@ -140,7 +140,7 @@ pub struct Driver {
 
 /// A parameter that is merely off.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Parameter {
     /// The channel; `sensor` for what belongs to all.
     pub channel: String,
@@ -176,7 +176,7 @@ pub struct Offset {
 /// What the size of a difference may mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the contract's five")]
+#[expect(clippy::exhaustive_enums, reason = "the documented five")]
 pub enum HintKind {
     /// The root of the rate is in it once too often or too rarely.
     SqrtRate,
@@ -192,7 +192,7 @@ pub enum HintKind {
 
 /// A difference whose size has a meaning.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Hint {
     /// What differs, such as `accel_x N`.
     pub about: String,
@@ -205,7 +205,7 @@ pub struct Hint {
 /// On which side an effect is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the contract's three")]
+#[expect(clippy::exhaustive_enums, reason = "the documented three")]
 pub enum Sense {
     /// The sensor has it, the model lacks it.
     Missing,
@@ -217,9 +217,9 @@ pub enum Sense {
 
 /// An effect in which sensor and model differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Cause {
-    /// The contract's name of it.
+    /// The documented name of it.
     pub effect: &'static str,
     /// Who has it.
     pub sense: Sense,
@@ -246,9 +246,9 @@ pub struct Cause {
 
 /// An effect that was weighed and not named.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Alternative {
-    /// The contract's name of it.
+    /// The documented name of it.
     pub effect: &'static str,
     /// The channels.
     pub channels: Vec<String>,
@@ -260,7 +260,7 @@ pub struct Alternative {
 
 /// One channel's discrepancy, nats per sample.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct ChannelGap {
     /// Under the model as it came.
     pub before: f64,
@@ -272,7 +272,7 @@ pub struct ChannelGap {
 
 /// What no known effect explains.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Remainder {
     /// Part of the nats of all places.
     pub share: f64,

@@ -104,7 +104,7 @@ fn truth(effect: &Value, parameter: &str) -> f64 {
     effect[parameter].as_f64().unwrap()
 }
 
-/// The contract's effects, at sizes that the record shows.
+/// The documented effects, at sizes that the record shows.
 fn effects() -> Vec<Value> {
     vec![
         json!({"effect": "quantization_noise", "Q": 1.2e-4}),

@@ -1,4 +1,4 @@
-//! Translation: an explanation in a series' scale becomes effects of the contract, in the channel's unit.
+//! Translation: an explanation in a series' scale becomes effects of docs/formats.md, in the channel's unit.
 
 use super::course::{Course, Follow};
 use super::evidence::Kind;

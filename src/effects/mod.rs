@@ -1,7 +1,7 @@
 //! Effects: one physical error source per file, each defined once for the simulator, the fit, the plots and the diagnosis.
 //! Pure.
 //!
-//! In: an effect's parameters (contract, section 5), a rate, a random stream. Out: what is known about it in closed form
+//! In: an effect's parameters (docs/formats.md), a rate, a random stream. Out: what is known about it in closed form
 //! (power spectrum, Allan variance, gain, mean response, moments, the functions of time it is linear in) and a sampler that
 //! streams it in bounded memory. Where there is no closed form the answer is `None`, and the method says why.
 //!
@@ -238,7 +238,7 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
         self.parameters().into_iter().find(|(own, _)| *own == name).and_then(|(_, value)| value.as_f64())
     }
 
-    /// The name in files and messages (contract, section 5).
+    /// The name in files and messages (docs/formats.md).
     fn name(&self) -> &'static str {
         self.spec().name
     }

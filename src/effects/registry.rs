@@ -3,7 +3,7 @@
 use super::spec::{Kind, Spec};
 use super::{Effect, TriadEffect, triad};
 
-/// Effects on a channel, in the contract's order.
+/// Effects on a channel, in the documented order.
 pub static CHANNEL: [&Kind<dyn Effect>; 25] = [
     &super::resolution::KIND,
     &super::quantization_noise::KIND,
@@ -32,7 +32,7 @@ pub static CHANNEL: [&Kind<dyn Effect>; 25] = [
     &super::wandering_line::KIND,
 ];
 
-/// Effects on a triad, in the contract's order.
+/// Effects on a triad, in the documented order.
 pub static TRIAD: [&Kind<dyn TriadEffect>; 8] = [
     &triad::bias::KIND,
     &triad::scale_factor::KIND,
@@ -56,7 +56,7 @@ pub fn names<E: ?Sized>(kinds: &[&Kind<E>]) -> Vec<&'static str> {
     kinds.iter().map(|kind| kind.spec.name).collect()
 }
 
-/// Where `spec` stands in the contract's order; those outside the lists (N, B, K) come first.
+/// Where `spec` stands in the documented order; those outside the lists (N, B, K) come first.
 #[must_use]
 pub fn rank(spec: &Spec) -> usize {
     CHANNEL.iter().position(|kind| kind.spec.name == spec.name).map_or(0, |place| place + 1)

@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// What it adds to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's mean
 /// square over a record, by which the white density grows.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's three forms")]
+#[expect(clippy::exhaustive_enums, reason = "the documented three forms")]
 pub enum VarianceChange {
     /// A factor inside an interval, 1 outside.
     Interval {

@@ -19,7 +19,7 @@ const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 
 /// One picture of a capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's names")]
+#[expect(clippy::exhaustive_enums, reason = "the documented names")]
 pub enum Picture {
     /// `timeseries-<channel>`: samples over time.
     Timeseries(Channel),

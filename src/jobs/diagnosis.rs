@@ -29,7 +29,7 @@ const MODEL: &str = "model-";
 /// What a capture is compared with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's, once ids are looked up")]
+#[expect(clippy::exhaustive_enums, reason = "the documented ones, once ids are looked up")]
 pub enum Simulator {
     /// A capture that a simulator made, by its id.
     Capture(i64),
@@ -39,7 +39,7 @@ pub enum Simulator {
 
 /// Parameters of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's")]
+#[expect(clippy::exhaustive_structs, reason = "documented")]
 pub struct DiagnosisParameters {
     /// What the capture is compared with. A model stands here whole, so that the job outlives it.
     pub sim: Simulator,

@@ -1,4 +1,4 @@
-//! Reports: from sums and moments to the documents of the contract, section 7.
+//! Reports: from sums and moments to the documents of docs/formats.md.
 
 use super::JobError;
 use super::SampleSource;

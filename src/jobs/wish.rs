@@ -28,7 +28,7 @@ const TIME: Duration = Duration::from_secs(60);
 /// What the sensor went through, as a job's parameters have it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's")]
+#[expect(clippy::exhaustive_enums, reason = "documented")]
 pub enum GivenReference {
     /// A motion's CSV, which the database keeps.
     Kept {

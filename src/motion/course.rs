@@ -20,7 +20,7 @@ const SHORTEST_STAIR_S: f64 = 2.0;
 
 /// Which motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the contract has these three")]
+#[expect(clippy::exhaustive_enums, reason = "there are these three")]
 pub enum Kind {
     /// Level, at rest: gravity and Earth rate.
     Still,

@@ -1,4 +1,4 @@
-//! Files: motions as CSV (contract, section 4), read row by row and written row by row.
+//! Files: motions as CSV (docs/formats.md), read row by row and written row by row.
 //!
 //! A motion has `time_s`, `ref_gyro_{x,y,z}_rad_s`, `ref_accel_{x,y,z}_m_s2` (specific force in the sensor's axes) and, if known,
 //! `temperature_c`, in any order of columns; others are ignored. Refused, with the file, the line and what is allowed: a missing
@@ -21,7 +21,7 @@ const COLUMNS: [&str; 7] = [
 const TEMPERATURE: &str = "temperature_c";
 /// How far a file's rate may lie from the one it stands for: its stamps are another clock's.
 const RATE_TOLERANCE: f64 = 1e-3;
-/// How far a step may be from the period, in periods: from one and a half on a row is missing (contract, section 3).
+/// How far a step may be from the period, in periods: from one and a half on a row is missing (docs/formats.md).
 const STRAY_PERIODS: f64 = 0.5;
 /// Rows that tell the rate: stamps are often rounded to a millisecond, so that one step alone does not.
 const TELLING: usize = 1000;

@@ -1,7 +1,7 @@
 //! Motion: what a sensor goes through, as a reference for the simulator and for diagnosis. Pure.
 //!
 //! [`Course`] gives the motions that need no file: lying still, a tumble through six positions, a rate table's staircase in
-//! each axis. [`file`] reads and writes motions as CSV (contract, section 4). Both are angular rate and specific force in the
+//! each axis. [`file`] reads and writes motions as CSV (docs/formats.md). Both are angular rate and specific force in the
 //! sensor's axes (x forward, y right, z down, as a VN-100 has them), with the Earth's rotation and gravity; the sensor turns
 //! about its own centre, so that nothing else accelerates it.
 

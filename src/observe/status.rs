@@ -1,5 +1,5 @@
 //! The status snapshot: published by the daemon through a watch channel, read by the HTTP interface without ever
-//! touching the disk (contract, section 3).
+//! touching the disk (docs/formats.md).
 
 use super::notify::NotifyStatus;
 use crate::sample::device_clock::ClockEstimate;
@@ -7,7 +7,7 @@ use crate::sample::{DiscardCause, Timebase};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What the connection to the sensor is doing (contract, section 2).
+/// What the connection to the sensor is doing (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorState {

@@ -1,4 +1,4 @@
-//! From a recording's items to a capture's records, by the contract's rule (section 3): a gap is a grid point without a
+//! From a recording's items to a capture's records, by the rule of docs/formats.md: a gap is a grid point without a
 //! sample. No file is touched here.
 //!
 //! With stamps the grid tells how many samples are missing before each ([`super::grid`]). A rejected line with a stamp takes

@@ -1,4 +1,4 @@
-//! CSV: a header line that names channels and units, rows of numbers (contract, section 4).
+//! CSV: a header line that names channels and units, rows of numbers (docs/formats.md).
 //!
 //! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted to
 //! the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its channel absent; a row

@@ -20,7 +20,7 @@ const SHOWN_CHARS: usize = 60;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A table with a header line (contract, section 4).
+    /// A table with a header line (docs/formats.md).
     Csv,
     /// Raw `$VN…` lines.
     VnText,

@@ -130,7 +130,7 @@ pub enum RecordingError {
         /// The file's columns.
         found: String,
     },
-    /// A CSV with other names than the contract's.
+    /// A CSV with other names than those of docs/formats.md.
     #[error(
         "{} looks like a CSV, but none of its columns names a channel with its unit; they are: {found}. Say which is which \
          with --columns 'FOREIGN=NAME,…'; names are {}",

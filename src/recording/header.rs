@@ -29,7 +29,7 @@ pub(super) enum Column {
     Ignored,
 }
 
-/// What a name of the contract means.
+/// What a name of docs/formats.md means.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Target {
     Stamp { places: usize },

@@ -1,6 +1,6 @@
 //! Which column of a foreign CSV is what: `Time [ms]=time_ms,ax=accel_x_g,#3=gyro_x_dps`.
 //!
-//! A pair is FOREIGN=NAME. FOREIGN is a header's name, or `#` and a position from 1; NAME is a column of the contract
+//! A pair is FOREIGN=NAME. FOREIGN is a header's name, or `#` and a position from 1; NAME is a column of docs/formats.md
 //! (section 4) with its unit, or `time_s`, `time_ms`, `time_us`, `time_ns`. Pairs are separated by commas; the last `=` of a
 //! pair counts, and a comma before which no `=` stands belongs to the name. A name with a comma behind an `=` is given by
 //! its position. Pure.
@@ -43,7 +43,7 @@ pub enum ColumnsError {
         /// The pair.
         pair: String,
     },
-    /// The name is none of the contract.
+    /// The name is none of docs/formats.md.
     #[error(
         "columns: {pair:?}: {name:?} is no column's name; allowed are {}. (A name that has both a comma and a `=` is given \
          by its position: '#3={name}')",

@@ -1,6 +1,6 @@
 //! Recordings: files of samples that somebody else wrote, read as if they had been captured.
 //!
-//! In: a path to CSV (contract, section 4), raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1 or
+//! In: a path to CSV (docs/formats.md), raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1 or
 //! ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a
 //! first pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](crate::sample::Record)s
 //! ([`account`]), or whole columns ([`load_columns`]).
@@ -74,7 +74,7 @@ use stamps::UNIX_FROM_NS;
 use std::path::Path;
 use survey::Survey;
 
-/// The rate at which raw `$VN…` lines are taken when nothing tells it: register 7's default (contract, section 1).
+/// The rate at which raw `$VN…` lines are taken when nothing tells it: register 7's default (docs/formats.md).
 pub const DEFAULT_VN_RATE_HZ: f64 = 40.0;
 /// Rejected lines that are kept with their text.
 pub const REJECTED_KEPT: usize = 100;

@@ -144,7 +144,7 @@ impl Channel {
             None => Ok(channels),
         }
     }
-    /// The name of its column where the unit is part of it (contract, section 4): `gyro_x_rad_s`.
+    /// The name of its column where the unit is part of it (docs/formats.md): `gyro_x_rad_s`.
     #[must_use]
     pub fn column_name(self) -> String {
         format!("{}{}", self.name(), self.csv_suffix())
@@ -172,7 +172,7 @@ impl Channel {
             None => "kPa",
         }
     }
-    /// The suffix that names the unit in a CSV header (contract, section 4): `gyro_x` + `_rad_s`.
+    /// The suffix that names the unit in a CSV header (docs/formats.md): `gyro_x` + `_rad_s`.
     #[must_use]
     pub fn csv_suffix(self) -> &'static str {
         match self.triad() {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Why samples are missing (contract, section 2).
+/// Why samples are missing (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GapCause {

@@ -14,7 +14,7 @@ pub const NAME_MAX: usize = 100;
 /// Rows deleted in one transaction: a few tens of ms, so that the writer is free in between.
 const DELETE_ROWS: i64 = 4000;
 
-/// What a capture is doing or how it ended (contract, section 3).
+/// What a capture is doing or how it ended (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptureState {
@@ -145,7 +145,7 @@ impl NewCapture {
     }
 }
 
-/// A capture as the interfaces show it (contract, section 3).
+/// A capture as the interfaces show it (docs/formats.md).
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct CaptureRow {
     /// Its id; never used twice.

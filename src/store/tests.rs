@@ -124,7 +124,7 @@ pub(super) fn a_capture() -> Vec<Record> {
 }
 
 #[test]
-fn what_was_recorded_can_be_read_as_the_contract_names_it() {
+fn what_was_recorded_can_be_read_by_its_documented_names() {
     let world = World::new();
     let id = world.capturing();
     let registers = serde_json::json!({"model": "VN-100T-CR", "serial_number": "0100012345", "rate_hz": 40});

@@ -95,7 +95,7 @@ pub enum Sense {
 }
 
 impl Sense {
-    /// The sense that a diagnosis states: the contract's words; none for another word.
+    /// The sense that a diagnosis states: the documented words; none for another word.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         match name {

@@ -23,7 +23,7 @@ const SHIFT: [f64; 2] = [0.15, 0.85];
 /// Draws of a size or a place before there is none.
 const TRIES: usize = 400;
 
-/// By channel, in the contract's form, what a model that has the effect states of it, and the factor by which it is larger there
+/// By channel, in the documented form, what a model that has the effect states of it, and the factor by which it is larger there
 /// than in the sensor; `None` where no model can state it.
 #[must_use]
 pub fn declared(
@@ -209,7 +209,7 @@ fn round_about([from, to]: [f64; 2], shift: f64, length_s: f64) -> [f64; 2] {
 /// A limit that no sample reaches, in σ.
 const NO_LIMIT: f64 = 1e3;
 
-/// Limits that a share of normal samples is beyond; the contract has two, of which one may be far away.
+/// Limits that a share of normal samples is beyond; a model has two, of which one may be far away.
 fn limits(entry: &Value, level: f64, white: f64) -> Value {
     let share = entry["share"].as_f64().unwrap_or(0.01);
     let far = std::f64::consts::SQRT_2 * erfc_inv(2.0 * share) * white;

@@ -1,6 +1,6 @@
 //! Fits: whether a cause that was named is an effect that a case has. The rules, which `docs/validation.md` repeats:
 //!
-//! 1. It is, if it has the contract's name of the effect and at least one of its channels. A `timing` has no channel of its own.
+//! 1. It is, if it has the documented name of the effect and at least one of its channels. A `timing` has no channel of its own.
 //! 2. Laws that are the same count as right and are counted apart as equivalent:
 //!    * `tone` for a comb, where a tone stands on every harmonic, within two widths of a Fourier bin;
 //!    * `variance_change` in intervals that are louder for `bursts`, and `bursts` for a louder interval, where the times they
@@ -9,7 +9,7 @@
 //!      follow either. The other way round it is the wrong form, and no fit.
 //! 3. Its sense has to be the true one: an effect that the model lacks, one that it has and the sensor does not, one that both have differently. Of one
 //!    that both have, at two places, each of the three says what is so. A report that states no sense says that it is lacking.
-//! 4. Of what is outside the library the effects of the contract's section 8 that describe it are right, where they have the
+//! 4. Of what is outside the library the effects of docs/effects.md that describe it are right, where they have the
 //!    parameters that do.
 //! 5. Everything else is spurious: also the right effect on none of its channels, a comb for a single tone, a single interval for
 //!    a wave, a resonance for a tone.

@@ -56,7 +56,7 @@ pub struct Found {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Named {
-    /// The contract's name.
+    /// The documented name.
     pub effect: String,
     /// Its channels.
     pub channels: Vec<String>,

@@ -20,7 +20,7 @@ pub const MANIFEST_FORMAT: &str = "vn100d-trial-manifest-1";
 pub struct TrueEffect {
     /// Which.
     pub kind: Kind,
-    /// The contract's name; none outside the library.
+    /// The documented name; none outside the library.
     pub effect: Option<String>,
     /// How sensor and model differ in it.
     pub sense: Sense,
@@ -30,7 +30,7 @@ pub struct TrueEffect {
     pub over_limit: f64,
     /// The channels.
     pub channels: Vec<String>,
-    /// By channel, in the contract's form, as far as known before there are samples. Of an effect that the sensor lacks those
+    /// By channel, in the documented form, as far as known before there are samples. Of an effect that the sensor lacks those
     /// that the model has.
     pub parameters: BTreeMap<String, Value>,
     /// What the model says, where it has the effect.

@@ -9,7 +9,7 @@ macro_rules! kinds {
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[expect(
             missing_docs,
-            reason = "the names of the contract's section 5; the others are described where they are imposed"
+            reason = "the names of docs/effects.md; the others are described where they are imposed"
         )]
         #[expect(clippy::exhaustive_enums, reason = "a new kind has to be imposed, sized and judged")]
         pub enum Kind {
@@ -106,7 +106,7 @@ kinds! {
 }
 
 impl Kind {
-    /// Those of the library: the stationary effects of the contract's section 5.
+    /// Those of the library: the stationary effects of docs/effects.md.
     pub const LIBRARY: &[Self] = LIBRARY;
     /// Those that no effect of section 5 describes, on which the diagnosis may be tuned.
     pub const TUNED: &[Self] = TUNED;
@@ -130,7 +130,7 @@ impl Kind {
         Self::all().find(|kind| kind.name() == name)
     }
 
-    /// The contract's name of the effect; none for what is outside the library.
+    /// The documented name of the effect; none for what is outside the library.
     #[must_use]
     pub fn effect(self) -> Option<&'static str> {
         match self {
@@ -139,7 +139,7 @@ impl Kind {
         }
     }
 
-    /// Effects of the contract's section 8 that describe a kind outside section 5. Where a diagnosis has one and names it, that
+    /// Effects of docs/effects.md that describe a kind outside the library. Where a diagnosis has one and names it, that
     /// is an answer.
     #[must_use]
     pub fn described(self) -> &'static [&'static str] {
@@ -297,7 +297,7 @@ impl Kind {
         )
     }
 
-    /// Whether it is the same all the time and has exactly the law that the contract's parameters say, so that a model can state
+    /// Whether it is the same all the time and has exactly the law that the documented parameters say, so that a model can state
     /// it rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
     #[must_use]
     pub fn can_be_known(self) -> bool {

@@ -1,6 +1,6 @@
 //! Trial: a blind check of the diagnosis on cases that somebody else might have made. Pure.
 //!
-//! In: a sealed seed; diagnoses in the contract's form (section 6), whoever made them. Out: recordings with models that lack
+//! In: a sealed seed; diagnoses in the form of docs/formats.md, whoever made them. Out: recordings with models that lack
 //! something ([`case`]), keys and a manifest that binds them ([`key`]), scores ([`score`]) and a page of them ([`page`]).
 //!
 //! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not

@@ -2,7 +2,7 @@
 //!
 //! One line of JSON (rate, channels, samples, what else there is, the model), then the columns as 64-bit floating-point numbers,
 //! little endian: the channels in order, the temperature, the stamps. A parcel says nothing of the key. One that is a table is written as
-//! the contract's CSV (section 4) and read again before it is diagnosed.
+//! the CSV of docs/formats.md and read again before it is diagnosed.
 
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
@@ -120,7 +120,7 @@ pub fn unpack(bytes: &[u8]) -> Result<Parcel, ParcelError> {
     Ok(Parcel { recording, model, table: head.table })
 }
 
-/// A recording as the contract's CSV: rows of samples that are there, every number with all its digits.
+/// A recording as the documented CSV: rows of samples that are there, every number with all its digits.
 #[must_use]
 pub fn table(recording: &Recording) -> String {
     let mut text = String::from("time_s");

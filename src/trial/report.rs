@@ -1,4 +1,4 @@
-//! Reports: what a trial reads of a diagnosis in the contract's form (section 6), whoever made it.
+//! Reports: what a trial reads of a diagnosis in the form of docs/formats.md, whoever made it.
 
 use super::class::Sense;
 use serde_json::Value;
@@ -17,9 +17,9 @@ pub enum ReportError {
 
 /// A cause that was named.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Cause {
-    /// The contract's name of it.
+    /// The documented name of it.
     pub effect: String,
     /// Its channels.
     pub channels: Vec<String>,
@@ -37,7 +37,7 @@ pub struct Cause {
 
 /// What a place is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the contract's words")]
+#[expect(clippy::exhaustive_enums, reason = "the documented words")]
 pub enum Of {
     /// The cause of this index.
     Cause(usize),
@@ -51,7 +51,7 @@ pub enum Of {
 
 /// A place where sensor and model differ.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Place {
     /// The channel.
     pub channel: String,
@@ -65,7 +65,7 @@ pub struct Place {
 
 /// What a diagnosis says.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Report {
     /// `no_gap`, `parameters`, `effects`, `unknown_effect`.
     pub verdict: String,
@@ -164,7 +164,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn what_the_contract_adds_is_read_where_it_is_there() {
+    fn what_a_report_may_add_is_read_if_it_is_there() {
         let place = |of: Value| json!({"channel": "gyro_x", "of": of, "band_hz": [1.0, 2.0], "from_s": 0, "to_s": 9.5});
         let cause = json!({"effect": "tone", "channels": ["gyro_x"], "sense": "size", "parameters": {},
             "uncertainty": {"gyro_x": [{"amplitude": [1.0, 2.0]}]}});

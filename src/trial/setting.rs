@@ -17,7 +17,7 @@ pub struct Part {
     pub channel: Channel,
     /// Its level, U.
     pub level: f64,
-    /// N, B, K as they are (contract, section 5).
+    /// N, B, K as they are (docs/formats.md).
     pub true_nbk: [f64; 3],
     /// And as the model has them.
     pub told_nbk: [f64; 3],

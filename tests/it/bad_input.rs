@@ -1,4 +1,4 @@
-//! What goes wrong says what to do, with the exit code of the contract.
+//! What goes wrong says what to do, with the exit code of docs/formats.md.
 
 use crate::world::{Process, World, program, vn100d};
 use std::time::Duration;

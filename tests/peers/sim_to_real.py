@@ -59,7 +59,7 @@ NULL_EVERY = 3
 FACTORS = [1 << j for j in range(14)]
 WINDOW = 256
 FOLDS = 5
-# Kinds whose contract's name is another (src/trial/kind.rs).
+# Kinds whose documented name is another (src/trial/kind.rs).
 NAMES = {kind: "variance_change" for kind in ("variance_interval", "variance_profile", "variance_per_c")}
 STAMPED, LIBRARY = {"timing", "wandering_clock"}, ["single", "pair", "several", "superfluous", "size"]
 

@@ -73,7 +73,7 @@ fn captures_are_found_by_id_name_and_latest() {
 }
 
 #[test]
-fn a_capture_has_the_fields_of_the_contract() {
+fn a_capture_has_the_documented_fields() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 120);
     let capture = world.get("/v1/captures/latest").json();

@@ -24,7 +24,7 @@ fn running(status: &mut Status) {
 }
 
 #[test]
-fn the_status_has_the_fields_of_the_contract() {
+fn the_status_has_the_documented_fields() {
     let world = World::new();
     let idle = world.get("/v1/status");
     assert_eq!(idle.status, 200);

@@ -14,7 +14,7 @@ use super::report::Sense;
 use super::series::Series;
 use serde::{Deserialize, Serialize};
 
-/// A kind of cause, as far as the search tells them apart; several kinds may be one effect of the contract.
+/// A kind of cause, as far as the search tells them apart; several kinds may be one effect of docs/formats.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -79,7 +79,7 @@ impl Kind {
         Self::Slope,
     ];
 
-    /// The contract's effect.
+    /// The documented effect.
     #[must_use]
     pub fn effect(self) -> &'static str {
         match self {

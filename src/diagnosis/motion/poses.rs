@@ -51,7 +51,7 @@ pub(super) enum Part {
 }
 
 impl Part {
-    /// The contract's name of the effect.
+    /// The documented name of the effect.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Bias => "bias",

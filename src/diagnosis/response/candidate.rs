@@ -57,7 +57,7 @@ impl Candidate {
         all.into_iter().filter(|candidate| candidate.make(&[]).triads().contains(&triad)).collect()
     }
 
-    /// Those of a name (contract, section 5): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is unknown.
+    /// Those of a name (docs/formats.md): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is unknown.
     #[must_use]
     pub fn named(name: &str, full_scale: f64) -> Vec<Self> {
         let all = Self::all(Triad::Gyro, full_scale);

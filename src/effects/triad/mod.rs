@@ -52,7 +52,7 @@ pub trait TriadEffect: std::fmt::Debug + Send + Sync {
         &[Triad::Accel, Triad::Gyro]
     }
 
-    /// The name in files and messages (contract, section 5).
+    /// The name in files and messages (docs/formats.md).
     fn name(&self) -> &'static str {
         self.spec().name
     }

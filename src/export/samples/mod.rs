@@ -163,7 +163,7 @@ pub trait Sink {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SampleFormat {
-    /// The contract's CSV.
+    /// The documented CSV.
     Csv,
     /// A JSON document per line.
     Ndjson,

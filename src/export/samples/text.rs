@@ -1,4 +1,4 @@
-//! Rows of samples as text: CSV (contract, section 4), NDJSON, or one JSON document.
+//! Rows of samples as text: CSV (docs/formats.md), NDJSON, or one JSON document.
 //!
 //! Times are exact to the nanosecond and values are the shortest decimals that are read back as the same number: what is
 //! imported again is bit for bit what was exported.
@@ -13,7 +13,7 @@ use std::io::Write;
 pub enum TextFormat {
     /// One document.
     Json,
-    /// The contract's table.
+    /// The documented table.
     Csv,
     /// A document per row.
     Ndjson,
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn csv_has_the_columns_of_the_contract() {
+    fn csv_has_the_documented_columns() {
         assert_eq!(
             written(TextFormat::Csv, false),
             "time_s,gyro_x_rad_s,temperature_c\n0,0.0000001,\n0.025,-0.001222,21.5\n"

@@ -1,4 +1,4 @@
-//! Curves: deviation against averaging time with its confidence, as the contract writes it.
+//! Curves: deviation against averaging time with its confidence, as docs/formats.md has it.
 
 use super::edf::{CONFIDENCE_68, confidence_factors, total_bias};
 use super::identify::noise_of_phases;
@@ -165,7 +165,7 @@ impl AllanSums {
 }
 
 /// Deviation curves of a capture, as `GET /v1/captures/{id}/allan` and `vn100d allan --format json` answer them
-/// (contract, section 7).
+/// (docs/formats.md).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AllanReport {
     /// [`AllanReport::FORMAT`].
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_is_written_as_the_contract_has_it() {
+    fn a_report_is_written_as_documented() {
         let curve = AllanCurve {
             unit: "rad/s".into(),
             tau_s: vec![0.025],

@@ -1,4 +1,4 @@
-//! Noise parameters of one channel as the contract writes them: with units, intervals, and what the data does not support.
+//! Noise parameters of one channel as docs/formats.md has them: with units, intervals, and what the data does not support.
 
 use super::term::Term;
 use crate::noise::RecordNeeded;
@@ -242,7 +242,7 @@ impl Flag {
     }
 }
 
-/// The noise parameters of one channel (contract, section 7; names of IEEE Std 952).
+/// The noise parameters of one channel (docs/formats.md; names of IEEE Std 952).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct NoiseParameters {
     /// The channel's unit.
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn an_identified_parameter_is_written_as_the_contract_has_it() {
+    fn an_identified_parameter_is_written_as_documented() {
         let estimate = Estimate::identified(Channel::GyroX, Term::N, 1.2e-4, [1.19e-4, 1.21e-4]);
         let written = serde_json::to_value(&estimate).unwrap();
         assert_eq!(written["value"], 1.2e-4);

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn an_event_is_a_flag_of_the_contract() {
+    fn an_event_is_a_documented_flag() {
         let event = Event { kind: Kind::Knock, from_s: 78.900_04, to_s: 79.6, note: "…".into() };
         assert_eq!(
             serde_json::to_value(event.flag()).unwrap(),

@@ -3,7 +3,7 @@
 //! [`examine`] finds spectral lines and vibration, then, with these brought down to the background, spikes, knocks and
 //! handling by time, then steps, bumps and drift of the level. A [`Record`] holds the sums of what is left, and the deviation hour
 //! by hour; parameters are fitted with and without all that. A record is looked through twice, block by block ([`BLOCK`]): memory does not grow with
-//! its length. Everything found is told as flags of the contract (section 7).
+//! its length. Everything found is told as flags of docs/formats.md.
 //!
 //! # Validation
 //! Each detector's test has its synthetic case; `recordings.rs` holds the real ones; `false_alarms.rs` counts what is found in

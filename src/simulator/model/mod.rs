@@ -1,4 +1,4 @@
-//! Sensor models: the file format of the contract, section 5. JSON text in, checked parameters out, and back.
+//! Sensor models: the file format of docs/formats.md. JSON text in, checked parameters out, and back.
 //!
 //! Refused with the file, the path inside it, what was found and what is allowed: unknown keys, channels and effects,
 //! parameters outside their ranges, tones from half the rate up, rates that do not divide one another, effects that
@@ -100,7 +100,7 @@ pub struct TriadModel {
 
 /// How a sensor makes its output of its own samples: the mean of the last `filter_window` of them, every n-th sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the contract's two keys")]
+#[expect(clippy::exhaustive_structs, reason = "the documented two keys")]
 pub struct Sampling {
     /// The sensor's own rate, a whole multiple of the output's.
     pub internal_rate_hz: f64,

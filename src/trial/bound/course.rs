@@ -43,7 +43,7 @@ pub(super) fn step(into: &mut [f64], at: f64, size: f64) {
 /// Density of white noise of variance 1 per sample with flicker of level `b` and a walk of steps `k`, both in its standard deviation.
 ///
 /// # Source
-/// The contract's section 5: B²/(2πf), (K/2πf)², per sample; a walk's 1/(4 sin² πf) is exact in the DCT-II.
+/// B²/(2πf), (K/2πf)², per sample; a walk's 1/(4 sin² πf) is exact in the DCT-II.
 pub(super) fn ground(b: f64, k: f64) -> impl Fn(f64) -> f64 {
     move |cycles: f64| 1.0 + b * b / (2.0 * PI * cycles) + k * k / (4.0 * (PI * cycles).sin().powi(2))
 }

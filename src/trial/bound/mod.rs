@@ -144,7 +144,7 @@ fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
 
 /// An effect on one channel.
 struct On {
-    /// Its parameters, in the contract's form.
+    /// Its parameters, in the documented form.
     told: Value,
     rate_hz: f64,
     /// The white part's standard deviation, U, and flicker and walk in units of it.

@@ -148,7 +148,7 @@ impl Making<'_> {
 struct Made {
     /// In the units of [`limit::limit`].
     size: f64,
-    /// Per channel: the contract's parameters, as far as they are known before there are samples.
+    /// Per channel: the documented parameters, as far as they are known before there are samples.
     parameters: Vec<Value>,
     act: Box<dyn Act>,
 }
@@ -165,7 +165,7 @@ pub struct Effect {
     pub over_limit: f64,
     /// The channels it acts on, in column order.
     pub channels: Vec<Channel>,
-    /// By channel: its parameters, in the contract's form.
+    /// By channel: its parameters, in the documented form.
     pub parameters: BTreeMap<String, Value>,
     act: Box<dyn Act>,
 }

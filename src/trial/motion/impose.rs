@@ -1,6 +1,6 @@
 //! What a device shows of a motion, with effects of every kind. Code of its own, apart from the simulator's.
 //!
-//! In the order of the contract: it is late, its axes mix, its scale factor is wrong, its level is wrong; then comes the noise,
+//! In the order of docs/formats.md: it is late, its axes mix, its scale factor is wrong, its level is wrong; then comes the noise,
 //! the bandwidth and the limit. Each stage acts on what the one before gives.
 
 use super::course::FINE;
@@ -174,7 +174,7 @@ mod tests {
 
     /// This code and the library's are two: they have to be the same physics.
     #[test]
-    fn effects_are_the_contracts() {
+    fn effects_are_the_documented_ones() {
         let motion = Motion { gyro_rad_s: [1.0, -2.0, 0.5], accel_m_s2: [3.0, 1.0, -9.0], temperature_c: None };
         let course = vec![motion; 8 * FINE];
         let numbers = |kind: Kind| -> Vec<f64> {

@@ -90,7 +90,7 @@ impl Kind {
         Self::LIBRARY.into_iter().chain(Self::OUTSIDE).find(|kind| kind.name() == name)
     }
 
-    /// The contract's name of its effect; None outside the library.
+    /// The documented name of its effect; None outside the library.
     #[must_use]
     pub fn effect(self) -> Option<&'static str> {
         match self {

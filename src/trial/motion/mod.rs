@@ -1,6 +1,6 @@
 //! Blind check of the diagnosis with a known motion: sealed cases, keys, scores.
 //!
-//! In: a sealed seed; diagnoses in the contract's form, whoever made them. Out: recordings with references and models that lack
+//! In: a sealed seed; diagnoses in the documented form, whoever made them. Out: recordings with references and models that lack
 //! something ([`case`]), keys, scores ([`score`]). A device goes through a motion of its own ([`course`]); what it shows of it is
 //! made by code apart from the simulator's ([`impose`]), the noise by the trial's own ground.
 //!

@@ -14,7 +14,7 @@ fn import(world: &World, arguments: &[&str]) -> (Option<i32>, Value, String) {
     (output.status.code(), answer, String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
-/// What the contract says of import: beside a daemon it goes through it, with the same report and exit codes.
+/// As docs/cli.md says of import: beside a daemon it goes through it, with the same report and exit codes.
 #[test]
 fn an_import_beside_a_daemon_goes_through_it_and_is_the_import_without_one() {
     let world = World::new();
