@@ -25,7 +25,7 @@ pub struct Limits {
     pub write_stall: Duration,
     /// How long an answer may take until its head is sent.
     pub answer: Duration,
-    /// Streams of samples at once, each some MiB; one more is answered 429 at once.
+    /// Streams of samples at once, each some MiB; one more is answered 429 without waiting for a turn.
     pub streams: usize,
     /// Computations at once: analyses of a running capture, pictures, pages; one more waits up to [`Self::turn`], and is then
     /// answered 429.

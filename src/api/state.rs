@@ -115,7 +115,7 @@ impl ApiState {
         self.query(permit, work).await
     }
 
-    /// The permit to send samples, or 429 at once.
+    /// The permit to send samples, or 429 without waiting for a turn.
     pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let most = self.parts.limits.streams;
         let busy =
@@ -128,7 +128,7 @@ impl ApiState {
         ApiError::busy(reason, retry_after_s)
     }
 
-    /// The permit to listen to events, or 429 at once.
+    /// The permit to listen to events, or 429 without waiting for a turn.
     pub(super) fn listener_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.listeners).try_acquire_owned().map_err(|_| {
             let reason = format!("{LISTENERS} listen already, which is all that may: close a page, or ask /v1/status");
@@ -136,14 +136,14 @@ impl ApiState {
         })
     }
 
-    /// The permit to send a large body for a diagnosis, or 429 at once: one at a time.
+    /// The permit to send a large body for a diagnosis, or 429 without waiting for a turn: one at a time.
     pub(super) fn body_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let busy =
             || self.busy("another diagnosis with a reference is being taken in: ask again when it is".to_owned(), 2);
         Arc::clone(&self.bodies).try_acquire_owned().map_err(|_| busy())
     }
 
-    /// The permit to import, or 429 at once: one recording at a time.
+    /// The permit to import, or 429 without waiting for a turn: one recording at a time.
     pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let busy = || self.busy("another recording is being imported: ask again when it is done".to_owned(), 5);
         Arc::clone(&self.imports).try_acquire_owned().map_err(|_| busy())

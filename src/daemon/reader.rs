@@ -2,6 +2,7 @@
 //! the daemon stands in its way.
 
 use super::DaemonError;
+use crate::process::Priority;
 use std::future::Future;
 use tokio::sync::oneshot;
 
@@ -13,8 +14,16 @@ pub(super) fn start(task: impl Future<Output = ()> + Send + 'static) -> Result<o
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(DaemonError::Reader)?;
     let (ended, end) = oneshot::channel();
     let read = move || {
-        if !crate::process::hurry() {
-            tracing::debug!("The reader has the priority of every other thread: the system allows it no higher one.");
+        match crate::process::hurry() {
+            Priority::RealTime => tracing::debug!("The reader has a real-time priority."),
+            Priority::Nice => tracing::info!(
+                "The reader runs at nice -10: the system allows it no real-time priority (LimitRTPRIO=1), and beside a busy \
+                 service it may be late."
+            ),
+            Priority::Ordinary => tracing::info!(
+                "The reader has the priority of every other thread: the system allows it no higher one (LimitRTPRIO=1), and on \
+                 a busy machine it may be late."
+            ),
         }
         runtime.block_on(task);
         // Nobody waits for it if the daemon could not start.

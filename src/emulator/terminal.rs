@@ -1,7 +1,7 @@
 //! Terminal: the virtual sensor on a real pseudo-terminal. A shell: it moves bytes and waits.
 //!
-//! In real time the sensor sends whether somebody reads or not, as a real one does: what the terminal's buffer cannot
-//! take is lost on the line. Its faults ([`super::faults`]) are done here, as far as they concern terminal and link. Accelerated, the terminal holds the sensor back instead, and the sensor holds the shared
+//! In real time the sensor sends whether somebody reads or not, as a real one does: if its terminal is full and
+//! nobody reads, what comes is lost on the line. Its faults ([`super::faults`]) are done here, as far as they concern terminal and link. Accelerated, the terminal holds the sensor back instead, and the sensor holds the shared
 //! clock ([`ScaledClock::hold_at`]), so that no sample is lost to the acceleration.
 
 use super::faults::{Fault, FaultError, Schedule, ticks};

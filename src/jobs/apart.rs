@@ -20,9 +20,9 @@ const LOOK: Duration = Duration::from_millis(200);
 const BODY_MAX: u64 = 256 << 20;
 /// Private memory that a job may write to: more than a diagnosis of five hours of nine channels takes.
 pub const JOB_MEMORY_BYTES: u64 = 640 << 20;
-/// Processor time of a job from one checkpoint of its state to its end: a hundred times that of a diagnosis of five hours of
-/// nine channels. Other jobs wait meanwhile.
-const JOB_PROCESSOR_S: u64 = 6 * 3600;
+/// Processor time of one process of a job, while other jobs wait: a thousand times that of a diagnosis of five hours of nine
+/// channels. A job that has made a checkpoint by then goes on from it in another process.
+pub const JOB_PROCESSOR_S: u64 = 6 * 3600;
 
 /// What a child says of its job; a checkpoint's state and a result's text are the frame's body.
 #[derive(Debug, Serialize, Deserialize)]
@@ -55,10 +55,11 @@ pub(super) fn run(
     let mut child =
         Child::<Word>::start(JOB_MEMORY_BYTES, JOB_PROCESSOR_S, &work, BODY_MAX).map_err(JobError::Process)?;
     let mut keeper = InStore::new(store, job.id, keep_on);
-    let mut looked = Instant::now();
+    let (mut looked, mut gets_on) = (Instant::now(), false);
     loop {
         let kept = match child.hear(LOOK).map_err(JobError::Process)? {
             Heard::Frame(Frame { header: Word::Checkpoint { next_seq, progress }, body }) => {
+                gets_on = true;
                 keeper.checkpoint(JobCheckpoint { next_seq, state: body }, progress)
             }
             Heard::Frame(Frame { header: Word::Progress(progress), .. }) => keeper.progress(progress),
@@ -75,8 +76,8 @@ pub(super) fn run(
             Heard::Frame(Frame { header: Word::Unopened(reason), .. }) => {
                 return Err(JobError::Process(std::io::Error::other(reason)));
             }
-            // The next attempt would end in the same way.
-            Heard::Ended(ended) if ended.out_of_time => return Err(JobError::OutOfTime),
+            // The next process would end in the same way.
+            Heard::Ended(ended) if ended.out_of_time && !gets_on => return Err(JobError::OutOfTime),
             Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
             Heard::Nothing => Ok(()),
         };

@@ -88,7 +88,8 @@ pub enum JobError {
     },
     /// The process of the job reached its limit of processor time.
     #[error(
-        "the job used all the processor time that a job may use: limit its samples or channels, or run it with the command line"
+        "the job used all the processor time that a job may use: run it with `vn100d diagnose`, `noise` or `allan`, which have no limit, \
+         or over fewer channels"
     )]
     OutOfTime,
     /// A process for the job could not be started.

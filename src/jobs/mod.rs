@@ -42,7 +42,7 @@ mod together;
 mod wish;
 mod worker;
 
-pub use apart::{JOB_MEMORY_BYTES, answer};
+pub use apart::{JOB_MEMORY_BYTES, JOB_PROCESSOR_S, answer};
 pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator};
 pub use error::JobError;
 pub use gridded::{Gridded, gridded};

@@ -18,16 +18,33 @@ pub fn step_back() {
     }
 }
 
+/// What [`hurry`] could get.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_enums, reason = "what there is")]
+pub enum Priority {
+    /// The lowest real-time priority: the thread runs before all that have none.
+    RealTime,
+    /// Nice -10: it runs before others of its control group.
+    Nice,
+    /// That of every other thread.
+    Ordinary,
+}
+
 /// Lets this thread run before others: with the lowest real-time priority if the system allows it (`LimitRTPRIO=` of the
-/// unit), else at nice -10. Returns whether the system allows either.
+/// unit), else at nice -10.
 ///
 /// A nice value orders the threads of a control group, and a service has one of its own: beside a busy group a thread at nice
 /// -10 was measured to wait 0.4 s for its turn.
-pub fn hurry() -> bool {
+pub fn hurry() -> Priority {
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::RoundRobin);
-    thread_priority::set_thread_priority_and_policy(thread_priority::thread_native_id(), ThreadPriority::Min, policy)
-        .is_ok()
-        || rustix::process::setpriority_process(None, NICE_AHEAD).is_ok()
+    let thread = thread_priority::thread_native_id();
+    if thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Min, policy).is_ok() {
+        Priority::RealTime
+    } else if rustix::process::setpriority_process(None, NICE_AHEAD).is_ok() {
+        Priority::Nice
+    } else {
+        Priority::Ordinary
+    }
 }
 
 /// What a child process may take.
@@ -59,11 +76,14 @@ pub fn confine(confinement: Confinement) -> std::io::Result<()> {
     // A process may always make itself more expendable; a system without the file has no such order.
     let _ = std::fs::write("/proc/self/oom_score_adj", OOM_SCORE);
     let limit = |most| Rlimit { current: Some(most), maximum: Some(most) };
-    // A process that reaches the second limit is killed without a signal of its own, so the first one comes before it.
+    // At the soft limit comes a signal that names the reason, at the hard one SIGKILL, which looks like any other kill.
     let inherited = rustix::process::getrlimit(Resource::Cpu);
-    let processor_s = inherited.current.map_or(confinement.processor_s, |most_s| most_s.min(confinement.processor_s));
-    let maximum_s = inherited.maximum.map_or(processor_s + 10, |most_s| most_s.min(processor_s + 10));
-    rustix::process::setrlimit(Resource::Cpu, Rlimit { current: Some(processor_s), maximum: Some(maximum_s) })?;
+    let most_s = inherited.maximum.map_or(u64::MAX, |most_s| most_s.saturating_sub(1).max(1));
+    let processor_s = confinement.processor_s.min(most_s).min(inherited.current.unwrap_or(u64::MAX));
+    let maximum = Some(inherited.maximum.unwrap_or(processor_s + 10).min(processor_s + 10));
+    rustix::process::setrlimit(Resource::Cpu, Rlimit { current: Some(processor_s), maximum })?;
+    // The reader alone may have a real-time priority.
+    rustix::process::setrlimit(Resource::Rtprio, limit(0))?;
     rustix::process::setrlimit(Resource::Data, limit(confinement.memory_bytes))?;
     // A core of half a gigabyte would cost the disk that the capture needs.
     rustix::process::setrlimit(Resource::Core, limit(0))?;

@@ -10,4 +10,4 @@ mod limits;
 
 pub use child::{Child, Ended, Heard};
 pub use frame::{Frame, FrameError, read_frame, write_frame};
-pub use limits::{Confinement, confine, hurry, step_back};
+pub use limits::{Confinement, Priority, confine, hurry, step_back};

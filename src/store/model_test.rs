@@ -204,7 +204,11 @@ impl Driver {
     /// The store went on to `content` in so many transactions; None says that this is not known.
     fn went_on(&mut self, content: Content, transactions: Option<u64>, synced: bool) {
         self.states.push(content);
-        let after = if self.mutant == Mutant::AcknowledgesEarly { self.safe.clone() } else { self.files() };
+        let mut after = self.files();
+        if self.mutant == Mutant::AcknowledgesEarly && after.log.len() > self.safe.log.len() {
+            // The end of the log is still in memory.
+            after.log.truncate(self.safe.log.len());
+        }
         let one = transactions.is_some_and(|count| count <= 1);
         let copied = self.safe.database != after.database;
         for at in self.safe.instants(&after, one) {
@@ -424,11 +428,17 @@ fn the_model_notices_that_an_acknowledged_sample_is_gone() {
     }
 }
 
-/// Each kind of broken store fails the model within some cases: the test can fail.
+/// Each kind of broken store fails the model within some cases, and a sound one does not: the test can fail.
 #[test]
 fn a_store_that_is_broken_fails_its_model() {
-    const CASES: u64 = 10;
-    let mutants = [Mutant::LosesARecord, Mutant::ChangesAValue, Mutant::AcknowledgesEarly, Mutant::SplitsATransaction];
+    const CASES: u64 = 5;
+    let mutants = [
+        Mutant::None,
+        Mutant::LosesARecord,
+        Mutant::ChangesAValue,
+        Mutant::AcknowledgesEarly,
+        Mutant::SplitsATransaction,
+    ];
     for mutant in mutants {
         let mut runner = TestRunner::deterministic();
         // A disk that refuses needs a process of its own.
@@ -445,7 +455,7 @@ fn a_store_that_is_broken_fails_its_model() {
             std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)).is_err()
         });
         println!("{mutant:?} failed the model in case {failed:?}");
-        assert!(failed.is_some(), "{mutant:?} passed {CASES} cases");
+        assert_eq!(failed.is_some(), mutant != Mutant::None, "{mutant:?}");
     }
 }
 

@@ -114,6 +114,18 @@ impl Drop for Share {
     }
 }
 
+/// As `sched_setscheduler` numbers it.
+const SCHED_RR: u64 = 2;
+
+/// The scheduling policy of a thread of this name.
+fn policy(pid: u32, name: &str) -> u64 {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten();
+    let mut all = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
+    let stat = all.find(|stat| stat.contains(&format!("({name})"))).unwrap();
+    // The fields behind the name begin with the third; the policy is the 41st.
+    stat.rsplit(") ").next().unwrap().split(' ').nth(38).unwrap().parse().unwrap()
+}
+
 /// Status of a request whose body is written as `fill` writes it.
 fn post(
     world: &World,
@@ -197,14 +209,20 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     command.env("MALLOC_ARENA_MAX", "2");
     let port = world.port();
     let configuration = "[sensor]\nrate-hz = 800\nbaud = 921600\n";
-    let mut daemon = world.daemon_of(command, port.to_str().unwrap(), configuration, &["--capture", "12h"]);
-    let cgroup = root("the daemon in a memory cgroup").then(|| Cgroup::new(&daemon)).flatten();
     // As under systemd, whose unit has CPUWeight=200. The clients stand for other machines: what they do costs this one nothing.
     let shares = root("the daemon and its clients in processor groups")
         .then(|| Some((Share::new("unit", 2048)?, Share::new("clients", 2)?)))
         .flatten();
-    shares.iter().for_each(|(unit, _)| unit.take(daemon.id()));
+    if shares.is_none() {
+        eprintln!("H1: without processor groups (cgroup v1), so the clients cost what the daemon has");
+    }
     let elsewhere = || shares.iter().for_each(|(_, clients)| clients.take_thread());
+    let mut daemon = world.daemon_of(command, port.to_str().unwrap(), configuration, &["--capture", "12h"]);
+    shares.iter().for_each(|(unit, _)| unit.take(daemon.id()));
+    let cgroup = root("the daemon in a memory cgroup").then(|| Cgroup::new(&daemon)).flatten();
+    if root("the reader has a real-time priority") {
+        assert_eq!(policy(daemon.id(), "reader"), SCHED_RR);
+    }
     let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(800));
     world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
     let (pid, over, asked) = (daemon.id(), AtomicBool::new(false), Asked::default());

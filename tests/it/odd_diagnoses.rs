@@ -1,7 +1,8 @@
 //! Odd records: what nobody meant to record gets past the checks of a diagnosis' input, and must not bring it down.
 //!
 //! Each is a case of the trial whose values, gaps, stamps or model were spoilt in several ways by a seed.
-//! `VN100D_ODD=2000` runs so many (10 unless it is set), `VN100D_ODD_SEED=N` repeats a run, `VN100D_ODD_FROM=500` begins there.
+//! `VN100D_ODD=2000` runs so many (10 unless it is set), `VN100D_ODD_SEED=N` repeats a run, `VN100D_ODD_FROM=500` leaves out those
+//! before.
 //! The records are short: what is odd about a record does not need a long one, and a long one takes minutes.
 
 use rand::{RngExt as _, SeedableRng as _};
@@ -246,7 +247,7 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
     let still = plan(seed, count, &Wanted::from_words(std::iter::empty()).unwrap());
     let moved = motion::plan(seed, count, std::iter::empty()).unwrap();
     let plans = Plans { still, moved };
-    let from = number("VN100D_ODD_FROM", 0) as usize;
+    let from = (number("VN100D_ODD_FROM", 0) as usize).min(count);
     let (next, past, slowest) = (AtomicUsize::new(from), AtomicUsize::new(0), AtomicU64::new(0));
     let failed = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
@@ -280,5 +281,5 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
         slowest.into_inner()
     );
     assert!(failed.is_empty(), "cases {failed:?} of seed {seed} panicked");
-    assert!(taken * 2 > count - from, "too few got past the checks: {taken} of {}", count - from);
+    assert!(taken * 2 >= count - from, "too few got past the checks: {taken} of {}", count - from);
 }

@@ -120,6 +120,22 @@ fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
 }
 
 #[test]
+fn a_refusal_takes_a_second_and_holds_nobody_else_up() {
+    let world = limited(|limits| limits.streams = 0);
+    world.capture("a", CaptureState::Complete, 100);
+    let (url, begun) = (world.url("/v1/captures/a/samples"), Instant::now());
+    std::thread::scope(|scope| {
+        let refused = scope.spawn(move || agent().get(&url).call().unwrap().status().as_u16());
+        std::thread::sleep(Duration::from_millis(100));
+        let asked = Instant::now();
+        assert_eq!(world.get("/v1/status").status, 200);
+        assert!(asked.elapsed() < Duration::from_millis(500), "{:?}", asked.elapsed());
+        assert_eq!(refused.join().unwrap(), 429);
+    });
+    assert!(begun.elapsed() >= Duration::from_secs(1), "{:?}", begun.elapsed());
+}
+
+#[test]
 fn a_body_that_never_comes_is_not_waited_for() {
     let world = limited(|limits| limits.answer = Duration::from_millis(200));
     let mut stream = TcpStream::connect(world.address).unwrap();
