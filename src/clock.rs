@@ -1,7 +1,7 @@
 //! Clocks: the one place that reads the time.
 //!
 //! Everything that needs the time takes a [`Clock`]. Three exist: the system's, a scaled one that an emulator and the
-//! daemon share when a night is run through in a minute, and a manual one for tests.
+//! daemon share to simulate a night within a minute, and a manual one for tests.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -10,12 +10,12 @@ use std::time::Duration;
 pub trait Clock: Send + Sync + std::fmt::Debug {
     /// Nanoseconds of a clock that never steps; comparable within one boot of the machine.
     fn mono_ns(&self) -> u64;
-    /// Nanoseconds of a clock that stands while the machine sleeps and never steps.
+    /// Nanoseconds of a clock that stops while the machine sleeps and never steps.
     fn awake_ns(&self) -> u64;
     /// Nanoseconds since 1970-01-01T00:00:00Z; may step.
     fn utc_ns(&self) -> i64;
-    /// The boot of the machine that [`Self::mono_ns`] counts in: times of the same boot are comparable, also between runs of
-    /// the program. `None` where the clock is the program's own, or the machine does not tell.
+    /// The boot of the machine that [`Self::mono_ns`] counts in: times of the same boot are comparable, also between
+    /// runs of the program. `None` if the clock is the program's own, or the machine does not report it.
     fn boot_id(&self) -> Option<String> {
         None
     }
@@ -52,7 +52,7 @@ fn real_utc_ns() -> i64 {
     }
 }
 
-/// The machine's own clocks: `CLOCK_BOOTTIME`, which runs on while the machine is suspended, and `CLOCK_REALTIME`.
+/// The machine's own clocks: `CLOCK_BOOTTIME`, which continues while the machine is suspended, and `CLOCK_REALTIME`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SystemClock;
 
@@ -75,14 +75,14 @@ impl Clock for SystemClock {
     }
 }
 
-/// What systemd-timesyncd makes once it has set the clock, and what goes with the machine's end. Other time servers leave
-/// no such mark: with them it is not known.
+/// The file that systemd-timesyncd creates once it has set the clock, and that disappears when the machine shuts down.
+/// Other time servers leave no such mark: with them it is not known.
 const SYNCHRONISED: &str = "/run/systemd/timesync/synchronized";
 
 /// A clock that runs `speed` times faster than the machine's, from the moment it is made.
 ///
-/// An emulator that shares it may hold it back ([`ScaledClock::hold_at`]): time then never runs ahead of what the
-/// emulator has sent, so that a machine too slow for the speed shows no false silence, latency or skew.
+/// An emulator that shares it may hold it ([`ScaledClock::hold_at`]): time then never runs ahead of the emulator's
+/// output, so that a machine too slow for the speed shows no false silence, latency or skew.
 #[derive(Debug)]
 pub struct ScaledClock {
     speed: f64,
@@ -90,12 +90,12 @@ pub struct ScaledClock {
     origin_utc_ns: i64,
     /// Time does not pass this value; `u64::MAX` holds nothing.
     limit_mono_ns: AtomicU64,
-    /// The latest time that was given out: the clock never runs back when a limit is lowered.
+    /// The latest time that was returned: the clock never runs back when a limit is lowered.
     latest_mono_ns: AtomicU64,
 }
 
 impl ScaledClock {
-    /// A clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's time of now.
+    /// A clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's present time.
     #[must_use]
     pub fn new(speed: f64) -> Self {
         let origin_mono_ns = real_mono_ns();
@@ -142,7 +142,7 @@ impl Clock for ScaledClock {
     }
 }
 
-/// A clock that moves only when told to; for tests.
+/// A clock that moves only on request; for tests.
 #[derive(Debug, Default)]
 pub struct ManualClock {
     mono_ns: AtomicU64,
@@ -193,8 +193,8 @@ pub fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }
 
-/// By how many seconds local time is ahead of UTC at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the rules
-/// of the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
+/// The offset of local time from UTC, s, at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the rules of
+/// the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
 #[must_use]
 pub fn local_offset_s(utc_s: i64) -> i64 {
     use chrono::{Local, Offset, TimeZone};

@@ -1,4 +1,4 @@
-//! Control: what the HTTP interface and the command line may ask of the running daemon.
+//! Control: the requests of the HTTP interface and the command line to the running daemon.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -7,18 +7,18 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
-/// A capture that somebody wants.
+/// A request for a capture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaptureRequest {
-    /// How much sample time it shall hold.
+    /// The sample time to record.
     pub duration: Duration,
-    /// Its name; the daemon makes one of date and time where it is absent.
+    /// Its name; the daemon makes one from date and time if it is absent.
     pub name: Option<String>,
-    /// When to begin, UTC ns; at once where absent.
+    /// The planned start, UTC ns; at once if absent.
     pub start_at_utc_ns: Option<i64>,
 }
 
-/// Why a request was refused.
+/// The reasons why a request was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ControlError {
@@ -31,25 +31,25 @@ pub enum ControlError {
     /// Only a running capture can be stopped.
     #[error("capture {id} is not running")]
     NotRunning {
-        /// The capture asked for.
+        /// The requested capture.
         id: i64,
     },
     /// The name is taken.
     #[error("a capture named `{name}` exists already: choose another name")]
     NameTaken {
-        /// The name asked for.
+        /// The requested name.
         name: String,
     },
-    /// The name cannot be one.
+    /// The name is invalid.
     #[error("{reason}")]
     NameRefused {
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// The database did not take it.
+    /// The database did not accept it.
     #[error("the database did not take the request: {reason}")]
     Store {
-        /// What the database said.
+        /// The error that the database reported.
         reason: String,
     },
     /// The daemon is ending.
@@ -57,31 +57,31 @@ pub enum ControlError {
     Stopping,
 }
 
-/// A request with the way back for its answer.
+/// A request with the channel for its reply.
 #[derive(Debug)]
 pub enum Command {
-    /// Start (or schedule) a capture; answers its id.
+    /// Start (or schedule) a capture; the reply is its id.
     Start(CaptureRequest, oneshot::Sender<Result<i64, ControlError>>),
     /// Stop the running or waiting capture with this id.
     Stop(i64, oneshot::Sender<Result<(), ControlError>>),
 }
 
-/// The asking side, cloned into whoever needs it.
+/// The requesting side, cloned for each client.
 #[derive(Debug, Clone)]
 pub struct CaptureControl(mpsc::Sender<Command>);
 
 impl CaptureControl {
-    /// A pair of asking and answering side.
+    /// A pair of requesting and replying side.
     #[must_use]
     pub fn pair() -> (Self, mpsc::Receiver<Command>) {
         let (sender, receiver) = mpsc::channel(16);
         (Self(sender), receiver)
     }
 
-    /// Starts or schedules a capture and answers its id.
+    /// Starts or schedules a capture and returns its id.
     ///
     /// # Errors
-    /// [`ControlError`] where it cannot.
+    /// [`ControlError`] if the capture cannot be started.
     pub async fn start(&self, request: CaptureRequest) -> Result<i64, ControlError> {
         let (reply, answer) = oneshot::channel();
         self.0.send(Command::Start(request, reply)).await.map_err(|_| ControlError::Stopping)?;
@@ -91,7 +91,7 @@ impl CaptureControl {
     /// Stops the capture; returns once its last sample is committed.
     ///
     /// # Errors
-    /// [`ControlError`] where it is not running.
+    /// [`ControlError`] if it is not running.
     pub async fn stop(&self, id: i64) -> Result<(), ControlError> {
         let (reply, answer) = oneshot::channel();
         self.0.send(Command::Stop(id, reply)).await.map_err(|_| ControlError::Stopping)?;
@@ -99,29 +99,29 @@ impl CaptureControl {
     }
 }
 
-/// How files begin in which recordings are put aside beside the database while they are imported.
+/// The prefix of files beside the database in which recordings are stored while they are imported.
 pub const IMPORT_PREFIX: &str = ".import-";
 
-/// A recording that shall become a capture.
+/// A recording to be imported as a capture.
 #[derive(Debug, Clone)]
 pub struct ImportRequest {
-    /// Where its bytes are.
+    /// The path of its bytes.
     pub file: PathBuf,
-    /// What it is called: where it came from, and what its capture is named after.
+    /// Its name: the origin of the recording, after which its capture is named.
     pub called: String,
     /// Samples per second of a recording without stamps.
     pub rate_hz: Option<f64>,
-    /// Gyroscope and accelerometer send means of so many samples.
+    /// Gyroscope and accelerometer send means of this many samples.
     pub filter_window: Option<u32>,
     /// Rate of these samples, Hz.
     pub internal_rate_hz: Option<f64>,
-    /// What the columns of a foreign CSV are: `FOREIGN=NAME,…`.
+    /// The map of the columns of a foreign CSV: `FOREIGN=NAME,…`.
     pub columns: Option<String>,
-    /// Definitions of messages that a bag does not bring along.
+    /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageText>,
     /// Name of the capture.
     pub name: Option<String>,
-    /// Cancelled once nobody waits for it any more.
+    /// Cancelled once no client waits for the import any more.
     pub abandoned: CancellationToken,
 }
 
@@ -200,47 +200,47 @@ pub struct ConversionReport {
     pub factor: f64,
 }
 
-/// Why a recording did not become a capture.
+/// The reasons why a recording was not imported.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// It cannot be read, or not as a recording.
+    /// The file cannot be read, or is no recording.
     #[error("{reason}")]
     Recording {
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
     /// The name is taken.
     #[error("{reason}")]
     NameTaken {
-        /// Which, and what to do.
+        /// The name, and what to do.
         reason: String,
     },
-    /// The name cannot be one.
+    /// The name is invalid.
     #[error("{reason}")]
     NameRefused {
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// The daemon is ending.
     #[error("the daemon is stopping, nothing of the recording was kept: import it again once the daemon runs")]
     Stopping,
-    /// The database did not take it.
+    /// The database did not accept it.
     #[error("the database did not take the recording: {reason}")]
     Store {
-        /// What the database said.
+        /// The error that the database reported.
         reason: String,
     },
 }
 
-/// Makes recordings captures; blocks until it is done.
+/// Imports recordings as captures; blocks until the import is done.
 pub trait Importer: std::fmt::Debug + Send + Sync {
-    /// Whether nothing is imported any more.
+    /// Whether no more imports are accepted.
     fn is_stopping(&self) -> bool {
         false
     }
 
-    /// Imports one recording, whole or not at all; the same one twice is one capture.
+    /// Imports one recording, complete or not at all; the same recording imported twice is one capture.
     ///
     /// # Errors
     /// [`ImportError`]; nothing of the recording stays.

@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    // A panic ends the program whatever it was built with: half-done work is the database's to undo, and systemd starts
-    // anew. As `panic = "abort"` in the profile of tests it would have every dependency built twice.
+    // A panic ends the program in every build: the database undoes unfinished work, and systemd restarts the program.
+    // As `panic = "abort"` in the profile of tests it would have every dependency built twice.
     let tell = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         tell(panic);

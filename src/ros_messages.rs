@@ -1,7 +1,9 @@
-//! Definitions of ROS 2's standard messages: for bags that do not bring them (before Iron), and for those that are written. Pure.
+//! Definitions of ROS 2's standard messages: for bags that lack them (before Iron), and for bags that are written.
+//! Pure.
 //!
-//! The layouts are those of `std_msgs`, `builtin_interfaces`, `geometry_msgs` and `sensor_msgs` from ROS 2 Humble to Jazzy, without
-//! their comments, and of a message that drivers of the VN-100 use (`imu_msg/IMUmsg`); a ROS 1 bag always brings its own.
+//! The layouts are those of `std_msgs`, `builtin_interfaces`, `geometry_msgs` and `sensor_msgs` from ROS 2 Humble to
+//! Jazzy, without their comments, and of a message that drivers of the VN-100 use (`imu_msg/IMUmsg`). A ROS 1 bag
+//! always contains its own.
 
 /// Types and their fields, a line for each.
 const STANDARD: [(&str, &str); 10] = [
@@ -28,16 +30,16 @@ const STANDARD: [(&str, &str); 10] = [
     ),
 ];
 
-/// Between two definitions of a schema.
+/// The separator of two definitions in a schema.
 const SEPARATOR: &str = "================================================================================\nMSG: ";
 
-/// The fields of the type `package/Name`, where it is one of these.
+/// The fields of the type `package/Name`, if it is one of these.
 #[must_use]
 pub fn fields_of(name: &str) -> Option<&'static str> {
     STANDARD.iter().find(|(known, _)| *known == name).map(|(_, fields)| *fields)
 }
 
-/// A message's own fields, then the definitions of what it is made of, as a schema of MCAP (`ros2msg`) has them.
+/// A message's own fields, then the definitions of its parts, in the form of an MCAP schema (`ros2msg`).
 #[must_use]
 pub fn schema(fields: &str) -> String {
     let mut parts = Vec::new();

@@ -1,9 +1,10 @@
-//! The nightly schedule: which night is due, when the next one begins, and whether the clock may start one. Pure: the
-//! schedule, the time and the zone's rules in, nights out.
+//! The nightly schedule: determines which night is due, when the next one begins, and whether the clock may start one.
+//! Pure: the schedule, the time and the zone's rules in, nights out.
 //!
-//! Promised, for any rules and time: a night begins at the first instant at which local clocks show its hour or a later one
-//! of its evening. An hour that a change to summer time leaves out is therefore the moment of the change, and one that comes
-//! twice is the first. A night is due for as long as it lasts, so that a machine that was down at the hour still records it.
+//! Guarantees, for any rules and time: a night begins at the first instant at which local clocks show its hour or a
+//! later one of its evening. An hour that a change to summer time skips is therefore the moment of the change, and one
+//! that comes twice is the first. A night is due for as long as it lasts, so that a machine that was down at the hour
+//! still records it.
 
 use crate::clock::rfc3339;
 use crate::retention::{Distrust, Moment, Verdict};
@@ -11,20 +12,20 @@ use chrono::{DateTime, Datelike, Days, NaiveDate, NaiveTime, Weekday};
 use std::time::Duration;
 
 const DAY_S: i64 = 86_400;
-/// Nights are looked for within so many days: a week, and the days that a zone may skip or repeat.
+/// Nights are searched for within this many days: a week, and the days that a zone may skip or repeat.
 const SEARCHED_DAYS: u64 = 8;
 
-/// By how many seconds local time is ahead of UTC at an instant, which is given in seconds of UTC.
+/// The offset of local time from UTC, s, at an instant in seconds of UTC.
 pub type Zone<'a> = &'a dyn Fn(i64) -> i64;
 
-/// When nights are recorded.
+/// The times at which nights are recorded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Schedule {
     /// The local time of day at which a night begins.
     pub at: NaiveTime,
-    /// How much sample time a night holds, and how late it may still begin.
+    /// The sample time of a night, and how late it may still begin.
     pub duration: Duration,
-    /// What the names of the captures begin with.
+    /// The prefix of the captures' names.
     pub prefix: String,
     /// The days on whose evening a night begins.
     pub days: Vec<Weekday>,
@@ -33,22 +34,22 @@ pub struct Schedule {
 /// One night.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Night {
-    /// The date of its evening where the machine is.
+    /// The date of its evening in the machine's zone.
     pub date: NaiveDate,
     /// The name of its capture: no other night has it.
     pub name: String,
     /// When it begins, UTC ns.
     pub start_utc_ns: i64,
-    /// From when on it is too late to begin, UTC ns.
+    /// The time from which it is too late to begin, UTC ns.
     pub end_utc_ns: i64,
 }
 
-/// The night whose time it is, and the one after it.
+/// The night that is due, and the one after it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Nights {
     /// The latest night that has begun, unless it is over.
     pub due: Option<Night>,
-    /// The first night still to come; `None` only centuries from now, where nanoseconds end.
+    /// The next night; `None` only centuries from now, when nanoseconds overflow.
     pub next: Option<Night>,
 }
 
@@ -75,7 +76,7 @@ impl Schedule {
         nights
     }
 
-    /// The night of this date; `None` where none begins on that day of the week.
+    /// The night of this date; `None` if none begins on that day of the week.
     fn night(&self, date: NaiveDate, zone: Zone) -> Option<Night> {
         if !self.days.contains(&date.weekday()) {
             return None;
@@ -88,8 +89,8 @@ impl Schedule {
     }
 }
 
-/// The first instant, in seconds of UTC, at which local clocks show `local_s` (the civil time counted as if it were UTC) or,
-/// where they leave that out, more. Zones lie within a day of UTC and change at most once in two days.
+/// The first instant, in seconds of UTC, at which local clocks show `local_s` (the civil time counted as if it were
+/// UTC) or, if they skip that, more. Zones lie within a day of UTC and change at most once in two days.
 fn first_instant_s(local_s: i64, zone: Zone) -> i64 {
     let (mut earlier_s, mut later_s) = (local_s - DAY_S, local_s + DAY_S);
     let (before_s, after_s) = (zone(earlier_s), zone(later_s));
@@ -102,7 +103,7 @@ fn first_instant_s(local_s: i64, zone: Zone) -> i64 {
         // Two changes within two days, which no zone has made: the time that holds around them.
         return local_s - before_s;
     }
-    // Left out: the change itself, to the second.
+    // Skipped: the change itself, to the second.
     while later_s - earlier_s > 1 {
         let middle_s = earlier_s.midpoint(later_s);
         if zone(middle_s) == before_s { earlier_s = middle_s } else { later_s = middle_s }
@@ -110,11 +111,11 @@ fn first_instant_s(local_s: i64, zone: Zone) -> i64 {
     later_s
 }
 
-/// A machine without a battery starts with the time of its last shutdown, which looks plausible, and a time server corrects
-/// it within this time where there is one.
+/// A machine without a battery starts with the time of its last shutdown, which looks plausible, and a time server
+/// corrects it within this time if there is one.
 pub const SETTLING: Duration = Duration::from_secs(300);
 
-/// Why the clock starts no night.
+/// The reasons why the clock starts no night.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
     /// It shows an implausible date.
@@ -123,7 +124,7 @@ pub enum Doubt {
     Settling,
 }
 
-/// Whether a clock that shows `now`, judged so, may start a night; `None` where it may.
+/// The reason why a clock that shows `now`, with this verdict, must not start a night; `None` if it may.
 #[must_use]
 pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
     // The monotonic clock counts from the machine's start.
@@ -132,7 +133,7 @@ pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
 }
 
 impl Doubt {
-    /// What is wrong with a clock that shows `now_utc_ns`, and what to do.
+    /// A description of the problem of a clock that shows `now_utc_ns`, and the remedy.
     #[must_use]
     pub fn message(self, now_utc_ns: i64) -> String {
         let now = rfc3339(now_utc_ns);

@@ -1,7 +1,7 @@
-//! Units and conversions: what a number means, in one place.
+//! Units and conversions: the meaning of numbers, in one place.
 //!
-//! Inside the program every quantity carries the unit that a VN-100 sends (rad/s, m/s², gauss, degrees,
-//! °C, kPa); times are integer nanoseconds. Units people quote (°/h, mg…) exist only at the edges.
+//! Inside the program every quantity has the unit that a VN-100 sends (rad/s, m/s², gauss, degrees, °C, kPa); times are
+//! integer nanoseconds. Other units in common use (°/h, mg…) exist only at the edges.
 
 use std::time::Duration;
 
@@ -24,9 +24,9 @@ pub const NANOS_PER_SECOND: u64 = 1_000_000_000;
 /// Internal sampling rate of the VN-100's IMU in Hz (user manual UM001 rev 2.45, register 75: rate = 800 Hz / divisor).
 pub const IMU_RATE_HZ: f64 = 800.0;
 
-/// What a quantity measures. Quantities of different dimensions cannot be compared: that is their purpose.
+/// The dimension of a quantity. Quantities of different dimensions cannot be compared: that is its purpose.
 pub trait Dimension: Copy + std::fmt::Debug + PartialOrd {
-    /// The unit that values are held in: the one a VN-100 sends.
+    /// The unit of stored values: the one that a VN-100 sends.
     const UNIT: &'static str;
 }
 
@@ -50,7 +50,7 @@ impl Dimension for MagneticField {
     const UNIT: &'static str = "gauss";
 }
 
-/// A size of dimension `D`, made only by naming its unit.
+/// A size of dimension `D`, created only by naming its unit.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct Quantity<D: Dimension> {
     value: f64,
@@ -132,7 +132,7 @@ pub fn period_ns(rate_hz: f64) -> f64 {
     NANOS_PER_SECOND as f64 / rate_hz
 }
 
-/// Why a duration was refused.
+/// The refusal of a duration.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{found}` is not a duration: expected a number with a unit, such as 5h, 90m, 30s or 500ms")]
 pub struct DurationError {
@@ -143,7 +143,7 @@ pub struct DurationError {
 /// Parses a duration as the command line and the API write it: `5h`, `90m`, `30s`, `500ms`, `1.5h`, `5h30m`.
 ///
 /// # Errors
-/// [`DurationError`] where a number or its unit is missing or unknown, or the total does not fit.
+/// [`DurationError`] if a number or its unit is missing or unknown, or the total does not fit.
 pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
     let refuse = || DurationError { found: text.to_owned() };
     let mut rest = text.trim();
@@ -171,7 +171,7 @@ pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
     Ok(Duration::new(seconds, (total_ns % u128::from(NANOS_PER_SECOND)) as u32))
 }
 
-/// A decimal number times a unit, exactly, rounded to a whole; `None` where it is no number or does not fit.
+/// A decimal number times a unit, exactly, rounded to a whole; `None` if it is no number or does not fit.
 fn times(number: &str, unit: u128) -> Option<u128> {
     /// Digits behind the point that can matter: a unit has at most fourteen.
     const FRACTION_DIGITS: usize = 18;
@@ -186,7 +186,8 @@ fn times(number: &str, unit: u128) -> Option<u128> {
     whole.checked_mul(unit)?.checked_add((parts * unit + scale / 2) / scale)
 }
 
-/// Writes a duration the way [`parse_duration`] reads it, in the largest units that lose nothing: `5h`, `1h30m`, `754.45s`.
+/// Writes a duration in the form that [`parse_duration`] reads, in the largest units that lose nothing: `5h`, `1h30m`,
+/// `754.45s`.
 #[must_use]
 pub fn format_duration(duration: Duration) -> String {
     let total_ms = duration.as_millis();
@@ -217,7 +218,7 @@ pub mod duration_text {
     /// Writes the duration as text.
     ///
     /// # Errors
-    /// Whatever the serializer reports.
+    /// The error that the serializer reports.
     pub fn serialize<S: Serializer>(duration: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_str(&super::format_duration(*duration))
     }
@@ -225,7 +226,7 @@ pub mod duration_text {
     /// Reads the duration from text.
     ///
     /// # Errors
-    /// Where the text is not a duration.
+    /// The error of a text that is not a duration.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
         let text = String::deserialize(deserializer)?;
         super::parse_duration(&text).map_err(serde::de::Error::custom)

@@ -1,4 +1,4 @@
-//! Actions and inputs: what a [`super::session::Session`] wants done, and what it is told. Data alone.
+//! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. Data alone.
 
 use super::description::Registers;
 use super::port::{Latency, OpenError};
@@ -6,25 +6,25 @@ use crate::protocol::{DeviceError, MeasurementKind, Reply};
 use crate::sample::{EventKind, GapCause, RateDoubt};
 use std::path::PathBuf;
 
-/// A serial port as it was found.
+/// A serial port that was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Port {
     /// The name by which it is opened.
     pub path: PathBuf,
-    /// The kernel's name of what stands behind it: another one where the name is a link.
+    /// The kernel's name of the device, which differs if `path` is a link.
     pub target: PathBuf,
-    /// What stands behind the name: another text where it is another device, or the same one plugged in anew.
+    /// Identifies the device: the text differs for another device, and for the same one plugged in again.
     pub node: String,
 }
 
-/// What the session wants done.
+/// An action that the session requests.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Look for ports; answer with [`Input::Ports`].
+    /// Look for ports; reply with [`Input::Ports`].
     Look,
-    /// Open; answer with [`Input::Opened`] or [`Input::OpenFailed`].
+    /// Open; reply with [`Input::Opened`] or [`Input::OpenFailed`].
     Open(PathBuf, u32),
-    /// Change the open port's baud rate; what was half received is void.
+    /// Change the open port's baud rate; a partly received frame is void.
     SetBaud(u32),
     /// Write these bytes.
     Send(Vec<u8>),
@@ -32,15 +32,15 @@ pub enum Action {
     Close,
     /// Frames of this kind are samples from now on, at this rate; `None` is any binary frame or message.
     Accept(MeasurementKind, f64),
-    /// The registers say that the sensor sends at this rate, in Hz: what came in doubt of the rate is of it.
+    /// The sensor's registers state this rate, in Hz: samples of a doubtful rate belong to it.
     RateKnown(f64),
-    /// Whether the messages that are accepted next carry a serial count that steps by one for each.
+    /// Whether the messages that are accepted next carry a serial count that increases by one per message.
     Counted(bool),
-    /// No samples until the next `Accept`; what is missing until then has this cause.
+    /// No samples until the next `Accept`; samples missing until then have this cause.
     Interrupt(GapCause),
-    /// Look for frames of any kind: those of the expected kind do not come.
+    /// Look for frames of any kind: frames of the expected kind do not arrive.
     AcceptAny,
-    /// Remember this.
+    /// Record this event.
     Event(EventKind, String),
     /// The sensor's description, to be stored with the capture.
     Describe(serde_json::Value),
@@ -48,29 +48,29 @@ pub enum Action {
     Ended,
 }
 
-/// What happened.
+/// An event for the session.
 #[derive(Debug)]
 pub enum Input<'a> {
-    /// Time passed.
+    /// Time has passed.
     Tick,
     /// The ports that were found, best first.
     Ports(Vec<Port>),
     /// The port is open.
     Opened {
-        /// What to say about its latency timer.
+        /// The state of its latency timer.
         latency: Latency,
     },
-    /// It is not.
+    /// The port could not be opened.
     OpenFailed(OpenError),
     /// The port is gone.
     Disconnected(String),
     /// This many bytes arrived.
     Bytes(usize),
-    /// So many of them are part of no frame.
+    /// This many bytes belong to no frame.
     Rejected(usize),
-    /// Samples without time do not come at the rate that is known.
+    /// Samples without time do not arrive at the known rate.
     RateDoubted(RateDoubt),
-    /// The host did not run for a while: that nothing was heard meanwhile says nothing.
+    /// The host did not run for a while: silence during that time has no meaning.
     HostStalled,
     /// The sensor answered a command.
     Reply(&'a Reply<'a>),
@@ -80,8 +80,9 @@ pub enum Input<'a> {
     Expect(Option<String>),
     /// The sensor spoke at this baud rate in an earlier run of the daemon.
     GoodBaud(u32),
-    /// What the output registers held before an earlier run of the daemon changed them: to be put back in the end.
+    /// The contents of the output registers before an earlier run of the daemon changed them, to be restored at the
+    /// end.
     Previous(Registers),
-    /// End: put back the sensor's output and close.
+    /// End: restore the sensor's output and close.
     Stop,
 }

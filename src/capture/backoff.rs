@@ -1,28 +1,28 @@
-//! Backoff: how long to wait before the next try with a port that is there and fails. Pure.
+//! Backoff: the delay before the next attempt on a port that exists and fails. Pure.
 
 use rand::{Rng, RngExt};
 use std::time::Duration;
 
-/// The first wait.
+/// The first delay.
 pub const FIRST: Duration = Duration::from_millis(250);
-/// The longest wait: with the time to find the sensor out, one that works again streams within 10 s.
+/// The longest delay: together with the time to identify the sensor, one that works again streams within 10 s.
 pub const LONGEST: Duration = Duration::from_secs(8);
 
-/// Doubles the wait with each failure, up to [`LONGEST`]; up to a quarter is taken off at random, so that several
-/// daemons do not knock in step.
+/// Doubles the delay with each failure, up to [`LONGEST`]. A random part of up to a quarter is subtracted, so that
+/// several daemons do not try in step.
 #[derive(Debug, Clone, Default)]
 pub struct Backoff {
     failures: u32,
 }
 
 impl Backoff {
-    /// The wait after one more failure.
+    /// The delay after one more failure.
     pub fn next<R: Rng>(&mut self, random: &mut R) -> Duration {
         let wait = FIRST.saturating_mul(1 << self.failures.min(16)).min(LONGEST);
         self.failures = self.failures.saturating_add(1);
         wait.mul_f64(1.0 - 0.25 * random.random::<f64>())
     }
-    /// All is well again.
+    /// Resets the delay after a success.
     pub fn reset(&mut self) {
         self.failures = 0;
     }

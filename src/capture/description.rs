@@ -1,4 +1,4 @@
-//! Description: what is stored with a capture about its sensor and its configuration. Pure.
+//! Description: the stored description of a capture's sensor and configuration. Pure.
 
 use super::port::Latency;
 use crate::observe::SensorStatus;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// Register contents by number.
 pub type Registers = BTreeMap<u16, String>;
 
-/// What describes the measurement. A register that the sensor does not have is absent.
+/// The description of the measurement. A register that the sensor does not have is absent.
 pub(super) fn describe(
     status: &SensorStatus,
     registers: &Registers,

@@ -1,26 +1,26 @@
-//! Host watch: what the host's clocks say about the host itself: it stood, it slept, its civil time was stepped. Pure.
+//! Host watch: detects from the host's clocks that the host stood still, slept, or had its civil time stepped. Pure.
 //!
-//! Three clocks are compared from turn to turn of the reader's loop: one that runs on while the machine sleeps
-//! (`CLOCK_BOOTTIME`), one that does not (`CLOCK_MONOTONIC`), and civil time. NTP slews all of them alike, so that a change
-//! between civil and monotonic time is a step.
+//! Three clocks are compared from turn to turn of the reader's loop: one that continues while the machine sleeps
+//! (`CLOCK_BOOTTIME`), one that does not (`CLOCK_MONOTONIC`), and civil time. NTP slews all of them alike, so that a
+//! change between civil and monotonic time is a step.
 
 use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 
-/// A loop that was not run for this long beyond its tick: the host stood, ns.
+/// The host stood still if the loop did not run for this long beyond its tick, ns.
 const STALL_NS: u64 = 1_000_000_000;
-/// What the clock that sleeps with the machine lacks, at least, for the machine to have slept, ns.
+/// The machine slept if the clock that stops during sleep lacks at least this, ns.
 const SLEEP_NS: u64 = 500_000_000;
-/// A step of civil time is at least this large, ns.
+/// The minimum size of a step of civil time, ns.
 const STEP_NS: i64 = 10_000_000;
-/// Clocks are read one after the other; a reading that took longer than this says nothing about steps, ns.
+/// Clocks are read one after the other; a reading that took longer than this cannot show a step, ns.
 const BRACKET_NS: u64 = 1_000_000;
 
 /// The host's clocks, read together, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reading {
-    /// Runs on while the machine sleeps; read before the others.
+    /// Continues while the machine sleeps; read before the others.
     pub mono_ns: u64,
-    /// Stands while the machine sleeps.
+    /// Stops while the machine sleeps.
     pub awake_ns: u64,
     /// Civil time.
     pub utc_ns: i64,
@@ -28,14 +28,14 @@ pub struct Reading {
     pub after_ns: u64,
 }
 
-/// What happened to the host since the last turn.
+/// An event of the host since the last turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HostEvent {
-    /// The program did not run for so long, ns.
+    /// The program did not run for this long, ns.
     Stalled(u64),
-    /// The machine slept for so long, ns.
+    /// The machine slept for this long, ns.
     Slept(u64),
-    /// Civil time was stepped by so much, ns.
+    /// Civil time was stepped by this much, ns.
     Stepped(i64),
 }
 
@@ -48,7 +48,7 @@ pub struct HostWatch {
 }
 
 impl HostWatch {
-    /// Takes a reading; the loop is run at least every `tick_ns`.
+    /// Takes a reading; the loop runs at least every `tick_ns`.
     pub fn turn(&mut self, now: Reading, tick_ns: u64) -> Vec<HostEvent> {
         let mut events = Vec::new();
         if let Some(last) = self.last.replace(now) {
@@ -74,13 +74,13 @@ impl HostWatch {
     }
 }
 
-/// Arrivals are stamped with both clocks one after the other; a program that is put aside in between makes no step of that
-/// size, ns. Neither does NTP's slew, which is at most 500 ppm.
+/// Arrivals are stamped with both clocks one after the other. A program that is suspended in between causes no step of
+/// that size, ns, and neither does NTP's slew, which is at most 500 ppm.
 const AWAY_STEP_NS: u64 = 1_000_000_000;
 const AWAY_SLEW: f64 = 500e-6;
 
-/// By how much civil time was stepped between two instants of one boot of the host, ns, while nobody watched: `(monotonic,
-/// civil)` of each. `None` where it ran on.
+/// The step of civil time, ns, between two instants of one boot of the host while no daemon watched: `(monotonic,
+/// civil)` of each. `None` if there was no step.
 #[must_use]
 pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
     let away_ns = now.0.checked_sub(before.0)?;
@@ -88,12 +88,12 @@ pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
     (by_ns.unsigned_abs() > AWAY_STEP_NS + (AWAY_SLEW * away_ns as f64) as u64).then_some(by_ns)
 }
 
-/// Steps of a clock that stays unset are told by the rows from this size on: no measurement is that late, ns.
+/// From this size on, the rows show steps of a clock that stays unset: no measurement is that late, ns.
 const UNSET_STEP_NS: i64 = 10_000_000_000;
 
-/// Where a step shows that the host's clock had not been set: times before which are of the clock as it was, UTC ns.
-/// `utc_ns` is civil time after it. A clock that is still not plausible after the step is set once more later, from what
-/// this step made of it; half of the step tells then which times are from before it.
+/// If a step shows that the host's clock had not been set: the limit, UTC ns, below which times are of the clock as it
+/// was. `utc_ns` is civil time after it. A clock that is still not plausible after the step is set once more later,
+/// starting from the result of this step. Half of the step then determines which times precede it.
 #[must_use]
 pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
     let was_unset = by_ns > 0 && utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS;
@@ -103,8 +103,8 @@ pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
     }
 }
 
-/// Whether a clock was set back to, or within, what is not plausible: what lies before is later than what comes, so that a
-/// later correction would move it too far.
+/// Whether a clock was set back to, or within, an implausible time: earlier rows then have later times than those to
+/// come, so that a later correction would move them too far.
 #[must_use]
 pub fn set_back_unset(by_ns: i64, utc_ns: i64) -> bool {
     by_ns <= -UNSET_STEP_NS && utc_ns < UTC_UNSET_BEFORE_NS
@@ -148,7 +148,7 @@ mod tests {
             clock.step_utc(step_ns);
             assert_eq!(watch.turn(reading(&clock), TICK_NS), [HostEvent::Stepped(step_ns)]);
         }
-        // A slow reading says nothing; the next good one does.
+        // A slow reading shows nothing; the next good one does.
         clock.step_utc(50_000_000);
         let mut slow = reading(&clock);
         slow.after_ns += 2_000_000;

@@ -1,7 +1,8 @@
 //! Capture: from a serial port to [`crate::sample::Record`]s, unattended.
 //!
-//! [`session`] (with [`action`], [`script`], [`output`] and [`backoff`]) decides about the connection, [`recorder`] about the capture; both are
-//! pure. [`port`] is the serial port, [`task`] drives the decisions against it.
+//! [`session`] (with [`action`], [`script`], [`output`] and [`backoff`]) makes the decisions about the connection,
+//! [`recorder`] those about the capture; both are pure. [`port`] is the serial port, and [`task`] applies the decisions
+//! to it.
 
 pub mod action;
 pub mod backoff;

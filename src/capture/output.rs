@@ -1,9 +1,10 @@
-//! Output: what the sensor shall send, what its registers say it sends, and whether that fits the line. Pure.
+//! Output: the requested output of the sensor, the output that its registers state, and whether that fits the line.
+//! Pure.
 
 use crate::protocol::register::{BinaryOutput, CommunicationControl, SyncControl};
 use crate::protocol::{AsciiType, FrameOptions, MeasurementKind, frame_bytes, link, max_rate_hz};
 
-/// What the sensor shall send.
+/// The requested output of the sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Output {
     /// Binary output 1 with these groups and fields (hex, as register 75 takes them) every `divisor`-th of 800 Hz.
@@ -20,12 +21,12 @@ pub enum Output {
         /// Register 7.
         rate_hz: u32,
     },
-    /// Whatever it sends.
+    /// The sensor's present output.
     Keep,
 }
 
 impl Output {
-    /// The frames that this output consists of and their rate in Hz; `None` for what is kept.
+    /// The frames that this output consists of and their rate in Hz; `None` for `Keep`.
     #[must_use]
     pub fn kind_and_rate(&self) -> Option<(MeasurementKind, f64)> {
         match self {
@@ -40,7 +41,7 @@ pub(super) fn is_binary(kind: MeasurementKind) -> bool {
     matches!(kind, MeasurementKind::Binary(_))
 }
 
-/// What a binary output register with these values sends, and its rate in Hz; `None` where it is off.
+/// The output that a binary output register with these values selects, and its rate in Hz; `None` if it is off.
 pub(super) fn binary_output(register: u16, values: &str) -> Option<(MeasurementKind, f64)> {
     let output = BinaryOutput::parse(register, values).ok()?;
     let header = output.header.filter(|_| output.async_mode != 0)?;
@@ -54,18 +55,18 @@ pub(super) fn ascii_kind(number: u8) -> Option<MeasurementKind> {
 
 /// Register 32's SyncOutMode for a pulse at each start of an IMU sample, of which every (skip factor + 1)th is counted.
 const SYNC_OUT_IMU: u32 = 1;
-/// Register 32's SyncOutMode where the pin drives nothing: off, or the pulse of a GPS receiver, which a VN-100 lacks.
+/// Register 32's SyncOutMode if the pin drives nothing: off, or the pulse of a GPS receiver, which a VN-100 lacks.
 const SYNC_OUT_FREE: [u32; 2] = [0, 6];
 /// Register 30's SerialCount for the SyncOut counter.
 const SERIAL_COUNT_SYNC_OUT: u8 = 3;
 
-/// The skip factor with which the SyncOut counter steps by one for each message at this rate.
+/// The skip factor with which the SyncOut counter increases by one for each message at this rate.
 fn skip_factor(rate_hz: f64) -> Option<u32> {
     let samples = f64::from(link::INTERNAL_RATE_HZ) / rate_hz;
     (samples >= 1.0 && samples.fract() == 0.0).then(|| samples as u32 - 1)
 }
 
-/// Whether messages at this rate carry a count that steps by one for each, as registers 30 and 32 say.
+/// Whether messages at this rate carry a count that increases by one for each, according to registers 30 and 32.
 pub(super) fn counts_messages(communication: &str, synchronization: &str, rate_hz: f64) -> bool {
     let Ok(communication) = CommunicationControl::parse(communication) else { return false };
     let Ok(synchronization) = SyncControl::parse(synchronization) else { return false };
@@ -74,8 +75,8 @@ pub(super) fn counts_messages(communication: &str, synchronization: &str, rate_h
         && Some(synchronization.sync_out_skip_factor) == skip_factor(rate_hz)
 }
 
-/// What registers 32 and 30 must hold so that the sensor numbers its messages; nothing where they do, or where the SyncOut
-/// pin or the count is in use for something else.
+/// The values of registers 32 and 30 that make the sensor number its messages. Empty if they are set already, or if the
+/// SyncOut pin or the count is used for something else.
 pub(super) fn serial_count(communication: &str, synchronization: &str, rate_hz: f64) -> Vec<(u16, String)> {
     let (Ok(mut communication), Ok(mut synchronization), Some(skip)) =
         (CommunicationControl::parse(communication), SyncControl::parse(synchronization), skip_factor(rate_hz))
@@ -99,10 +100,10 @@ pub(super) fn serial_count(communication: &str, synchronization: &str, rate_hz: 
     writes
 }
 
-/// Whether frames of this kind at this rate fit a line of this baud rate.
+/// Checks whether frames of this kind at this rate fit a line of this baud rate.
 ///
 /// # Errors
-/// The arithmetic, as a sentence for a person.
+/// The calculation, as a sentence for the user.
 pub fn check_fit(kind: MeasurementKind, rate_hz: f64, baud: u32) -> Result<(), String> {
     let bytes = frame_bytes(&kind, &FrameOptions::default());
     let share = link::link_share(bytes, rate_hz, baud);

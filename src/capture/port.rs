@@ -1,11 +1,11 @@
-//! Ports: finds the sensor's serial port, opens it for this process alone, sets baud rate and latency.
-//! The only user of `tokio_serial`.
+//! Ports: finds the sensor's serial port, opens it exclusively, and sets baud rate and latency. The only user of
+//! `tokio_serial`.
 
 use super::action::Port;
 use std::path::{Path, PathBuf};
 use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
 
-/// Where to look when no device is configured: stable names first, then whatever the kernel numbered.
+/// The places to search if no device is configured: stable names first, then those that the kernel numbered.
 const SEARCH: [&str; 3] = ["/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*"];
 /// FTDI's default of 16 ms bunches messages; 1 ms is the least the chip takes.
 const LATENCY_TIMER_MS: u32 = 1;
@@ -14,7 +14,7 @@ const LATENCY_TIMER_MS: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// Nothing of that name (any more).
+    /// There is no such port (any more).
     #[error("{path} is not there")]
     Gone {
         /// The port.
@@ -25,10 +25,10 @@ pub enum OpenError {
     Busy {
         /// The port.
         path: String,
-        /// Who, as far as /proc tells.
+        /// The process, as far as /proc shows it.
         holder: String,
     },
-    /// Not this user's.
+    /// This user lacks the permission.
     #[error(
         "{path} may not be opened by this user: add the user to the group that owns it (`ls -l {path}`; on Debian `sudo adduser $USER dialout`) and log in again"
     )]
@@ -36,29 +36,29 @@ pub enum OpenError {
         /// The port.
         path: String,
     },
-    /// The system said something else.
+    /// The system returned another error.
     #[error("{path} cannot be opened as a serial port: {reason}")]
     Other {
         /// The port.
         path: String,
-        /// The system's words.
+        /// The error message of the system.
         reason: String,
     },
 }
 
-/// How the port delivers: what was done about the adapter's latency timer.
+/// The delivery of the port: the state of the adapter's latency timer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Latency {
     /// The adapter has no such timer (a UART, a pseudo-terminal).
     NotApplicable,
-    /// The timer stands at this many milliseconds, as wanted.
+    /// The timer is set to this many milliseconds, as wanted.
     Low(u32),
-    /// The timer stands at this many milliseconds and could not be changed.
+    /// The timer is set to this many milliseconds and could not be changed.
     High(u32),
 }
 
 impl Latency {
-    /// The sentence for a person, where something is left to do.
+    /// A sentence for the user, if an action remains.
     #[must_use]
     pub fn hint(self) -> Option<String> {
         match self {
@@ -68,7 +68,7 @@ impl Latency {
             _ => None,
         }
     }
-    /// The timer in milliseconds, where there is one.
+    /// The timer in milliseconds, if there is one.
     #[must_use]
     pub fn timer_ms(self) -> Option<u32> {
         match self {
@@ -78,8 +78,8 @@ impl Latency {
     }
 }
 
-/// The ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual places.
-/// A pattern that is none matches nothing.
+/// The ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual places
+/// are searched. An invalid pattern matches nothing.
 #[must_use]
 pub fn find(device: Option<&str>) -> Vec<PathBuf> {
     let patterns: &[&str] = match &device {
@@ -95,7 +95,7 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
             glob::glob(pattern).map(|paths| paths.flatten().collect()).unwrap_or_default()
         };
         for path in matches {
-            // One adapter has a name by its id and one by its number: take it once.
+            // One adapter has a name by its id and one by its number: it is listed once.
             let target = std::fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
             if !targets.contains(&target) {
                 targets.push(target);
@@ -106,7 +106,7 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
     found
 }
 
-/// The same, with what stands behind each name.
+/// As [`find`], with the device behind each name.
 #[must_use]
 pub fn look(device: Option<&str>) -> Vec<Port> {
     find(device)
@@ -118,7 +118,7 @@ pub fn look(device: Option<&str>) -> Vec<Port> {
         .collect()
 }
 
-/// The device: where it is and when it was made there.
+/// Identifies the device: its location and the time at which it was created.
 fn node(target: &Path) -> String {
     use std::os::unix::fs::MetadataExt as _;
     let made = std::fs::metadata(target)
@@ -126,13 +126,13 @@ fn node(target: &Path) -> String {
     format!("{} {made}", target.display())
 }
 
-/// Opens the port for this process alone (TIOCEXCL and `flock`), raw, 8N1, at `baud`.
+/// Opens the port exclusively (TIOCEXCL and `flock`), raw, 8N1, at `baud`.
 ///
 /// # Errors
-/// [`OpenError`], one variant per thing a person would do about it.
+/// [`OpenError`], one variant per action that the user may take.
 pub fn open(path: &Path, baud: u32) -> Result<SerialStream, OpenError> {
     let name = path.display().to_string();
-    // The name may be a link that moves (by-id); what the kernel calls it now is what is opened and locked.
+    // The name may be a link that moves (by-id); the present kernel name is opened and locked.
     let target = std::fs::canonicalize(path).map_err(|_| OpenError::Gone { path: name.clone() })?;
     SerialStream::open(&tokio_serial::new(target.to_string_lossy(), baud)).map_err(|error| {
         let reason = error.to_string();
@@ -149,14 +149,14 @@ pub fn open(path: &Path, baud: u32) -> Result<SerialStream, OpenError> {
 /// Changes the baud rate of an open port.
 ///
 /// # Errors
-/// [`OpenError::Other`] where the port does not do that rate.
+/// [`OpenError::Other`] if the port does not support that rate.
 pub fn set_baud(stream: &mut SerialStream, path: &Path, baud: u32) -> Result<(), OpenError> {
     stream
         .set_baud_rate(baud)
         .map_err(|error| OpenError::Other { path: path.display().to_string(), reason: format!("{baud} baud: {error}") })
 }
 
-/// Sets the USB adapter's latency timer through sysfs, where there is one and it may be written.
+/// Sets the USB adapter's latency timer through sysfs, if it exists and is writable.
 #[must_use]
 pub fn lower_latency(path: &Path) -> Latency {
     let Ok(target) = std::fs::canonicalize(path) else { return Latency::NotApplicable };
@@ -170,14 +170,15 @@ fn lower_latency_at(timer: &Path) -> Latency {
     if before <= LATENCY_TIMER_MS {
         return Latency::Low(before);
     }
-    // Whether it took effect is read back: writing may succeed and do nothing.
+    // The value is read back: writing may succeed without effect.
     match std::fs::write(timer, LATENCY_TIMER_MS.to_string()).ok().and_then(|()| read()) {
         Some(after) if after <= LATENCY_TIMER_MS => Latency::Low(after),
         after => Latency::High(after.unwrap_or(before)),
     }
 }
 
-/// Who has the port, as far as /proc lets this user see: the one that locked it, else any that has it open.
+/// The process that holds the port, as far as /proc shows it to this user: the one that locked it, else any that has it
+/// open.
 fn holder(target: &Path) -> String {
     let of = |pid: &str| {
         let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
@@ -211,7 +212,7 @@ fn lock_holder(target: &Path) -> Option<String> {
         let fields: Vec<&str> = line.split_whitespace().collect();
         (fields.get(1) == Some(&"FLOCK") && fields.get(5) == Some(&file.as_str())).then(|| fields[4].to_owned())
     };
-    // The list is no snapshot: an entry may be passed over while others come and go.
+    // The list is no snapshot: an entry may be missed while others come and go.
     (0..3).find_map(|_| std::fs::read_to_string("/proc/locks").ok()?.lines().find_map(of_line))
 }
 

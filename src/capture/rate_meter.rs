@@ -1,12 +1,12 @@
-//! Rate meter: what a sensor sends and how often, where its registers do not say. Pure.
+//! Rate meter: determines what a sensor sends and how often, if its registers do not state it. Pure.
 
 use super::output::is_binary;
 use crate::protocol::{MeasurementKind, link};
 
-/// How far a measured rate may be from one that the sensor can have.
+/// The maximum deviation of a measured rate from one that the sensor supports.
 const NEAR: f64 = 0.02;
 
-/// Finds out what a sensor sends and how often, where its registers do not say.
+/// Determines what a sensor sends and how often, if its registers do not state it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct RateMeter {
     kind: Option<MeasurementKind>,
@@ -16,7 +16,7 @@ pub(super) struct RateMeter {
 
 impl RateMeter {
     pub(super) fn note(&mut self, now_ns: u64, kind: MeasurementKind, device_ns: Option<u64>) {
-        // Binary output wins over ASCII: it carries time.
+        // Binary output has priority over ASCII: it carries time.
         if self.kind.is_none_or(|chosen| !is_binary(chosen) && is_binary(kind)) {
             *self = Self { kind: Some(kind), ..Self::default() };
         }
@@ -26,8 +26,8 @@ impl RateMeter {
         }
     }
 
-    /// The kind and its rate in Hz: the sensor's own clock counts, else the host's; rounded to a rate that a VN-100 has
-    /// where one is near (800 Hz / n for binary output, register 7's for messages).
+    /// The kind and its rate in Hz, by the sensor's own clock, else by the host's. The rate is rounded to one that a
+    /// VN-100 supports if one is near (800 Hz / n for binary output, register 7's for messages).
     pub(super) fn result(&self) -> Option<(MeasurementKind, f64)> {
         let kind = self.kind?;
         let rate = |times: &[u64]| {

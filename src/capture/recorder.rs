@@ -1,7 +1,7 @@
 //! Recorder: one capture from its first sample to its planned end. Pure.
 //!
 //! A capture runs on sample time: it is complete when received + missing = duration × rate, however long that took
-//! (docs/formats.md). A gap that reaches beyond the planned end is cut there; what arrives later is no part of the
+//! (docs/formats.md). A gap that reaches beyond the planned end is cut there; later samples are not part of the
 //! capture.
 
 use crate::observe::Tally;
@@ -13,26 +13,26 @@ use crate::sample::{
 use crate::units::period_ns;
 use std::collections::{BTreeMap, VecDeque};
 
-/// Silence that is an outage when the capture is stopped by hand: this long, ns, and this many periods.
+/// Silence that counts as an outage when the capture is stopped by hand: this long, ns, and this many periods.
 const OUTAGE_NS: f64 = 1e9;
 const OUTAGE_PERIODS: f64 = 20.0;
-/// Silence after which an absent sensor is held to be absent until the planned end, ns.
+/// Silence after which an absent sensor is assumed to be absent until the planned end, ns.
 const PATIENCE_NS: u64 = 5_000_000_000;
 
-/// What a capture shall become.
+/// The plan of a capture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The capture's id.
     pub id: i64,
     /// Its name.
     pub name: String,
-    /// Sample time it shall hold, ns.
+    /// The planned sample time, ns.
     pub duration_ns: u64,
-    /// When it shall begin, UTC ns; at once where absent.
+    /// The planned start, UTC ns; at once if absent.
     pub start_at_utc_ns: Option<i64>,
 }
 
-/// Where an earlier run of the daemon left a capture.
+/// The state in which an earlier run of the daemon left a capture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResumePoint {
     /// Segments so far.
@@ -43,7 +43,7 @@ pub struct ResumePoint {
     pub samples: u64,
     /// Valid measurements received, as of the last commit.
     pub received: u64,
-    /// Of these, how many did not become a sample, by cause.
+    /// Of these, the number that did not become a sample, by cause.
     pub discarded: BTreeMap<DiscardCause, u64>,
     /// Samples missing.
     pub missing: u64,
@@ -51,7 +51,7 @@ pub struct ResumePoint {
     pub gaps: u64,
     /// Sample time held so far, received and missing, ns.
     pub elapsed_ns: u64,
-    /// The last sample; `None` where the capture had none.
+    /// The last sample; `None` if the capture had none.
     pub last: Option<Position>,
     /// Output rate of the last segment in Hz.
     pub rate_hz: Option<f64>,
@@ -59,7 +59,7 @@ pub struct ResumePoint {
     pub serial_number: Option<String>,
     /// Its baud rate.
     pub baud: Option<u32>,
-    /// What the sensor's output registers held before the capture changed them, by number.
+    /// The contents of the sensor's output registers before the capture changed them, by number.
     pub previous_output: BTreeMap<u16, String>,
 }
 
@@ -74,9 +74,9 @@ pub struct Counts {
     pub gaps: u64,
     /// Sample time held, ns.
     pub elapsed_ns: f64,
-    /// When the last sample arrived, host monotonic ns.
+    /// The arrival time of the last sample, host monotonic ns.
     pub last_mono_ns: Option<u64>,
-    /// A gap is open since this UTC time, ns.
+    /// The UTC time since which a gap is open, ns.
     pub gap_open_since_utc_ns: Option<i64>,
 }
 
@@ -87,20 +87,20 @@ pub struct Recorder {
     accountant: Option<Accountant>,
     resume: Option<ResumePoint>,
     counts: Counts,
-    /// Counted where measurements come in, before anything decides about them.
+    /// Counted when measurements arrive, before any decision about them.
     received: u64,
     /// Samples that an earlier run of the daemon committed.
     base: u64,
     /// Measurements that did not become a sample, by cause, in the order of [`DiscardCause::ALL`].
     dropped: [u64; DiscardCause::ALL.len()],
-    /// Bytes and broken frames that are not written down yet.
+    /// Bytes and broken frames that are not recorded yet.
     discarded: BTreeMap<DiscardCause, u64>,
-    /// Measurements that did not become a sample and are not written down yet: number, cause, count. They are written
-    /// down before the next sample, so that `received` of a commit is always that of its rows and discards.
+    /// Measurements that did not become a sample and are not recorded yet: number, cause, count. They are recorded
+    /// before the next sample, so that `received` of a commit always matches its rows and discards.
     frames: VecDeque<(u64, DiscardCause, u64)>,
     /// Rate of the segment that is written, Hz.
     rate_hz: Option<f64>,
-    /// The capture ends once what is at hand is sorted.
+    /// The capture ends once the samples at hand are sorted.
     ending: Option<(CaptureEnd, i64)>,
     ended: bool,
     host_jitter_ns: f64,
@@ -144,14 +144,14 @@ impl Recorder {
         }
     }
 
-    /// The same, on a host whose present boot has this name: its monotonic times are comparable with those of segments of
-    /// the same name.
+    /// The same, on a host whose present boot has this id: its monotonic times are comparable with those of segments
+    /// with the same id.
     #[must_use]
     pub fn of_boot(self, boot_id: Option<String>) -> Self {
         Self { boot_id, ..self }
     }
 
-    /// The boot of the host; `None` where it is not known.
+    /// The boot of the host; `None` if it is not known.
     #[must_use]
     pub fn boot_id(&self) -> Option<String> {
         self.boot_id.clone()
@@ -167,13 +167,13 @@ impl Recorder {
     pub fn counts(&self) -> Counts {
         self.counts
     }
-    /// Whether the capture has come to its end.
+    /// Whether the capture has ended.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.ended
     }
 
-    /// Samples of this rate follow, with times that rest on this.
+    /// Begins samples of this rate, with times of this timebase.
     pub fn accept(&mut self, rate_hz: f64, timebase: Timebase, out: &mut Vec<Record>) {
         match &mut self.accountant {
             Some(accountant) => {
@@ -196,7 +196,7 @@ impl Recorder {
         }
     }
 
-    /// No samples until further notice.
+    /// Ends the samples until further notice.
     pub fn interrupt(&mut self, cause: GapCause, out: &mut Vec<Record>) {
         if let Some(accountant) = &mut self.accountant {
             accountant.interrupt(cause, &mut self.scratch);
@@ -205,7 +205,7 @@ impl Recorder {
         }
     }
 
-    /// The sensor's registers say this rate: samples without time that are held are of it.
+    /// Takes the rate that the sensor's registers state: held samples without time belong to it.
     pub fn rate_known(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         if let Some(accountant) = &mut self.accountant {
             accountant.rate_known(rate_hz, &mut self.scratch);
@@ -213,26 +213,26 @@ impl Recorder {
         }
     }
 
-    /// What is in doubt about the rate, since the last call.
+    /// The doubt about the rate since the last call, if any.
     pub fn take_doubt(&mut self) -> Option<RateDoubt> {
         self.accountant.as_mut().and_then(Accountant::take_doubt)
     }
 
-    /// The host stood or slept: gaps that show until then are its doing.
+    /// Records that the host stood still or slept: it is the cause of gaps that appear until then.
     pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
         if let Some(accountant) = &mut self.accountant {
             accountant.blame_host(cause, until_mono_ns);
         }
     }
 
-    /// Something that may explain the next gap.
+    /// Records a possible cause of the next gap.
     pub fn suspect(&mut self, cause: GapCause) {
         if let Some(accountant) = &mut self.accountant {
             accountant.suspect(cause);
         }
     }
 
-    /// Where every measurement is that was received, as of now.
+    /// The present counts of all received measurements by their state.
     #[must_use]
     pub fn tally(&self) -> Tally {
         Tally {
@@ -245,26 +245,26 @@ impl Recorder {
         }
     }
 
-    /// The run of the sensor's clock that is under way; `None` before the first sample.
+    /// The present run of the sensor's clock; `None` before the first sample.
     #[must_use]
     pub fn epoch(&self) -> Option<u32> {
         self.accountant.as_ref().filter(|accountant| accountant.last().is_some()).map(Accountant::epoch)
     }
 
-    /// Rate and timebase of the stream as the capture sees it.
+    /// Rate and timebase of the stream in the capture.
     #[must_use]
     pub fn stream(&self) -> Option<(f64, Timebase)> {
         self.accountant.as_ref().map(|accountant| (accountant.rate_hz(), accountant.timebase()))
     }
 
-    /// Bytes arrived that are no measurement, or a broken one.
+    /// Counts bytes that are no measurement, or a broken one.
     pub fn discard(&mut self, cause: DiscardCause, count: u64) {
         if count > 0 {
             *self.discarded.entry(cause).or_insert(0) += count;
         }
     }
 
-    /// A valid measurement arrived that does not become a sample.
+    /// Counts a valid measurement that does not become a sample.
     pub fn refuse(&mut self, cause: DiscardCause) {
         self.received += 1;
         self.drop_frame(self.received, cause);
@@ -329,7 +329,8 @@ impl Recorder {
         self.forward(out);
     }
 
-    /// Time passed: discards are written down, and a sensor that is away past the planned end ends the capture.
+    /// Handles the passage of time: discards are recorded, and a sensor that is absent past the planned end ends the
+    /// capture.
     pub fn tick(&mut self, now_mono_ns: u64, now_utc_ns: i64, out: &mut Vec<Record>) {
         self.write_discards(out);
         if self.ended {
@@ -351,7 +352,7 @@ impl Recorder {
         }
     }
 
-    /// Ends the capture before its time: at its last sample, or where the sensor is away, with a gap up to now.
+    /// Ends the capture before its time: at its last sample or, if the sensor is absent, with a gap up to now.
     pub fn stop(&mut self, now_mono_ns: u64, now_utc_ns: i64, out: &mut Vec<Record>) {
         if let Some((last, rate_hz, silence_ns)) = self.silence(now_mono_ns, now_utc_ns)
             && !self.ended
@@ -380,8 +381,8 @@ impl Recorder {
         }
     }
 
-    /// The last sample, the rate, and how long ago that sample came, ns: within one boot of the host its monotonic clock
-    /// tells; where the last sample is of an earlier boot, only civil time does.
+    /// The last sample, the rate, and the time since that sample, ns. Within one boot of the host its monotonic clock
+    /// determines the time; if the last sample is of an earlier boot, only civil time does.
     fn silence(&self, now_mono_ns: u64, now_utc_ns: i64) -> Option<(Position, f64, f64)> {
         let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
         let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
@@ -393,7 +394,7 @@ impl Recorder {
         Some((last, rate_hz, silence_ns))
     }
 
-    /// Writes down what the accountant still holds; the capture goes on later.
+    /// Records what the accountant still holds; the capture continues later.
     pub fn pause(&mut self, out: &mut Vec<Record>) {
         if let Some(accountant) = &mut self.accountant {
             accountant.settle(&mut self.scratch);
@@ -402,7 +403,7 @@ impl Recorder {
         self.write_discards(out);
     }
 
-    /// Writes down what did not become a sample, up to the first measurement that is still held.
+    /// Records the measurements that did not become a sample, up to the first measurement that is still held.
     pub fn write_discards(&mut self, out: &mut Vec<Record>) {
         for (cause, count) in std::mem::take(&mut self.discarded) {
             out.push(Record::Discarded { cause, count });
@@ -410,7 +411,7 @@ impl Recorder {
         self.write_frames(self.accountant.as_ref().and_then(Accountant::held_from).unwrap_or(u64::MAX), out);
     }
 
-    /// Writes down the measurements before `frame` that did not become a sample.
+    /// Records the measurements before `frame` that did not become a sample.
     fn write_frames(&mut self, frame: u64, out: &mut Vec<Record>) {
         while let Some((_, cause, count)) = self.frames.pop_front_if(|(number, ..)| *number < frame) {
             out.push(Record::Discarded { cause, count });
@@ -422,7 +423,7 @@ impl Recorder {
         self.ending = Some((how, utc_ns));
     }
 
-    /// Writes down the end, once what was at hand is sorted.
+    /// Records the end, once the samples at hand are sorted.
     fn finish(&mut self, out: &mut Vec<Record>) {
         let Some((how, utc_ns)) = self.ending.take() else { return };
         self.write_discards(out);
@@ -450,11 +451,11 @@ impl Recorder {
             self.drop_frame(frame, cause);
         }
         for record in records {
-            // A gap has the rate of what was before it.
+            // A gap has the rate of the samples before it.
             let Some(rate_hz) = self.rate_hz.or(self.accountant.as_ref().map(Accountant::rate_hz)) else { return };
             let period = period_ns(rate_hz);
             if self.ended {
-                // What comes after the end is no part of the capture.
+                // Samples after the end are not part of the capture.
                 if let Record::Sample { sample, .. } = &record {
                     self.drop_frame(sample.frame, DiscardCause::AfterEnd);
                 }
@@ -513,7 +514,7 @@ impl Recorder {
     }
 }
 
-/// What the times of a capture rest on whose last sample stood there.
+/// The timebase of a capture whose last sample is this.
 fn timebase_of(last: &Position) -> Timebase {
     match (last.device_time_ns, last.sync_count) {
         (Some(_), _) => Timebase::Device,

@@ -1,21 +1,21 @@
-//! Script: commands for the sensor, one after the other, each answered, refused or given up. Pure.
+//! Script: sends commands to the sensor, one after the other. Each is answered, refused or abandoned. Pure.
 
 use super::action::Action;
 use crate::protocol::{ChecksumKind, Command, DeviceError, Reply, Verb};
 use std::collections::{BTreeMap, VecDeque};
 
-/// How long an answer may take, ns: a reply of 100 characters at 9600 baud behind a full output buffer of the sensor
-/// takes 2.2 s; at common rates it comes within 20 ms.
+/// The time limit for an answer, ns. A reply of 100 characters at 9600 baud behind a full output buffer of the sensor
+/// takes 2.2 s; at common rates it arrives within 20 ms.
 pub const ANSWER_NS: u64 = 500_000_000;
-/// How often a command is sent before it is given up.
+/// The number of attempts before a command is abandoned.
 pub const TRIES: u32 = 3;
-/// After this many optional commands in succession without any answer the remaining optional ones are not asked.
+/// After this many optional commands in succession without any answer the remaining optional ones are not sent.
 const SILENT_MAX: u32 = 2;
 
 /// One command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Step {
-    /// What is sent; nothing here can write the sensor's flash.
+    /// The command; no command here can write the sensor's flash.
     pub command: Command,
     /// Whether the script fails without its answer.
     pub required: bool,
@@ -27,18 +27,18 @@ impl Step {
     pub fn required(command: Command) -> Self {
         Self { command, required: true }
     }
-    /// A command whose refusal or silence loses nothing.
+    /// A command whose refusal or silence does no harm.
     #[must_use]
     pub fn optional(command: Command) -> Self {
         Self { command, required: false }
     }
 }
 
-/// Commands in order, with what came of them.
+/// Commands in order, with their results.
 #[derive(Debug, Clone, Default)]
 pub struct Script {
     steps: VecDeque<Step>,
-    /// How long an answer may take, ns.
+    /// The time limit for an answer, ns.
     patience_ns: u64,
     sent_ns: Option<u64>,
     tries: u32,
@@ -49,7 +49,7 @@ pub struct Script {
 }
 
 impl Script {
-    /// A script without commands. Answers may take [`ANSWER_NS`], or `host_jitter_ns` where that is longer.
+    /// A script without commands. The time limit for answers is [`ANSWER_NS`], or `host_jitter_ns` if that is longer.
     #[must_use]
     pub fn patient(host_jitter_ns: u64) -> Self {
         Self { patience_ns: ANSWER_NS.max(host_jitter_ns), ..Self::default() }
@@ -59,16 +59,16 @@ impl Script {
         *self = Self { steps: steps.into(), ..Self::patient(self.patience_ns) };
         self.send(now_ns, actions);
     }
-    /// Forgets everything.
+    /// Clears the script and its results.
     pub fn clear(&mut self) {
         *self = Self::patient(self.patience_ns);
     }
-    /// Every command has been answered or given up, or a required one failed.
+    /// Whether every command has been answered or abandoned, or a required one failed.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.steps.is_empty() || self.failure.is_some()
     }
-    /// What made it fail.
+    /// The cause of a failure.
     #[must_use]
     pub fn failure(&self) -> Option<&str> {
         self.failure.as_deref()
@@ -83,11 +83,11 @@ impl Script {
     pub fn refused(&self) -> &BTreeMap<String, DeviceError> {
         &self.refused
     }
-    /// Answers may take their full time from now on: nobody could have heard them before.
+    /// Restarts the time limit for answers: none could have been received before.
     pub fn forgive(&mut self, now_ns: u64) {
         self.sent_ns = self.sent_ns.map(|_| now_ns);
     }
-    /// When the command under way is due, ns.
+    /// The time at which the present command is due, ns.
     #[must_use]
     pub fn deadline_ns(&self) -> u64 {
         self.sent_ns.filter(|_| !self.is_done()).map_or(u64::MAX, |sent| sent + self.patience_ns)
@@ -109,7 +109,7 @@ impl Script {
         self.send(now_ns, actions);
     }
 
-    /// Sends a command again whose answer is overdue, or gives it up.
+    /// Sends a command again whose answer is overdue, or abandons it.
     pub fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         if now_ns < self.deadline_ns() || self.is_done() {
             return;
@@ -131,7 +131,7 @@ impl Script {
         }
     }
 
-    /// Takes a reply; whether it was the one that is waited for.
+    /// Takes a reply; returns whether it was the expected one.
     pub fn answer(&mut self, now_ns: u64, reply: &Reply<'_>, actions: &mut Vec<Action>) -> bool {
         let Some(step) = self.steps.front().filter(|step| self.sent_ns.is_some() && reply.answers(&step.command))
         else {
@@ -145,7 +145,7 @@ impl Script {
         true
     }
 
-    /// Takes an error of the sensor; whether a command was waiting that it refuses.
+    /// Takes an error of the sensor; returns whether it refuses a waiting command.
     pub fn refuse(&mut self, now_ns: u64, error: DeviceError, actions: &mut Vec<Action>) -> bool {
         let Some(step) = self.steps.front().filter(|_| self.sent_ns.is_some()) else { return false };
         let body = step.command.body();

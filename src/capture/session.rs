@@ -1,5 +1,5 @@
 //! Session: the connection to one sensor as a state machine. Pure: it neither reads the clock nor touches the port; it
-//! says what is to be done and is told what came of it. The only owner of retrying.
+//! returns actions and receives their outcomes. All retrying is done here.
 //!
 //! ```text
 //! Absent ─► Opening ─► Scanning (bauds) ─► Probing (identity, registers) ─► Configuring ─► Streaming ─► Restoring
@@ -7,9 +7,9 @@
 //!    └──────────┴── Backoff ◄┴───────────────────┴──────────────────────────────┴────────────┘   └► Stalled
 //! ```
 //!
-//! Promises: ports are looked for every [`LOOK_NS`] whenever none is open, and one that came, went or is another ends any
-//! wait; a wait in `Backoff` never exceeds [`super::backoff::LONGEST`], with a sensor that is known and silent a second;
-//! the sensor's flash is never written; every state ends by itself.
+//! Guarantees: ports are looked for every [`LOOK_NS`] whenever none is open, and a port that appeared, disappeared or
+//! changed ends any wait. A wait in `Backoff` never exceeds [`super::backoff::LONGEST`], or a second with a known
+//! sensor that is silent. The sensor's flash is never written. Every state ends by itself.
 
 use super::action::{Action, Input, Port};
 use super::backoff::Backoff;
@@ -30,18 +30,18 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
-/// How often an absent port is looked for, ns.
+/// The interval at which an absent port is looked for, ns.
 pub const LOOK_NS: u64 = 500_000_000;
 
-/// What a session wants to know.
+/// Options of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionOptions {
-    /// What the sensor shall send.
+    /// The requested output of the sensor.
     pub output: Output,
     /// Baud rates to try, best first; not empty.
     pub bauds: Vec<u32>,
-    /// How late the host may hear for reasons of its own, ns: no silence below it means anything. 0 at real time; where
-    /// time runs faster the host's own lateness is magnified by the speed.
+    /// The host's own lateness in receiving, ns: a shorter silence has no meaning. 0 at real time; with accelerated
+    /// time the host's lateness is multiplied by the speed.
     pub host_jitter_ns: u64,
 }
 
@@ -70,7 +70,7 @@ pub struct Session {
     random: ChaCha8Rng,
     status: SensorStatus,
     next_look_ns: u64,
-    /// Ports of the last look and which of them is tried.
+    /// Ports of the last look and the index of the one that is tried.
     ports: Vec<Port>,
     port_index: usize,
     /// Ports that failed in succession since the last success.
@@ -78,7 +78,7 @@ pub struct Session {
     last_good_baud: Option<u32>,
     /// Register contents as read, by number.
     registers: Registers,
-    /// What the output registers held before they were changed, to be put back.
+    /// The contents of the output registers before they were changed, to be restored.
     previous: Registers,
     /// Serial number of the sensor that `previous` belongs to.
     previous_of: Option<String>,
@@ -86,23 +86,23 @@ pub struct Session {
     latency: Latency,
     accepted: Option<(MeasurementKind, f64)>,
     last_sample_ns: u64,
-    /// Bytes since the last sample that are part of no frame: replies to a probe are no garbage.
+    /// Bytes since the last sample that belong to no frame: replies to a probe are not garbage.
     rejected_since_sample: usize,
-    /// When samples came again after the last silence that a boot would explain, ns.
+    /// The time at which samples resumed after the last silence that a boot would explain, ns.
     resumed_ns: Option<u64>,
-    /// The registers are read again because of this.
+    /// The doubt because of which the registers are read again.
     doubt: Option<RateDoubt>,
-    /// An open doubt is looked into from then on, ns.
+    /// The time from which an open doubt is examined, ns.
     next_doubt_ns: u64,
     foreign_since_ns: Option<u64>,
-    /// A sample has come since streaming began.
+    /// Whether a sample has arrived since streaming began.
     flowing: bool,
-    /// As the registers say, the messages carry a serial count that steps by one.
+    /// Whether, according to the registers, the messages carry a serial count that increases by one.
     counted: bool,
-    /// A sample with that count has come.
+    /// Whether a sample with that count has arrived.
     numbered: bool,
     heard_any: bool,
-    /// Bytes came at the baud rate that worked last, and were no frames.
+    /// Whether bytes arrived at the last good baud rate that were no frames.
     good_is_garbled: bool,
     stopping: bool,
 }
@@ -144,13 +144,13 @@ impl Session {
         }
     }
 
-    /// The sensor as a person would describe it now.
+    /// The present state of the sensor, for the user.
     #[must_use]
     pub fn status(&self) -> &SensorStatus {
         &self.status
     }
 
-    /// When [`Input::Tick`] is due at the latest, ns.
+    /// The latest time at which [`Input::Tick`] is due, ns.
     #[must_use]
     pub fn deadline_ns(&self) -> u64 {
         match &self.phase {
@@ -168,7 +168,7 @@ impl Session {
         }
     }
 
-    /// Takes one input; what is to be done is pushed to `actions`.
+    /// Takes one input; the resulting actions are pushed to `actions`.
     pub fn handle(&mut self, now_ns: u64, input: Input<'_>, actions: &mut Vec<Action>) {
         match input {
             Input::Tick => self.tick(now_ns, actions),
@@ -233,7 +233,7 @@ impl Session {
                 if over {
                     self.phase = Phase::Absent;
                 }
-                // A port that went or came meanwhile does not wait.
+                // A port that appeared or disappeared meanwhile does not wait.
                 if over || look {
                     self.next_look_ns = now_ns + LOOK_NS;
                     actions.push(Action::Look);
@@ -256,7 +256,7 @@ impl Session {
         }
     }
 
-    /// The script under way has moved: go on to the next phase where it is done.
+    /// Continues with the next phase if the present script is done.
     fn advance(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         if let Some(failure) = self.script.failure() {
             let failure = failure.to_owned();

@@ -1,4 +1,4 @@
-//! Task: drives session, decoder and recorder against the real port. A thin shell: every decision is theirs.
+//! Task: connects session, decoder and recorder to the real port. A thin shell: they make every decision.
 
 use super::action::{Action, Input};
 use super::host_watch::{HostEvent, HostWatch, Reading, set_back_unset, stepped_while_away, unset_before};
@@ -20,80 +20,82 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_serial::SerialStream;
 
-/// How often time-outs, discards and progress are looked at, in real time.
+/// The interval at which time-outs, discards and progress are examined, in real time.
 const TICK: Duration = Duration::from_millis(200);
-/// What arrives within this time after the host stood or slept may show what it lost, ns.
+/// Data that arrives within this time after the host stood still or slept may show what was lost, ns.
 const HOST_BLAME_NS: u64 = 3_000_000_000;
-/// How often the estimate of the sensor's clock is written down, ns.
+/// The interval at which the estimate of the sensor's clock is recorded, ns.
 const CLOCK_EVERY_NS: u64 = 60_000_000_000;
-/// Places in the queue that samples never take: segments, gaps and events always find room.
+/// Places in the queue that samples never take, so that segments, gaps and events always find room.
 const RESERVE: usize = 256;
-/// How late the host may read for reasons of its own, in real time; counts where time runs faster.
+/// The host's own lateness in reading, in real time; it counts if time runs faster.
 const HOST_JITTER: Duration = Duration::from_millis(250);
-/// Room that the accelerated reader waits for: more than one read can bring.
+/// The room that the accelerated reader waits for: more than one read can return.
 const ROOM: usize = 8192;
-/// At high rates several frames are read at once: a wake for each would cost more than the work it brings.
+/// At high rates several frames are read at once: a wake-up for each would cost more than the work it brings.
 const COALESCE: Duration = Duration::from_millis(20);
 /// Rates above which reads are coalesced, Hz; their frames carry the sensor's time.
 const COALESCE_ABOVE_HZ: f64 = 250.0;
-/// One read at most: 0.7 s at 921,600 baud.
+/// The maximum size of one read: 0.7 s at 921,600 baud.
 const READ_BYTES: usize = 65_536;
-/// A read of so many bytes says that the line's buffer was full: it holds 4,095 bytes, however much a read may take.
+/// A read of this many bytes shows that the line's buffer was full: it holds 4,095 bytes, however much a read may take.
 const FULL_BYTES: usize = 4_095;
-/// What waited behind a full buffer is read within this time, ns.
+/// The data that waited behind a full buffer is read within this time, ns.
 const LATE_READ_NS: u64 = 250_000_000;
-/// How long a command may take to leave the port.
+/// The time limit for a command to leave the port.
 const WRITE: Duration = Duration::from_secs(1);
 
-/// What the task needs to know.
+/// Options of the task.
 #[derive(Debug, Clone)]
 pub struct TaskOptions {
-    /// Path or pattern of the port; the usual places where absent.
+    /// Path or pattern of the port; the usual places if absent.
     pub device: Option<String>,
-    /// The session's own.
+    /// The options of the session.
     pub session: SessionOptions,
     /// Seed of the waits' jitter.
     pub seed: u64,
 }
 
-/// What may be asked of the task.
+/// The commands to the task.
 #[derive(Debug)]
 pub enum TaskCommand {
-    /// Record from now (or the plan's start) on.
+    /// Record from now (or from the plan's start) on.
     Begin(Plan, Option<Box<ResumePoint>>),
     /// Stop the capture; answered when its last record is in the queue.
     Stop(oneshot::Sender<bool>),
-    /// Put the sensor's output back, close the port and return; an unfinished capture goes on when the daemon runs again.
+    /// Restore the sensor's output, close the port and return; an unfinished capture continues when the daemon runs
+    /// again.
     Shutdown,
 }
 
-/// What the task says about itself.
+/// The reported state of the task.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Progress {
-    /// The sensor.
+    /// The state of the sensor.
     pub sensor: SensorStatus,
-    /// Its registers, once they were read.
+    /// Its registers, after they were read.
     pub description: Option<serde_json::Value>,
-    /// The capture under way: plan and counts, and whether it still waits for its start.
+    /// The present capture: plan and counts, and whether it still waits for its start.
     pub capture: Option<(Plan, Counts, bool)>,
 }
 
-/// Where records go: a bounded queue that never makes the reader wait.
+/// The destination of records: a bounded queue that never makes the reader wait.
 pub trait Sink: Send + Sync + 'static {
-    /// How many records find room now.
+    /// The number of records for which there is room now.
     fn room(&self) -> usize;
     /// Puts a record of this capture into the queue.
     ///
     /// # Errors
-    /// Gives it back where the queue is full.
+    /// The record, if the queue is full.
     fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>>;
-    /// Nobody takes from the queue any more.
+    /// Whether the queue is no longer read.
     fn is_closed(&self) -> bool;
-    /// Where every measurement is that was received; told before what it counts is put into the queue.
+    /// Receives the counts of all received measurements by their state, before the counted records are put into the
+    /// queue.
     fn tally(&self, _tally: Tally) {}
-    /// Hears of every measurement, whether a capture runs or not.
+    /// Receives every measurement, whether a capture runs or not.
     fn seen(&self, _sample: &Sample) {}
-    /// Hears how late the reader ran after it was to wake.
+    /// Receives the time by which the reader woke late.
     fn woke(&self, _late: Duration) {}
 }
 
@@ -103,46 +105,46 @@ struct Shell {
     decoder: Decoder,
     book: Book,
     waiting: Option<(Plan, Option<ResumePoint>)>,
-    /// How late the host may hear for reasons of its own, on the clock.
+    /// The host's own lateness in receiving, on the clock.
     host_jitter_ns: f64,
     actions: Vec<Action>,
     host: HostWatch,
     device_clock: DeviceClock,
-    /// When the estimate of the sensor's clock is written down next, ns.
+    /// The time at which the estimate of the sensor's clock is recorded next, ns.
     clock_due_ns: u64,
-    /// The session knows which sensor the capture is of.
+    /// Whether the session knows the sensor of the capture.
     expecting: bool,
     ended: bool,
 }
 
-/// What is written: the capture under way and the queue to the store.
+/// The written data: the present capture and the queue to the store.
 struct Book {
     recorder: Option<Recorder>,
     accepted: Option<(MeasurementKind, f64)>,
-    /// The messages carry a serial count that steps by one.
+    /// Whether the messages carry a serial count that increases by one.
     counted: bool,
-    /// What the arrivals say of the rate, not yet told to the session.
+    /// The doubt about the rate that the arrivals raise, not yet passed to the session.
     doubt: Option<RateDoubt>,
-    /// While no capture runs: what decides where the sensor's clock began again, and whether the rate is the same.
+    /// While no capture runs: determines when the sensor's clock restarted, and whether the rate is the same.
     idle: Option<Accountant>,
-    /// How many streams were accepted without a capture.
+    /// The number of streams accepted without a capture.
     idle_runs: i64,
     description: Option<serde_json::Value>,
-    /// Samples of the capture as of the last time that a clock which is not set was set back.
+    /// The number of samples of the capture when an unset clock was last set back.
     set_back_seq: Option<u64>,
     sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
     overflow: VecDeque<(i64, Record)>,
     out: Vec<Record>,
-    /// The binary frames that the decoder shall believe from the next read on, where that changed.
+    /// The binary frames that the decoder must accept from the next read on, if they changed.
     filter: Option<BinaryAcceptance>,
 }
 
-/// Captures until told to shut down.
+/// Captures until a shutdown command arrives.
 ///
-/// `sink` is bounded. At speed 1 a full queue costs samples, which become a gap with cause `storage_backpressure`;
-/// the reader never waits. At other speeds the reader waits, so that the terminal holds the emulator back.
-/// `progressed` counts the turns of the loop, for the watchdog.
+/// `sink` is bounded. At speed 1 a full queue costs samples, which become a gap with cause `storage_backpressure`; the
+/// reader never waits. At other speeds the reader waits, so that the terminal pauses the emulator. `progressed` counts
+/// the turns of the loop, for the watchdog.
 pub async fn run(
     options: TaskOptions,
     clock: Arc<dyn Clock>,
@@ -190,7 +192,7 @@ pub async fn run(
         shell.runs(patient);
         let session_wait = shell.session.deadline_ns().saturating_sub(shell.clock.mono_ns());
         let wake = (now + shell.clock.real(Duration::from_nanos(session_wait)).min(TICK)).min(next_tick);
-        // What has arrived is read before anybody concludes from the time that nothing came.
+        // Arrived data is read before a silence is inferred from the time.
         let happened = tokio::select! {
             biased;
             command = commands.recv() => Happened::Command(command.unwrap_or(TaskCommand::Shutdown)),
@@ -227,8 +229,8 @@ pub async fn run(
             }
             Happened::Nothing => {
                 shell.book.sink.woke(wake.elapsed());
-                // The runtime may not have noticed yet what arrived; the port knows. The time is that of before the
-                // question, so that nothing that comes in between can be taken for silence.
+                // The runtime may not have noticed yet what arrived; the port knows. The time is taken before this
+                // query, so that data which arrives in between cannot be mistaken for silence.
                 let now_ns = shell.clock.mono_ns();
                 let unread = stream.as_mut().map(|(port, _)| port.try_read(&mut buffer));
                 match unread {
@@ -244,7 +246,7 @@ pub async fn run(
         }
         if now >= next_tick {
             shell.runs(patient);
-            // With bytes always at hand the time-outs of commands would never be looked at.
+            // With bytes always available the time-outs of commands would never be examined.
             if read_some {
                 shell.input(Input::Tick);
             }
@@ -258,7 +260,7 @@ pub async fn run(
     shell.publish(&progress);
 }
 
-/// What ended a wait.
+/// The event that ended a wait.
 enum Happened {
     Command(TaskCommand),
     Read(std::io::Result<usize>),
@@ -273,8 +275,8 @@ async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -
 }
 
 impl Shell {
-    /// The loop runs. Where it did not for a while, whoever judges by the time is told first: what arrived meanwhile is still
-    /// to be read.
+    /// Notes that the loop runs. If it did not run for a while, the session is notified first: data that arrived
+    /// meanwhile is still to be read.
     fn runs(&mut self, patient: bool) {
         if !patient {
             self.watch_host();
@@ -286,7 +288,7 @@ impl Shell {
         self.session.handle(now_ns, input, &mut self.actions);
     }
 
-    /// What the host's clocks say about the host.
+    /// Reports the events that the host's clocks show.
     fn watch_host(&mut self) {
         let mono_ns = self.clock.mono_ns();
         let (awake_ns, utc_ns) = (self.clock.awake_ns(), self.clock.utc_ns());
@@ -308,7 +310,7 @@ impl Shell {
         }
     }
 
-    /// Writes down what is known of the sensor's clock, now and then.
+    /// Records the estimate of the sensor's clock at intervals.
     fn note_clock(&mut self, mono_ns: u64) {
         if mono_ns < self.clock_due_ns {
             return;
@@ -320,7 +322,7 @@ impl Shell {
         }
     }
 
-    /// Does what the session wants; some of it wants more.
+    /// Performs the actions of the session; some of them lead to more.
     async fn perform(&mut self, device: &Option<String>, stream: &mut Option<(SerialStream, PathBuf)>) {
         while !self.actions.is_empty() {
             for action in std::mem::take(&mut self.actions) {
@@ -341,7 +343,7 @@ impl Shell {
                         self.discard_pending();
                         let set = stream.as_mut().map(|(port, path)| port::set_baud(port, path, baud));
                         if let Some(Err(error)) = set {
-                            // A rate that this port does not do is one at which nobody answers.
+                            // A rate that this port does not support counts as one without an answer.
                             tracing::debug!(%error, "baud rate not available");
                         }
                     }
@@ -365,14 +367,14 @@ impl Shell {
         }
     }
 
-    /// Tells the decoder which binary frames to believe.
+    /// Passes the expected binary frames to the decoder.
     fn filter(&mut self) {
         if let Some(binary) = self.book.filter.take() {
             self.decoder.accept_binary(binary);
         }
     }
 
-    /// Bytes of half a frame are void: the connection they belonged to is gone.
+    /// Bytes of a partial frame are void: the connection they belonged to is closed.
     fn discard_pending(&mut self) {
         let Self { decoder, book, .. } = self;
         let recording = book.accepted.is_some();
@@ -388,7 +390,7 @@ impl Shell {
         let Self { session, decoder, book, actions, device_clock, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
         if bytes.len() >= FULL_BYTES && self.clock.speed() == 1.0 {
-            // What the full line could not take was lost, and with it a part of a frame.
+            // Data that the full line could not take was lost, and with it a part of a frame.
             book.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
         }
         decoder.push(bytes, &mut |event| match event {
@@ -415,7 +417,7 @@ impl Shell {
                 book.note(actions, utc_ns);
             }
             Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
-            // What is half received while the sensor is being found out was never part of the capture.
+            // A partial frame received while the sensor is being identified was never part of the capture.
             Event::Rejected { cause, bytes } if session.status().state == SensorState::Streaming => {
                 session.handle(mono_ns, Input::Rejected(bytes.len()), actions);
                 let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
@@ -432,8 +434,8 @@ impl Shell {
         self.settle();
     }
 
-    /// Passes on what was written; a capture that has all it asked for is closed. A capture is of one sensor: the first
-    /// that it has samples of.
+    /// Passes on what was written; a capture that has its planned duration is closed. A capture is of one sensor: the
+    /// first that it has samples of.
     fn settle(&mut self) {
         if self.book.settle() {
             self.expecting = false;
@@ -458,7 +460,7 @@ impl Shell {
                     self.input(Input::GoodBaud(baud));
                 }
             }
-            // What happened to civil time while no daemon watched, within this boot of the host.
+            // The step of civil time while no daemon watched, within this boot of the host.
             let last = resume.as_ref().and_then(|point| point.last).filter(|last| last.host_mono_ns > 0);
             let stepped =
                 last.and_then(|last| stepped_while_away((last.host_mono_ns, last.host_utc_ns), (mono_ns, utc_ns)));
@@ -489,7 +491,7 @@ impl Shell {
                 self.note_clock(self.clock.mono_ns());
                 let running = self.book.stop(self.clock.mono_ns(), self.clock.utc_ns());
                 self.settle();
-                // Whoever stopped it may be gone; the capture is stopped all the same.
+                // The caller may be gone; the capture is stopped nevertheless.
                 let _ = reply.send(running);
             }
             TaskCommand::Shutdown => {
@@ -507,7 +509,7 @@ impl Shell {
             (None, None) => None,
         };
         let mut sensor = self.session.status().clone();
-        // Exactly what the capture counts by, where one runs.
+        // The same rate and timebase as the capture's, if one runs.
         let stream = self.book.recorder.as_ref().and_then(Recorder::stream);
         let accepted = self.book.accepted.map(|(kind, rate_hz)| (rate_hz, timebase(kind, self.book.counted)));
         if let Some((rate_hz, timebase)) = stream.or(accepted) {
@@ -519,7 +521,7 @@ impl Shell {
     }
 }
 
-/// What the times of these measurements rest on.
+/// The timebase of these measurements.
 fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
     match (kind.has_device_time(), counted) {
         (true, _) => Timebase::Device,
@@ -529,7 +531,7 @@ fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
 }
 
 impl Book {
-    /// Does what concerns the capture at once, in order, and leaves what concerns the port.
+    /// Performs the actions that concern the capture at once, in order, and leaves those that concern the port.
     fn note(&mut self, actions: &mut Vec<Action>, utc_ns: i64) {
         for action in std::mem::take(actions) {
             match action {
@@ -551,7 +553,7 @@ impl Book {
         match action {
             Action::Accept(kind, rate_hz) => {
                 self.accepted = Some((kind, rate_hz));
-                // What random bytes can look like is limited to the one header that is expected.
+                // Random bytes can only be mistaken for a frame with the one expected header.
                 self.filter = Some(match kind {
                     MeasurementKind::Binary(header) => BinaryAcceptance::Only(header),
                     MeasurementKind::Ascii(_) => BinaryAcceptance::Any,
@@ -623,7 +625,8 @@ impl Book {
             return;
         };
         if self.sink.room() <= RESERVE + self.out.len() {
-            // The disk is too slow by more than the queue holds: a gap, whose length the sensor's clock will tell.
+            // The disk is too slow by more than the queue holds: this becomes a gap, whose length the sensor's clock
+            // will determine.
             recorder.interrupt(GapCause::StorageBackpressure, &mut self.out);
             recorder.refuse(DiscardCause::StorageBackpressure);
             self.sink.tally(recorder.tally());
@@ -642,8 +645,8 @@ impl Book {
         }
     }
 
-    /// The run of the sensor's clock that is under way, as the accounting numbers it: capture and epoch. Without a capture each
-    /// accepted stream is a run: there it may be another unit's, or one that lost power.
+    /// The present run of the sensor's clock, as the accounting numbers it: capture and epoch. Without a capture each
+    /// accepted stream is a run: it may be of another unit, or of one that lost power.
     fn clock_run(&self) -> (i64, u32) {
         match (&self.recorder, &self.idle) {
             (Some(recorder), _) => (recorder.plan().id, recorder.epoch().unwrap_or(0)),
@@ -670,8 +673,8 @@ impl Book {
         }
     }
 
-    /// Civil time was stepped: nothing that is counted depends on it, but it is remembered, and where nobody had set the
-    /// host's clock before, what was written with it is corrected.
+    /// Handles a step of civil time. No count depends on it, but it is recorded. If the host's clock had not been set
+    /// before, the times written with it are corrected.
     fn clock_stepped(&mut self, by_ns: i64, utc_ns: i64) {
         let before_utc_ns = unset_before(by_ns, utc_ns);
         let more = if before_utc_ns.is_some() {
@@ -695,7 +698,7 @@ impl Book {
         }
     }
 
-    /// Writes down the estimate of the sensor's clock; `false` where there is no capture with samples.
+    /// Records the estimate of the sensor's clock; returns `false` if there is no capture with samples.
     fn device_clock(&mut self, estimate: ClockEstimate) -> bool {
         let Some(epoch) = self.recorder.as_ref().and_then(Recorder::epoch) else { return false };
         self.out.push(Record::DeviceClock { epoch, estimate });
@@ -722,10 +725,10 @@ impl Book {
         true
     }
 
-    /// Passes on what was written; `true` where the capture has ended.
+    /// Passes on what was written; returns `true` if the capture has ended.
     fn settle(&mut self) -> bool {
         if let Some(recorder) = self.recorder.as_mut().filter(|recorder| recorder.has_ended()) {
-            // Measurements that came with the last one, but after the planned end.
+            // Measurements that arrived with the last one, but after the planned end.
             recorder.write_discards(&mut self.out);
         }
         self.flush();
@@ -736,7 +739,7 @@ impl Book {
         ended
     }
 
-    /// Writes what is to be written, in order; what finds no room waits (samples made sure of theirs before).
+    /// Puts the records into the queue, in order; those without room wait (samples reserved theirs before).
     fn flush(&mut self) {
         if let Some(recorder) = &self.recorder {
             self.sink.tally(recorder.tally());
@@ -744,7 +747,8 @@ impl Book {
         match self.recorder.as_ref().map(|recorder| recorder.plan().id) {
             Some(id) => {
                 for record in self.out.drain(..) {
-                    // While the disk refuses, every tick counts what was dropped: one record grows instead of the queue.
+                    // While the disk refuses, every tick adds to the count of discards: one record grows instead of the
+                    // queue.
                     if let (
                         Some((last_id, Record::Discarded { cause: last, count: total })),
                         Record::Discarded { cause, count },
@@ -767,14 +771,14 @@ impl Book {
         }
     }
 
-    /// Waits until the queue has room for what one read may bring.
+    /// Waits until the queue has room for what one read may return.
     async fn room(&self) {
         while self.sink.room() < ROOM && !self.sink.is_closed() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
 
-    /// The daemon ends: everything goes into the queue; an unfinished capture stays unfinished.
+    /// Ends with the daemon: everything goes into the queue; an unfinished capture stays unfinished.
     async fn close(&mut self) {
         if let Some(recorder) = &mut self.recorder {
             recorder.pause(&mut self.out);

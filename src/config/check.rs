@@ -1,16 +1,17 @@
-//! Range checks: pure, over the typed configuration. Whether a rate fits a baud rate is the capture's to say, which
-//! knows the length of a frame.
+//! Range checks: pure, over the typed configuration. The room `capture`, which knows the length of a frame, checks
+//! whether a rate fits a baud rate.
 
 use super::sections::{Config, ScheduleConfig};
 use super::values::{Baud, Output};
 use crate::units::{IMU_RATE_HZ, format_duration};
 use std::time::Duration;
 
-/// Baud rates of register 5 that Linux has too (termios knows no 128000).
+/// Baud rates of register 5 that Linux supports too (termios has no 128000).
 pub const BAUDS: [u32; 8] = [9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600];
 /// Rates of register 7 in Hz.
 pub const ASCII_RATES_HZ: [f64; 11] = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
-/// Fewest characters of a token: 128 bits as hexadecimal digits would be 32, a passphrase of 16 resists guessing by HTTP.
+/// The minimum length of a token in characters: 128 bits as hexadecimal digits would be 32, and a passphrase of 16
+/// resists guessing by HTTP.
 pub const TOKEN_LENGTH_MIN: usize = 16;
 
 const DURATION: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(366 * 86_400));
@@ -34,11 +35,11 @@ pub struct Refusal {
     pub key: &'static str,
     /// The value.
     pub found: String,
-    /// What is allowed.
+    /// The allowed values.
     pub allowed: String,
 }
 
-/// The first value of `config` that is outside its range.
+/// Checks `config` for the first value outside its range.
 ///
 /// # Errors
 /// The [`Refusal`].
@@ -145,7 +146,7 @@ fn check_schedule(config: &Config) -> Result<(), Refusal> {
                 .to_owned(),
         });
     };
-    // A night that lasts into the next one would take its place every other time.
+    // A night that lasts into the next one would displace it every other time.
     let (key, length) = match (schedule.duration.0, schedule.at.0) {
         (Some(length), _) => ("schedule.duration", length),
         (None, Some(_)) => ("capture.duration", config.capture.duration),
@@ -159,7 +160,7 @@ fn check_schedule(config: &Config) -> Result<(), Refusal> {
 
 fn check_notify(config: &Config) -> Result<(), Refusal> {
     let notify = &config.notify;
-    // A program's name may hold anything but nothing; no argument may hold the byte that ends it.
+    // A program's name must not be empty; no argument may contain the byte that ends it.
     let named = notify.command.first().is_none_or(|program| !program.trim().is_empty());
     if !named || notify.command.iter().any(|argument| argument.contains('\0')) {
         return Err(Refusal {

@@ -1,10 +1,10 @@
-//! Why a configuration was refused. All of these are exit code 78.
+//! The reasons why a configuration was refused. All of these are exit code 78.
 
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-/// Where a value came from.
+/// The origin of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
     /// A line of a file, from 1.
@@ -16,7 +16,7 @@ pub enum Place {
     },
     /// The command line or the environment.
     Given,
-    /// A built-in default, made unfit by another value.
+    /// A built-in default that another value makes invalid.
     Default,
 }
 
@@ -30,25 +30,25 @@ impl fmt::Display for Place {
     }
 }
 
-/// Says how to be let in, to whoever may not read a token's file.
+/// The hint for a user who may not read a token's file: how to get access.
 fn token_hint(source: &std::io::Error) -> &'static str {
     if source.kind() == std::io::ErrorKind::PermissionDenied { JOIN_GROUP } else { "" }
 }
 
-/// How a user gets to read the token that the package made.
+/// How a user gets access to the token that the package created.
 pub const JOIN_GROUP: &str = "; the package's token is for the group vn100d: add yourself to it (`sudo usermod -aG vn100d \
                               $USER`) and log in again";
 
-/// Why a configuration was refused.
+/// The reasons why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// A file that was asked for by name cannot be read.
+    /// A file that was named explicitly cannot be read.
     #[error("cannot read the configuration {file}: {source}")]
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
     /// The text is not TOML.
@@ -64,32 +64,32 @@ pub enum ConfigError {
     /// A key that does not exist.
     #[error("{place}: there is no key `{key}`: allowed here are {}", allowed.join(", "))]
     UnknownKey {
-        /// Where it stands.
+        /// The place of the key.
         place: Place,
         /// The key with its section.
         key: String,
         /// The keys of that section.
         allowed: Vec<String>,
     },
-    /// A value that the key does not take.
+    /// An invalid value of a key.
     #[error("{place}: `{key}` is {found}: {allowed}")]
     Value {
-        /// Where it stands.
+        /// The place of the value.
         place: Place,
         /// The key with its section.
         key: String,
         /// The value as written.
         found: String,
-        /// What is allowed.
+        /// The allowed values.
         allowed: String,
     },
-    /// The interface would be open to everybody.
+    /// The interface would be open to anyone.
     #[error(
         "{place}: `http.listen` is {listen}, which others can reach: set `http.token` or `http.token-file`, or listen \
          on 127.0.0.1"
     )]
     TokenNeeded {
-        /// Where the address stands.
+        /// The place of the address.
         place: Place,
         /// The address.
         listen: SocketAddr,
@@ -97,14 +97,14 @@ pub enum ConfigError {
     /// The token cannot be read.
     #[error("{place}: `http.token-file`: cannot read {file}: {source}{}", token_hint(source))]
     TokenFile {
-        /// Where the name of the file stands.
+        /// The place of the file's name.
         place: Place,
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
-    /// Nothing says where the data shall be.
+    /// No data directory is configured.
     #[error(
         "there is no place for the data: give --data-dir, or set VN100D_DATA_DIR, STATE_DIRECTORY, XDG_STATE_HOME or HOME"
     )]

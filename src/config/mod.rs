@@ -1,10 +1,10 @@
 //! Configuration: a TOML file over built-in defaults, flags over the file.
 //!
-//! Enters: the text of one file, the flags of the command line, a few environment variables. Leaves: a [`Config`] in
-//! which every value is in its range. Promises: an unknown key, a value of the wrong kind or out of range, and a
-//! listening address that others can reach without a token are refused with file, line, key and what is allowed.
-//! Refuses to merge several files: the first that exists counts alone. The data directory is not a key: it decides
-//! which database a command means, and must be the same for every command (docs/formats.md).
+//! In: the text of one file, the flags of the command line, a few environment variables. Out: a [`Config`] in which
+//! every value is in its range. Guarantees: an unknown key, a value of the wrong kind or out of range, and a listening
+//! address that others can reach without a token are refused with file, line, key and the allowed values. Several files
+//! are never merged: only the first that exists is used. The data directory is not a key: it determines the database of
+//! a command, and must be the same for every command (docs/formats.md).
 
 mod check;
 mod error;
@@ -28,14 +28,15 @@ use std::io::Read as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// What the command line says over the file.
+/// The values of the command line that override the file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Overrides {
     /// `--device`
     pub device: Option<String>,
     /// `--listen`
     pub listen: Option<SocketAddr>,
-    /// Whoever only asks needs no token: its file is not read, which the daemon's user alone may be allowed to.
+    /// A command that only queries needs no token. The file of the token, which only the daemon's user may be able to
+    /// read, is then not read.
     pub without_token: bool,
 }
 
@@ -44,7 +45,7 @@ pub struct Overrides {
 pub struct Loaded {
     /// The effective configuration.
     pub config: Config,
-    /// The file; `None` where there was none and the defaults count.
+    /// The file; `None` if there was none and the defaults are used.
     pub file: Option<PathBuf>,
 }
 
@@ -72,7 +73,7 @@ pub fn load(flag: Option<&Path>, environment: &Environment, overrides: &Override
 /// Reads and checks the text of a file.
 ///
 /// # Errors
-/// [`ConfigError`] that names `file`, the line, the key and what is allowed.
+/// [`ConfigError`] with `file`, the line, the key and the allowed values.
 pub fn parse(file: &Path, text: &str) -> Result<Config, ConfigError> {
     finish(&Source::new(file, text), &Overrides::default())
 }
@@ -106,10 +107,10 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
     Ok(config)
 }
 
-/// How much of a token's file is read.
+/// The maximum number of bytes that are read from a token's file.
 const TOKEN_FILE_BYTES: u64 = 64 * 1024;
 
-/// The token lies in a file of its own so that the configuration may be readable by everybody.
+/// The token is in a separate file, so that the configuration may be readable by all users.
 fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigError> {
     if config.http.token_file.as_os_str().is_empty() {
         return Ok(());
@@ -137,13 +138,13 @@ fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigErro
     Ok(())
 }
 
-/// Where the package leaves a token for this machine's users, readable by the group `vn100d`.
+/// The path at which the package stores a token for this machine's users, readable by the group `vn100d`.
 pub const MACHINE_TOKEN: &str = "/etc/vn100d/token";
 
-/// Reads the token that a file holds, its first line.
+/// Reads the token in a file, its first line.
 ///
 /// # Errors
-/// What the system says.
+/// The error that the system reports.
 pub fn token_in(file: &Path) -> std::io::Result<Token> {
     let mut text = String::new();
     // Bounded: a device such as /dev/zero has no end.

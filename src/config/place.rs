@@ -1,20 +1,20 @@
-//! Where the configuration and the data are looked for (docs/formats.md).
+//! The places where the configuration and the data are searched for (docs/formats.md).
 
 use super::ConfigError;
 use std::collections::HashMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// The environment variables that count, so that tests need not change their own process's.
+/// The environment variables in use, so that tests need not change those of their own process.
 #[derive(Debug, Clone, Default)]
 pub struct Environment(HashMap<String, OsString>);
 
 impl Environment {
-    /// Variables that are looked at.
+    /// The names of the variables in use.
     pub const NAMES: [&'static str; 6] =
         ["VN100D_CONFIG", "VN100D_DATA_DIR", "STATE_DIRECTORY", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "HOME"];
 
-    /// This process's.
+    /// The variables of this process.
     #[must_use]
     pub fn from_process() -> Self {
         Self(
@@ -25,13 +25,13 @@ impl Environment {
         )
     }
 
-    /// These; for tests.
+    /// The given variables; for tests.
     #[must_use]
     pub fn of<'a>(variables: impl IntoIterator<Item = (&'a str, &'a str)>) -> Self {
         Self(variables.into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect())
     }
 
-    /// The variable's value; an empty one is as good as none.
+    /// The variable's value; an empty one counts as absent.
     fn path(&self, name: &str) -> Option<PathBuf> {
         self.0.get(name).filter(|value| !value.is_empty()).map(PathBuf::from)
     }
@@ -40,7 +40,7 @@ impl Environment {
     /// `$XDG_STATE_HOME/vn100d`, `~/.local/state/vn100d`.
     ///
     /// # Errors
-    /// [`ConfigError::NoDataDirectory`] where none of these says anything.
+    /// [`ConfigError::NoDataDirectory`] if none of these is set.
     pub fn data_dir(&self, flag: Option<&Path>) -> Result<PathBuf, ConfigError> {
         flag.map(Path::to_owned)
             .or_else(|| self.path("VN100D_DATA_DIR"))
@@ -57,12 +57,12 @@ impl Environment {
         first.filter(|path| !path.as_os_str().is_empty())
     }
 
-    /// The file that must be there because it was named: `--config`, `VN100D_CONFIG`.
+    /// The file that must exist because it was named: `--config`, `VN100D_CONFIG`.
     pub(super) fn named_config(&self, flag: Option<&Path>) -> Option<PathBuf> {
         flag.map(Path::to_owned).or_else(|| self.path("VN100D_CONFIG"))
     }
 
-    /// The files of which the first that exists is taken.
+    /// The candidate files, of which the first that exists is used.
     pub(super) fn searched_configs(&self) -> Vec<PathBuf> {
         let user = self
             .path("XDG_CONFIG_HOME")

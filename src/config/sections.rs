@@ -1,5 +1,5 @@
-//! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every key;
-//! a test holds the latter against these defaults.
+//! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every
+//! key; a test compares the latter with these defaults.
 
 use super::values::{Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook};
 use crate::observe::NotifyEvent;
@@ -29,30 +29,29 @@ pub struct Config {
     pub log: LogConfig,
 }
 
-/// The sensor: where it is and what it shall send.
+/// The sensor: its port and its output.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct SensorConfig {
-    /// Where it is looked for.
+    /// The device to search for.
     pub device: Device,
     /// Its baud rate.
     pub baud: Baud,
     /// Baud rates that `baud = "auto"` tries, in this order.
     pub bauds: Vec<u32>,
-    /// What it is told to send.
+    /// The configured output.
     pub output: Output,
     /// Output rate in Hz; not used with `output = "keep"`.
     pub rate_hz: f64,
-    /// What binary output consists of.
+    /// The fields of binary output.
     pub binary_fields: BinaryFields,
 }
 
 impl SensorConfig {
-    /// The divisor of the internal rate of 800 Hz that gives `rate_hz` in binary output; `None` where none does.
+    /// The divisor of the internal rate of 800 Hz that gives `rate_hz` in binary output; `None` if none does.
     ///
     /// # Source
-    /// VN-100 user manual, register 75: `RateDivisor`. A rate may be written with the decimals a person writes: 33.33
-    /// means 800/24.
+    /// VN-100 user manual, register 75: `RateDivisor`. A rate may be written with a few decimals: 33.33 means 800/24.
     #[must_use]
     pub fn rate_divisor(&self) -> Option<u16> {
         let exact = IMU_RATE_HZ / self.rate_hz;
@@ -79,7 +78,7 @@ impl Default for SensorConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct CaptureConfig {
-    /// Sample time of a capture that is asked for without a duration.
+    /// Sample time of a capture that is requested without a duration.
     #[serde(with = "duration_text")]
     pub duration: Duration,
 }
@@ -90,17 +89,17 @@ impl Default for CaptureConfig {
     }
 }
 
-/// Captures that nobody asks for: one a night.
+/// Scheduled captures: one a night.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ScheduleConfig {
-    /// The local time at which a night's capture begins; none begins where it is empty.
+    /// The local time at which a night's capture begins; if it is empty, none begins.
     pub at: StartTime,
-    /// Its sample time, and how late it may still begin; `capture.duration` where it is empty.
+    /// Its sample time, and how late it may still begin; `capture.duration` if it is empty.
     pub duration: NightLength,
-    /// What its name begins with; the date of the evening follows.
+    /// The beginning of its name; the date of the evening follows.
     pub name: String,
-    /// The days on whose evening one begins.
+    /// The days on whose evening a capture begins.
     pub days: Vec<Day>,
 }
 
@@ -108,7 +107,7 @@ impl ScheduleConfig {
     /// The longest name in characters: with the date it is that of a capture.
     pub const NAME_MAX: usize = 80;
 
-    /// The time from the start of one night to that of the next, at least; `None` where there is no night.
+    /// The minimum time from the start of one night to that of the next; `None` if there is no night.
     #[must_use]
     pub fn shortest_interval(&self) -> Option<Duration> {
         let chosen = |day: usize| self.days.contains(&Day::ALL[day % Day::ALL.len()]);
@@ -129,34 +128,35 @@ impl Default for ScheduleConfig {
     }
 }
 
-/// The way to the disk.
+/// The storage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct StorageConfig {
-    /// How long the disk may stand still before samples are lost.
+    /// How long the disk may stall before samples are lost.
     #[serde(with = "duration_text")]
     pub queue: Duration,
     /// Free space in MiB below which the daemon reports itself not ready.
     pub reserve_mib: u64,
     /// Size of the write-ahead log in MiB above which the daemon warns.
     pub wal_alarm_mib: u64,
-    /// How often it is looked whether the database's file is still the one that is open.
+    /// The interval at which the database's path is compared with the open file.
     #[serde(with = "duration_text")]
     pub file_check: Duration,
-    /// Captures older than so many days are deleted; 0 keeps them.
+    /// Captures older than this many days are deleted; 0 keeps them.
     pub keep_days: u32,
-    /// The oldest captures are deleted until all together take no more than so many MiB; 0 is without limit.
+    /// The oldest captures are deleted until all together take no more than this many MiB; 0 is unlimited.
     pub keep_mib: u64,
-    /// How long before its deletion a capture is announced, at least.
+    /// The minimum time between the announcement of a deletion and the deletion.
     #[serde(with = "duration_text")]
     pub delete_notice: Duration,
 }
 
 impl StorageConfig {
-    /// Fewest samples that the queue holds, whatever the rate (issue: 30 s of data, at least 24,000 samples).
+    /// The minimum number of samples that the queue holds, whatever the rate (issue: 30 s of data, at least 24,000
+    /// samples).
     pub const QUEUE_SAMPLES_MIN: usize = 24_000;
 
-    /// How many samples the queue between reader and writer holds at the highest rate of a sensor.
+    /// The number of samples that the queue between reader and writer holds at the highest rate of a sensor.
     #[must_use]
     pub fn queue_samples(&self) -> usize {
         ((self.queue.as_secs_f64() * IMU_RATE_HZ).ceil() as usize).max(Self::QUEUE_SAMPLES_MIN)
@@ -186,11 +186,11 @@ impl Default for StorageConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct HttpConfig {
-    /// Where it listens.
+    /// The address on which it listens.
     pub listen: SocketAddr,
-    /// The bearer token that requests need which change something; beyond loopback there must be one.
+    /// The bearer token that modifying requests need; beyond loopback one is required.
     pub token: Token,
-    /// A file that holds the token (its first line); empty where there is none.
+    /// A file that holds the token (its first line); empty if there is none.
     pub token_file: PathBuf,
 }
 
@@ -204,28 +204,28 @@ impl Default for HttpConfig {
     }
 }
 
-/// Who is told of what.
+/// The receivers and events of notifications.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct NotifyConfig {
     /// A program and its arguments, run without a shell; empty for none.
     pub command: Vec<String>,
-    /// Where the event is posted; empty for nowhere.
+    /// The address to which events are posted; empty for none.
     pub url: Webhook,
-    /// What is told.
+    /// The reported events.
     pub events: Vec<NotifyEvent>,
-    /// How long the sensor must be away before that is told.
+    /// How long the sensor must be absent before that is reported.
     #[serde(with = "duration_text")]
     pub sensor_lost_after: Duration,
-    /// How soon the same kind of event is told again; what comes meanwhile is told together.
+    /// The interval after which the same kind of event is reported again; events in between are reported together.
     #[serde(with = "duration_text")]
     pub coalesce: Duration,
-    /// How long one attempt may take.
+    /// The time limit of one attempt.
     #[serde(with = "duration_text")]
     pub timeout: Duration,
-    /// How often a message is tried.
+    /// The number of attempts for a message.
     pub attempts: u32,
-    /// The wait after the first failed attempt; it doubles with every further one.
+    /// The delay after the first failed attempt; it doubles with every further one.
     #[serde(with = "duration_text")]
     pub retry_after: Duration,
 }

@@ -1,4 +1,4 @@
-//! The text of a configuration file: from keys to lines, from TOML's errors to ours.
+//! The text of a configuration file: maps keys to lines, and TOML's errors to those of this room.
 
 use super::sections::Config;
 use super::{ConfigError, Place};
@@ -11,7 +11,7 @@ use toml::de::{DeTable, DeValue};
 pub(super) struct Source<'a> {
     file: &'a Path,
     text: &'a str,
-    /// Every key of the text with its section, where it stands and where its value stands.
+    /// Every key of the text with its section, its position and the position of its value.
     keys: Vec<(String, Range<usize>, Range<usize>)>,
 }
 
@@ -34,7 +34,7 @@ impl<'a> Source<'a> {
         self.refuse_unknown()?;
         toml::from_str(self.text).map_err(|error| {
             let span = error.span().unwrap_or_default();
-            // The innermost value around the error; an error of a whole section stands at the section.
+            // The innermost value around the error; an error of a whole section has the section's position.
             let (key, key_span, value) = self
                 .keys
                 .iter()
@@ -51,7 +51,7 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// Where the key stands, if the file has it.
+    /// The position of the key, if the file has it.
     pub(super) fn place(&self, key: &str) -> Place {
         self.keys.iter().find(|(name, _, _)| name == key).map_or(Place::Default, |(_, span, _)| Place::Line {
             file: self.file.to_owned(),
@@ -59,7 +59,8 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// The defaults, written out, are the list of all keys: a key outside is refused with its neighbours' names.
+    /// The defaults, written out, are the list of all keys: an unknown key is refused with the names of that section's
+    /// keys.
     fn refuse_unknown(&self) -> Result<(), ConfigError> {
         let known = serde_json::to_value(Config::default()).unwrap_or_default();
         for (key, span, _) in &self.keys {
@@ -74,7 +75,7 @@ impl<'a> Source<'a> {
                             allowed: section.keys().cloned().collect(),
                         });
                     }
-                    // A table where a plain value belongs: the typed reading says so.
+                    // A table in place of a plain value: the typed reading reports it.
                     _ => break,
                 }
             }

@@ -90,7 +90,7 @@ fn a_schedule_has_an_hour_and_may_have_a_length_a_name_and_days_of_its_own() {
     assert_eq!((own.at.to_string().as_str(), own.duration.to_string().as_str()), ("06:05", "60h"));
     assert_eq!((own.name.as_str(), own.days.as_slice()), ("weekend of A", [Day::Fri].as_slice()));
     assert_eq!(own.shortest_interval(), Some(Duration::from_secs(7 * 86_400)));
-    // A long capture is no matter of a schedule that there is not.
+    // A long capture does not contradict a schedule that does not exist.
     assert_eq!(read("[capture]\nduration = \"30h\"").at, StartTime(None));
 }
 
@@ -246,7 +246,7 @@ fn a_token_may_lie_in_a_file_of_its_own() {
     let file = directory.path().join("token");
     let text = format!("[http]\nlisten = \"0.0.0.0:1\"\ntoken-file = {file:?}");
     assert!(refused(&text).starts_with("x.toml:3: `http.token-file`: cannot read "));
-    // Who only asks may not be allowed to read it.
+    // A user who only queries may not be allowed to read it.
     let asking = Overrides { without_token: true, ..Overrides::default() };
     let config = finish(&Source::new(Path::new("x.toml"), &text), &asking).unwrap();
     assert_eq!(config.http.listen.port(), 1);

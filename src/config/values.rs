@@ -1,5 +1,5 @@
-//! Values of the configuration that are more than a number or a text: each is read with a message that says what is
-//! allowed, and written in the form in which it is read.
+//! Values of the configuration beyond plain numbers and texts. Each is read with an error that states the allowed
+//! values, and written in the form in which it is read.
 
 use crate::units::{format_duration, parse_duration};
 use chrono::{NaiveTime, Weekday};
@@ -9,16 +9,16 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// ASCII measurements of a VN-100 that register 6 can ask for and that carry channels (ICD, table of register 6).
+/// ASCII measurements of a VN-100 that register 6 can select and that carry channels (ICD, table of register 6).
 pub const ASCII_TYPES: [&str; 10] =
     ["VNYPR", "VNQMR", "VNMAG", "VNACC", "VNGYR", "VNMAR", "VNYMR", "VNYBA", "VNYIA", "VNIMU"];
 
-/// Where the sensor is looked for.
+/// The device to search for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Device {
     /// The first port of `/dev/serial/by-id` on which a VN-100 answers.
     Auto,
-    /// This path, which may come and go.
+    /// This path, which may appear and disappear.
     Path(PathBuf),
     /// Every path that matches (`*`, `?`, `[…]`), in alphabetical order.
     Glob(String),
@@ -28,7 +28,7 @@ impl Device {
     /// Reads `auto`, a path or a pattern.
     ///
     /// # Errors
-    /// A sentence that says what is allowed, for an empty text.
+    /// A sentence that states the allowed values, if the text is empty.
     pub fn parse(text: &str) -> Result<Self, String> {
         match text.trim() {
             "" => Err("`\"auto\"`, a path such as \"/dev/vn100\" or a pattern such as \"/dev/ttyUSB*\"".to_owned()),
@@ -54,16 +54,16 @@ impl fmt::Display for Device {
 pub enum Baud {
     /// Every rate of `bauds` in turn, the last good one first.
     Auto,
-    /// This one alone.
+    /// Only this rate.
     Fixed(u32),
 }
 
-/// What the sensor is told to send.
+/// The configured output of the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Output {
     /// Binary output 1 with the groups and fields of `binary-fields`.
     Binary,
-    /// Whatever the sensor sends already; its output is not configured.
+    /// The sensor's present output; it is not configured.
     Keep,
     /// An ASCII measurement, one of [`ASCII_TYPES`].
     Ascii(String),
@@ -90,7 +90,7 @@ impl fmt::Display for Output {
     }
 }
 
-/// Groups and fields of binary output 1 as `$VNWRG,75` takes them: hexadecimal, `01,0609`.
+/// Groups and fields of binary output 1 in the form of `$VNWRG,75`: hexadecimal, `01,0609`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BinaryFields {
     /// Bits 0, 1, 2 and 4: groups 1 (common), 2 (time), 3 (IMU) and 5 (attitude).
@@ -102,7 +102,7 @@ pub struct BinaryFields {
 impl BinaryFields {
     /// Groups that a VN-100 has and the decoder knows.
     const KNOWN_GROUPS: u8 = 0b0001_0111;
-    /// Bit 15 of a mask announces a second mask, which a VN-100 has not.
+    /// Bit 15 of a mask announces a second mask, which a VN-100 does not have.
     const EXTENSION: u16 = 0x8000;
 
     fn parse(text: &str) -> Result<Self, String> {
@@ -129,17 +129,17 @@ impl fmt::Display for BinaryFields {
     }
 }
 
-/// A secret that never shows in a log or in the effective configuration.
+/// A secret that never appears in a log or in the effective configuration.
 #[derive(Clone, PartialEq, Eq, Default)]
 pub struct Token(String);
 
 impl Token {
-    /// The secret itself; empty where there is none.
+    /// The secret itself; empty if there is none.
     #[must_use]
     pub fn secret(&self) -> &str {
         &self.0
     }
-    /// Whether there is none.
+    /// Whether the token is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -157,17 +157,17 @@ impl fmt::Debug for Token {
     }
 }
 
-/// An address that events are posted to. Its path often is a secret: only scheme and host show themselves.
+/// An address that events are posted to. Its path often is a secret: only scheme and host are shown.
 #[derive(Clone, PartialEq, Eq, Default)]
 pub struct Webhook(String);
 
 impl Webhook {
-    /// The whole address; empty where there is none.
+    /// The whole address; empty if there is none.
     #[must_use]
     pub fn secret(&self) -> &str {
         &self.0
     }
-    /// Whether there is none.
+    /// Whether the address is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -205,7 +205,7 @@ impl fmt::Debug for Webhook {
     }
 }
 
-/// A local time of day, `22:00`; none where it is empty.
+/// A local time of day, `22:00`; none if it is empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StartTime(pub Option<NaiveTime>);
 
@@ -226,7 +226,7 @@ impl fmt::Display for StartTime {
     }
 }
 
-/// How long a night's capture is; where it is empty as long as any other.
+/// The duration of a night's capture; if it is empty, that of any other capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NightLength(pub Option<Duration>);
 
@@ -268,10 +268,10 @@ pub enum Day {
 }
 
 impl Day {
-    /// All of them, in their order.
+    /// All days, in their order.
     pub const ALL: [Self; 7] = [Self::Mon, Self::Tue, Self::Wed, Self::Thu, Self::Fri, Self::Sat, Self::Sun];
 
-    /// As the calendar has it.
+    /// The day in the calendar's type.
     #[must_use]
     pub fn weekday(self) -> Weekday {
         match self {
@@ -290,7 +290,7 @@ impl Day {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
-    /// One line of text; without a time of its own under journald, which has one.
+    /// One line of text; without a time under journald, which adds its own.
     Text,
     /// One JSON object per line.
     Json,

@@ -1,4 +1,4 @@
-//! Captures: starts, stops and resumes them on request, and has them analysed when they end.
+//! Captures: starts, stops and resumes them on request, and queues their analysis when they end.
 
 use super::resume_point;
 use crate::capture::recorder::Plan;
@@ -12,33 +12,33 @@ use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-/// How long a request waits for a disk that refuses; the HTTP interface answers within ten seconds.
+/// How long a request waits for a disk that refuses writes; the HTTP interface answers within ten seconds.
 const PATIENCE: Duration = Duration::from_secs(4);
-/// Between two tries.
+/// The delay between two attempts.
 const RETRY: Duration = Duration::from_millis(200);
-/// Between two tries to take a request back.
+/// The delay between two attempts to withdraw a request.
 const WITHDRAW_RETRY: Duration = Duration::from_secs(1);
 
 /// Both ends of a channel.
 type Channel<T> = (mpsc::Sender<T>, mpsc::Receiver<T>);
 
-/// Keeps the one capture that runs or waits. It never waits for the disk longer than [`PATIENCE`].
+/// Manages the one capture that runs or waits. It never waits for the disk longer than [`PATIENCE`].
 pub struct Keeper {
     store: Store,
     jobs: Jobs,
     task: mpsc::Sender<TaskCommand>,
     progress: watch::Receiver<Progress>,
-    /// Where the sensor is looked for: what a capture says of its source until the port is known.
+    /// The configured device: a capture's source until the port is known.
     device: String,
-    /// The capture that the task has.
+    /// The capture that the task works on.
     running: Option<i64>,
-    /// Whether the database is being asked if it has ended.
+    /// Whether a query to the database is pending, whether it has ended.
     asking: bool,
     answers: Channel<(i64, bool)>,
 }
 
 impl Keeper {
-    /// A keeper of no capture.
+    /// A keeper without a capture.
     #[must_use]
     pub fn new(
         store: Store,
@@ -50,14 +50,14 @@ impl Keeper {
         Self { store, jobs, task, progress, device, running: None, asking: false, answers: mpsc::channel(4) }
     }
 
-    /// Lets the capture go on that an earlier run of the daemon left; `true` where there was one. Of several (which
-    /// only a foreign hand can make) the one with the latest sample goes on, the others are stopped.
+    /// Resumes the capture that an earlier run of the daemon left; returns `true` if there was one. Of several (which
+    /// only another program can cause) the one with the latest sample continues, and the others are stopped.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub async fn resume(&mut self, clock: &dyn Clock) -> Result<bool, StoreError> {
         let mut unfinished = self.store.offload(Store::unfinished).await?;
-        // One with samples before one without, one that ran before one that waited, then the newest.
+        // The order: captures with samples first, then those that ran, then the newest.
         let rank = |capture: &Unfinished| {
             let last = capture.last.map(|(_, _, utc_ns)| utc_ns);
             (last, capture.state == CaptureState::Capturing, capture.id)
@@ -73,7 +73,8 @@ impl Keeper {
             id: capture.id,
             name: capture.name.clone(),
             duration_ns: capture.planned.map_or(u64::MAX, |planned| planned.as_nanos() as u64),
-            // One that has begun waits for no hour: after a reboot civil time may be years behind until it is set.
+            // A capture that has begun does not wait for its start: after a reboot civil time may be years behind until
+            // it is set.
             start_at_utc_ns: capture.start_at_utc_ns.filter(|_| capture.samples == 0),
         };
         self.hand_over(plan, Some(resume_point(&capture, clock.boot_id().as_deref(), clock.mono_ns()))).await;
@@ -82,7 +83,7 @@ impl Keeper {
 
     async fn hand_over(&mut self, plan: Plan, point: Option<crate::capture::recorder::ResumePoint>) {
         self.running = Some(plan.id);
-        // A task that is gone takes nothing: the daemon is ending, and the capture goes on when it runs again.
+        // A task that has ended accepts nothing: the daemon is ending, and the capture continues when it runs again.
         let _ = self.task.send(TaskCommand::Begin(plan, point.map(Box::new))).await;
     }
 
@@ -95,7 +96,7 @@ impl Keeper {
                     None => return,
                     Some(Command::Start(request, reply)) => {
                         let answer = self.start(request).await;
-                        // Whoever asked may be gone; the capture runs all the same.
+                        // The caller may be gone; the capture runs nevertheless.
                         let _ = reply.send(answer);
                     }
                     Some(Command::Stop(id, reply)) => {
@@ -117,7 +118,8 @@ impl Keeper {
     /// Starts a capture.
     ///
     /// # Errors
-    /// [`ControlError::Busy`] while one runs or waits, [`ControlError::NameTaken`], or what the database says.
+    /// [`ControlError::Busy`] while one runs or waits, [`ControlError::NameTaken`], or the error that the database
+    /// reports.
     pub async fn start(&mut self, request: CaptureRequest) -> Result<i64, ControlError> {
         self.notice_end();
         if self.asking
@@ -143,8 +145,8 @@ impl Keeper {
         Ok(id)
     }
 
-    /// Makes the capture, once, however often a disk that fails has to be asked, and answers its id and the name that the
-    /// database gave it. Where it does not answer in time the request is taken back as soon as it does.
+    /// Creates the capture once, however often a failing disk requires a retry, and returns its id and the name that
+    /// the database gave it. If there is no answer in time, the request is withdrawn as soon as possible.
     async fn create(&self, mut capture: NewCapture) -> Result<(i64, String), ControlError> {
         let token = token();
         capture.token = Some(token.clone());
@@ -178,7 +180,7 @@ impl Keeper {
 
     async fn stop(&mut self, id: i64) -> Result<(), ControlError> {
         self.notice_end();
-        // In a file that took a lost one's place it may have another id.
+        // In a file that replaced a lost one it may have another id.
         let Some(id) = self.running.filter(|running| self.store.stored_id(*running) == id) else {
             return Err(ControlError::NotRunning { id });
         };
@@ -186,21 +188,22 @@ impl Keeper {
         self.task.send(TaskCommand::Stop(reply)).await.map_err(|_| ControlError::Stopping)?;
         answer.await.map_err(|_| ControlError::Stopping)?;
         self.running = None;
-        // A disk that refuses has what is left in memory; the capture is stopped all the same.
+        // A disk that refuses writes leaves the rest in memory; the capture is stopped nevertheless.
         let _ = tokio::time::timeout(PATIENCE, self.analyse(id)).await;
         Ok(())
     }
 
-    /// The task has let go of the capture: whether it is at its end the database knows, once all is written.
+    /// Notes that the task no longer has the capture. Whether it has ended is read from the database, once all is
+    /// written.
     fn notice_end(&mut self) {
         let held = self.progress.borrow_and_update().capture.as_ref().map(|(plan, ..)| plan.id);
         let Some(id) = self.running.filter(|id| Some(*id) != held && !self.asking) else { return };
         self.asking = true;
         let (store, answers) = (self.store.clone(), self.answers.0.clone());
         tokio::spawn(async move {
-            // The task publishes before it has heard of a capture that was just handed over: the database decides.
+            // The task may publish before it has received a new capture: the database decides.
             let ended = store.flush().await.is_ok() && has_ended(&store, id).await;
-            // Without a keeper nobody wants to know.
+            // Without a keeper no one waits for the result.
             let _ = answers.send((id, ended)).await;
         });
     }
@@ -213,7 +216,8 @@ impl Keeper {
         }
     }
 
-    /// Has the capture analysed once all of it is on disk, however long that takes; what is answered ends when it is.
+    /// Queues the capture's analysis once all of it is on disk, however long that takes; the returned channel then
+    /// receives a message.
     fn analyse(&self, id: i64) -> oneshot::Receiver<()> {
         let (store, jobs) = (self.store.clone(), self.jobs.clone());
         let (written, answer) = oneshot::channel();
@@ -229,7 +233,7 @@ impl Keeper {
                 Ok(Err(error)) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
                 Err(error) => tracing::error!(capture = id, %error, "the analysis could not be queued"),
             }
-            // Whoever waited may have given up.
+            // The caller may have stopped waiting.
             let _ = written.send(());
         });
         answer
@@ -241,14 +245,14 @@ async fn has_ended(store: &Store, id: i64) -> bool {
     store.offload(move |store| store.reader()?.capture(stored)).await.is_ok_and(|row| !row.state.is_open())
 }
 
-/// A name for a request that no other has.
+/// A unique name for a request.
 fn token() -> String {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     format!("{:x}-{:x}-{number:x}", SystemClock.utc_ns(), std::process::id())
 }
 
-/// Whether the request may succeed when it is given again.
+/// Whether the request may succeed when it is repeated.
 fn is_storage(error: &StoreError) -> bool {
     matches!(error.kind(), StoreErrorKind::Io | StoreErrorKind::Unavailable | StoreErrorKind::CannotCreate)
         && !matches!(error, StoreError::Closed)

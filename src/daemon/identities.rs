@@ -1,5 +1,5 @@
-//! Both identities of a capture's numbers, through recorder, store, kills and restarts, against what a made-up sensor
-//! knows of itself.
+//! Both identities of a capture's numbers, through recorder, store, kills and restarts, against the records of a
+//! simulated sensor.
 
 use super::resume_point;
 use crate::capture::recorder::{Plan, Recorder};
@@ -14,29 +14,29 @@ const HOUR_NS: u64 = 3_600_000_000_000;
 
 #[derive(Debug, Clone)]
 enum Step {
-    /// So many measurements arrive.
+    /// This many measurements arrive.
     Run(u64),
-    /// So many are lost on the line.
+    /// This many are lost on the line.
     Drop(u64),
-    /// The last one comes again.
+    /// The last one is repeated.
     Duplicate,
-    /// Two change places.
+    /// Two are exchanged.
     Reorder,
-    /// The clock starts again after this many periods of silence.
+    /// The clock restarts after this many periods of silence.
     Reset(u64),
     /// Valid measurements of another format.
     Foreign(u64),
-    /// The queue is full for so many.
+    /// The queue is full for this many.
     Backpressure(u64),
-    /// The cable is out for so many.
+    /// The cable is unplugged for this many.
     Unplug(u64),
     /// The sensor changes its rate by itself.
     Rate(f64),
-    /// The rate is set anew.
+    /// The rate is set again.
     Configure(f64),
-    /// What was recorded is committed.
+    /// The recorded data is committed.
     Commit,
-    /// The daemon dies with what was not committed and is away for so many periods.
+    /// The daemon is killed, loses what was not committed, and is absent for this many periods.
     Kill(u64),
 }
 
@@ -57,10 +57,10 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The host is never started anew: its monotonic clock tells how long the daemon was away.
+/// The host never reboots: its monotonic clock shows how long the daemon was absent.
 const BOOT: &str = "boot";
 
-/// A measurement as the sensor remembers it. The host's clock never stands, so that it tells them apart.
+/// A measurement in the sensor's record. The host's clock never stops, so that it distinguishes them.
 #[derive(Debug)]
 struct Made {
     epoch: u32,
@@ -69,7 +69,7 @@ struct Made {
     rate_hz: f64,
 }
 
-/// A sensor that remembers every measurement it made, and the daemon's side of the line.
+/// A sensor that records every measurement it made, and the daemon's side of the line.
 struct World {
     folder: tempfile::TempDir,
     store: Store,
@@ -82,9 +82,9 @@ struct World {
     host_ns: u64,
     rate_hz: f64,
     last: Option<Sample>,
-    /// Measurements that were given to the recorder, since the capture began and as far as the disk knows of earlier runs.
+    /// Measurements passed to the recorder since the capture began, as far as the disk contains those of earlier runs.
     given: u64,
-    /// Samples that a commit was asked for.
+    /// Samples for which a commit was requested.
     acknowledged: u64,
 }
 
@@ -149,7 +149,7 @@ impl World {
         let tally = self.recorder.tally();
         assert_eq!(tally.received, self.given);
         assert_eq!(tally.received, tally.samples + tally.held + tally.dropped.iter().sum::<u64>(), "{tally:?}");
-        // Nothing is in flight but what is held, and what was refused behind it.
+        // Only held samples, and those refused behind them, are in flight.
         let on_disk = report.received.unwrap();
         assert!(
             on_disk <= self.given - tally.held && (tally.held > 0 || on_disk == self.given),
@@ -229,7 +229,7 @@ impl World {
     }
 
     fn kill(&mut self, away: u64) {
-        // Of what was not committed a batch may still have made it.
+        // A batch of the uncommitted data may nevertheless be on disk.
         let half = self.pending.len() / 2;
         for record in self.pending.drain(..).take(half) {
             self.store.records().blocking_send(self.id, record).unwrap();
@@ -251,7 +251,7 @@ impl World {
         self.last = None;
     }
 
-    /// What the sensor knows of each stretch of the report.
+    /// Compares each stretch of the report with the sensor's record.
     fn compare(&self) {
         let report = self.report();
         let connection = rusqlite::Connection::open(self.store.path()).unwrap();
@@ -264,13 +264,14 @@ impl World {
                 .map(|host_ns| self.made.binary_search_by_key(&(host_ns.unwrap() as u64), |made| made.host_ns).unwrap())
                 .collect();
             for pair in rows.windows(2) {
-                // A reset is not seen only where the clock soon stood past where it was before.
+                // A reset is missed only if the clock soon passed its earlier value.
                 let (one, next) = (&self.made[pair[0]], &self.made[pair[1]]);
                 assert!(one.epoch == next.epoch || one.device_ns < 3_000_000_000, "{one:?} {next:?} {stretch:?}");
             }
             let sent = &self.made[rows[0]..=rows[rows.len() - 1]];
             if sent.iter().any(|made| made.epoch != sent[0].epoch || made.rate_hz != stretch.rate_hz) {
-                // Such a reset, or while nothing arrived the sensor had another rate: nobody can know.
+                // After such a reset, or if the sensor had another rate while nothing arrived, the number is
+                // unknowable.
                 continue;
             }
             assert_eq!(sent.len() as u64, rows.len() as u64 + stretch.missing, "{stretch:?}");
@@ -286,7 +287,7 @@ fn plan(id: i64) -> Plan {
     Plan { id, name: "night".to_owned(), duration_ns: 100 * HOUR_NS, start_at_utc_ns: None }
 }
 
-/// What happens, thirty samples, and the capture's end.
+/// Plays the steps, then thirty samples, and the capture's end.
 fn play(steps: &[Step]) {
     let mut world = World::new();
     for step in steps {
@@ -300,23 +301,23 @@ fn play(steps: &[Step]) {
     assert_eq!(world.report().in_flight, 0);
 }
 
-/// What random streams have found, each too seldom to be found again by a few.
+/// Cases that random streams have found, each too rare to be found again by a few streams.
 #[test]
 fn both_identities_hold_where_ticks_leave_their_grid() {
     use Step::{Backpressure, Configure, Drop, Kill, Rate, Reset, Run};
-    // Ticks two and a half periods apart, and the stream interrupted before they are another rate for long.
+    // Ticks two and a half periods apart, and the stream interrupted before they count as another rate.
     play(&[Reset(100), Rate(200.0), Reset(100), Rate(80.0), Backpressure(1)]);
-    // Another rate was told in between, and its samples are lost.
+    // Another rate was announced in between, and its samples are lost.
     play(&[Run(1), Configure(50.0), Drop(6), Configure(40.0), Step::Commit, Run(4), Kill(40), Rate(80.0)]);
     play(&[Configure(100.0), Run(15), Rate(40.0), Kill(41), Configure(100.0), Run(6), Kill(40), Rate(40.0)]);
-    // Another rate was told and never came.
+    // Another rate was announced and never came.
     play(&[Rate(200.0), Drop(1), Configure(40.0), Rate(200.0)]);
-    // A reset that is not seen: the clock has soon run past where it was, between two places of its grid.
+    // A reset that is missed: the clock has soon passed its earlier value, between two places of its grid.
     play(&[Reset(100), Run(3), Configure(50.0), Reset(100), Drop(3), Rate(40.0)]);
     play(&[Rate(80.0), Reset(100), Drop(1), Configure(40.0), Run(1), Reset(100), Configure(40.0), Run(1)]);
 }
 
-/// The rate that worked last, not the one that the capture began with: the sensor may have been set to another between.
+/// The last good rate, not the one that the capture began with: the sensor may have been set to another in between.
 #[test]
 fn a_capture_goes_on_at_the_baud_rate_that_worked_last() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Import: a recording's file becomes a capture, whole or not at all; the same file once.
+//! Import: converts a recording's file to a capture, complete or not at all; the same file only once.
 
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
@@ -17,56 +17,56 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-/// Why a file was not imported.
+/// The reasons why a file was not imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// The recording.
+    /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// What its columns were said to be.
+    /// The map of its columns is invalid.
     #[error(transparent)]
     Columns(#[from] ColumnsError),
-    /// What its messages were said to be.
+    /// The definition of its messages is invalid.
     #[error(transparent)]
     Definition(#[from] DefinitionError),
-    /// The sampling that the import states.
+    /// The sampling that the import states is impossible.
     #[error(transparent)]
     Sampling(#[from] SamplingError),
-    /// The database.
+    /// The database returned an error.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The file.
+    /// The file could not be read.
     #[error("{path} cannot be read: {source}")]
     Read {
         /// The file.
         path: String,
-        /// The system's words.
+        /// The error message of the system.
         source: std::io::Error,
     },
     /// The disk has no room for it.
     #[error("{free_mib} MiB are free and {reserve_mib} MiB are kept for captures: make room and import again")]
     NoRoom {
-        /// What is free.
+        /// The free space.
         free_mib: u64,
-        /// What stays free.
+        /// The space that must stay free.
         reserve_mib: u64,
     },
 }
 
-/// What an import came to.
+/// The outcome of an import.
 #[derive(Debug, Clone)]
 pub struct Imported {
-    /// The capture: new, or known already.
+    /// The capture: new, or imported before.
     pub end: ImportEnd,
-    /// What is known about the recording.
+    /// The facts about the recording.
     pub info: RecordingInfo,
     /// Samples, missing samples and gaps.
     pub counts: (u64, u64, u64),
 }
 
 impl Imported {
-    /// The same for a program.
+    /// The outcome in the form for programs.
     #[must_use]
     pub fn report(&self) -> ImportReport {
         let (samples, missing, gaps) = self.counts;
@@ -111,27 +111,27 @@ fn json(value: &impl serde::Serialize) -> serde_json::Value {
 /// Bytes that are hashed at a time.
 const HASH_BYTES: usize = 256 * 1024;
 
-/// A recording's file, and how it is to be read.
+/// A recording's file, and the options for reading it.
 #[derive(Debug, Clone)]
 pub struct Source<'a> {
-    /// Where its bytes are.
+    /// The path of its bytes.
     pub file: &'a Path,
-    /// What it is called, where that is something else.
+    /// Its name, if it differs.
     pub called: &'a Path,
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
-    /// How its samples came about.
+    /// The sampling.
     pub sampling: Option<StatedSampling>,
-    /// What the columns of a foreign CSV are.
+    /// The map of the columns of a foreign CSV.
     pub columns: ColumnMap,
-    /// Definitions of messages that a bag does not bring along.
+    /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageDefinition>,
-    /// Whether it is still wanted.
+    /// Reports whether the import is still wanted.
     pub keep_on: KeepOn,
 }
 
 impl<'a> Source<'a> {
-    /// A file under its own name, of which nothing else is said.
+    /// A file under its own name, without further options.
     #[must_use]
     pub fn of(file: &'a Path) -> Self {
         Self {
@@ -146,7 +146,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Imports one file; `progress` hears how many samples are written and how many there are, and may end it.
+/// Imports one file; `progress` receives the number of samples written and the total, and may end the import.
 ///
 /// # Errors
 /// [`ImportError`]; nothing of the recording stays.
@@ -159,11 +159,11 @@ pub fn import(
 ) -> Result<Imported, ImportError> {
     let Source { file, called, rate_hz, sampling, columns, definitions, keep_on } = source;
     let sampling = sampling.map(StatedSampling::kept);
-    // What is refused for its name is refused before anything is read.
+    // An invalid name is refused before anything is read.
     if let Some(name) = &name {
         check_name(name)?;
     }
-    // What is no recording is refused before all of it is read.
+    // A file that is no recording is refused before all of it is read.
     let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
     detect(&input)?;
     let fingerprint = fingerprint(file, (rate_hz, sampling, &columns, &definitions), &keep_on)?;
@@ -184,8 +184,8 @@ pub fn import(
     if let Some(told) = sampling {
         told.with(&BTreeMap::new(), info.rate_hz)?;
     }
-    // What is there already is not written a second time; what it has is what the database says.
-    // Asked again: reading takes its time, in which captures come and go.
+    // A recording that was imported before is not written again; its counts are those in the database. This is checked
+    // again here: reading takes time, in which captures come and go.
     if let Some(id) = store.imported(&fingerprint)? {
         let capture = store.reader()?.capture(id)?;
         let counts = (capture.samples, capture.missing, capture.gaps);
@@ -230,8 +230,8 @@ pub struct DaemonImporter {
 }
 
 impl DaemonImporter {
-    /// An importer that leaves `reserve_bytes` of the disk free. What an earlier run of the daemon had put aside when it
-    /// was killed is removed: the store's lock says that nobody else has use for it.
+    /// An importer that leaves `reserve_bytes` of the disk free. It removes the files that an earlier run of the daemon
+    /// had put aside when it was killed: the store's lock shows that no other process uses them.
     #[must_use]
     pub fn new(store: Store, jobs: Jobs, clock: Arc<dyn Clock>, reserve_bytes: u64) -> Self {
         let folder = store.path().parent().unwrap_or(Path::new("."));
@@ -245,13 +245,13 @@ impl DaemonImporter {
         Self { store, jobs, clock, reserve_bytes, stop: CancellationToken::new(), running: TaskTracker::new() }
     }
 
-    /// From now on nothing is imported, and what is being imported ends.
+    /// Refuses further imports, and ends those in progress.
     pub fn call_off(&self) {
         self.stop.cancel();
         self.running.close();
     }
 
-    /// Waits until nothing is being imported; at most for `patience`, for a disk that hangs may hold an import.
+    /// Waits until no import is in progress, at most for `patience`: a disk that hangs may delay an import.
     pub async fn ended(&self, patience: Duration) {
         if tokio::time::timeout(patience, self.running.wait()).await.is_err() {
             tracing::warn!("an import did not end in time: what it wrote is cleared away at the next start");
@@ -287,7 +287,7 @@ impl Importer for DaemonImporter {
         };
         let imported =
             import(&self.store, self.clock.as_ref(), source, request.name.clone(), &mut room).map_err(|error| {
-                // The store may be closed under an import that did not end in time: that is no fault of the store.
+                // The store may be closed while an import has not ended in time: this is no fault of the store.
                 if self.stop.is_cancelled() { control::ImportError::Stopping } else { refused(&error, &request) }
             })?;
         if let ImportEnd::Created(id) = imported.end {
@@ -301,7 +301,7 @@ impl Importer for DaemonImporter {
     }
 }
 
-/// The error as whoever sent the recording understands it: by the name they know.
+/// The error for the client that sent the recording, with the file's name as that client knows it.
 fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError {
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
@@ -317,7 +317,7 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
     }
 }
 
-/// Names the recording's content and how it is read.
+/// Identifies the recording's content and how it is read.
 fn fingerprint(
     file: &Path,
     (rate_hz, sampling, columns, definitions): (Option<f64>, Option<StatedSampling>, &ColumnMap, &[MessageDefinition]),
@@ -325,7 +325,7 @@ fn fingerprint(
 ) -> Result<String, ImportError> {
     let mut hash = Sha256::new();
     update(&mut hash, file, keep_on)?;
-    // What a recorder that was killed had not yet put into the file is read with it.
+    // The data that a killed recorder had not yet put into the file is read with it.
     if let Some(log) = unmerged_log(file) {
         update(&mut hash, &log, keep_on)?;
     }
@@ -337,7 +337,7 @@ fn fingerprint(
     let columns = if columns.is_empty() { String::new() } else { format!(" columns {columns}") };
     let mut texts = Sha256::new();
     for definition in definitions {
-        // With the lengths, so that no two lists are the same bytes.
+        // With the lengths, so that no two lists produce the same bytes.
         for text in [definition.name(), definition.text()] {
             texts.update((text.len() as u64).to_le_bytes());
             texts.update(text);
@@ -347,7 +347,7 @@ fn fingerprint(
     Ok(format!("sha256:{digest}{rate}{sampling}{columns}{definitions}"))
 }
 
-/// Takes a file's bytes into a digest.
+/// Adds a file's bytes to a digest.
 fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), ImportError> {
     let (mut bytes, mut buffer) = (open_regular(file)?, vec![0; HASH_BYTES]);
     loop {
@@ -363,10 +363,10 @@ fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), Import
     }
 }
 
-/// Endings that are no part of a name.
+/// Extensions that are not part of a name.
 const ENDINGS: [&str; 7] = [".gz", ".csv", ".txt", ".bag", ".db3", ".mcap", ".bin"];
 
-/// The file's name without its endings, and without what no capture's name may hold.
+/// The file's name without its extensions, and without characters that a capture's name must not contain.
 fn name_of(file: &Path) -> String {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = ENDINGS.iter().fold(name.as_str(), |stem, ending| stem.trim_end_matches(ending));
@@ -383,14 +383,14 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     }
 }
 
-/// What the user states of a recording: how samples came about, pairs of columns, names of message types.
+/// The user's statements about a recording: the sampling, pairs of columns, names of message types.
 struct Said {
     sampling: Option<StatedSampling>,
     columns: Vec<String>,
     definitions: Vec<String>,
 }
 
-/// What the capture's configuration says.
+/// The capture's configuration.
 fn description(info: &RecordingInfo, said: &Said) -> serde_json::Value {
     serde_json::json!({
         "file": info.file.display().to_string(),
@@ -428,7 +428,7 @@ fn channels(info: &RecordingInfo) -> Vec<ChannelRow> {
             );
             let factor = conversion.map_or(1.0, |conversion| conversion.factor.abs());
             let written = info.decimals.get(channel).map(|decimals| factor * 10_f64.powi(-i32::from(decimals)));
-            // Rounding apart, a step that was seen is never finer than the decimals.
+            // Apart from rounding, an observed step is never finer than the decimals.
             let seen = info.findings.quantisation.get(&channel).map(|found| found.step);
             row.resolution = match (written, seen) {
                 (Some(written), Some(seen)) if seen > SAME_STEP * written => Some(seen),

@@ -1,8 +1,9 @@
-//! The daemon: where the shells meet. Wires capture, store, jobs and HTTP together, starts and stops them in order.
+//! The daemon: connects the shells. It wires capture, store, jobs and HTTP together, and starts and stops them in
+//! order.
 //!
-//! Start: the store first (a database that is held or newer ends the program before anything is touched), then jobs,
-//! capture and HTTP. Stop: imports are called off, the capture ends (the sensor's output is put back), then jobs, then the
-//! store with everything that is queued, HTTP last so that the status answers to the end.
+//! Start: the store first (a database that is locked or newer ends the program before anything is touched), then jobs,
+//! capture and HTTP. Stop: imports are cancelled and the capture ends (the sensor's output is restored). Then jobs end,
+//! then the store with everything that is queued, and HTTP last, so that the status is available to the end.
 
 pub mod captures;
 #[cfg(test)]
@@ -37,76 +38,76 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-/// How long the capture has to put back the sensor's output.
+/// The time to restore the sensor's output.
 const RESTORE: Duration = Duration::from_secs(4);
-/// How long an import has to end: it looks every 64 KiB, and ends its last write.
+/// The time for an import to end: it checks every 64 KiB, and completes its last write.
 const IMPORT_END: Duration = Duration::from_secs(1);
-/// How often the store's failures are looked at.
+/// The interval at which the store's failures are examined.
 const DISK_LOOK: Duration = Duration::from_millis(200);
 
-/// What the daemon is told.
+/// Options of the daemon.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The database.
     pub database: PathBuf,
-    /// The configuration, flags applied; another one that comes is taken as far as it can be ([`reload`]).
+    /// The configuration, flags applied; a changed one is applied as far as possible ([`reload`]).
     pub config: watch::Receiver<Config>,
-    /// A capture to start at once, unless one goes on.
+    /// A capture to start at once, unless one is resumed.
     pub capture: Option<CaptureRequest>,
     /// The clock.
     pub clock: Arc<dyn Clock>,
 }
 
-/// Why the daemon did not run.
+/// The reasons why the daemon did not run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DaemonError {
-    /// The database.
+    /// The database returned an error.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The disk.
+    /// The disk failed.
     #[error("the disk failed three times within a minute: see the log, and `vn100d check` once it is well again")]
     Disk,
-    /// The background jobs.
+    /// The background jobs could not be started.
     #[error(transparent)]
     Jobs(#[from] JobError),
-    /// The reader of the serial line.
+    /// The reader of the serial line could not be started.
     #[error("a thread for the serial line cannot be started: {0}")]
     Reader(std::io::Error),
-    /// The wanted output cannot be had.
+    /// The wanted output is impossible.
     #[error("{reason}")]
     Output {
-        /// The arithmetic.
+        /// The calculation.
         reason: String,
     },
     /// The HTTP interface cannot listen.
     #[error("cannot listen on {address}: {source}; choose another address with --listen, or stop what listens there")]
     Listen {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// The system's words.
+        /// The error message of the system.
         source: std::io::Error,
     },
     /// The notifications cannot be set up.
     #[error("a thread for notifications cannot be started: {0}")]
     Notify(std::io::Error),
-    /// The capture asked for was refused.
+    /// The requested capture was refused.
     #[error(transparent)]
     Control(#[from] crate::control::ControlError),
 }
 
-/// A running daemon, as whoever started it sees it.
+/// The handle of a running daemon.
 #[derive(Debug, Clone)]
 pub struct Handle {
-    /// Where HTTP listens.
+    /// The address on which HTTP listens.
     pub address: SocketAddr,
     /// The status.
     pub status: watch::Receiver<Status>,
-    /// What may be asked of the capture.
+    /// The control of the capture.
     pub control: CaptureControl,
 }
 
-/// The queue to the store; what goes in is counted.
+/// The queue to the store, which counts the records put into it.
 struct Counted {
     records: RecordSender,
     metrics: Arc<Metrics>,
@@ -120,7 +121,7 @@ impl Sink for Counted {
         self.records.room()
     }
     fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>> {
-        // The capture task is the only one that puts: room that is there stays there.
+        // The capture task is the only one that puts records: present room stays available.
         if self.records.room() == 0 {
             return Err(Box::new(record));
         }
@@ -130,7 +131,7 @@ impl Sink for Counted {
         }
         match self.records.try_send(capture_id, record) {
             Err(Refused::Full(record)) => Err(Box::new(record)),
-            // A closed queue means that the daemon is ending; the status and the log say what was not written.
+            // A closed queue means that the daemon is ending; the status and the log report what was not written.
             Ok(()) | Err(Refused::Closed(_)) => Ok(()),
         }
     }
@@ -148,10 +149,10 @@ impl Sink for Counted {
     }
 }
 
-/// Runs the daemon until `stop` is cancelled. `ready` hears once everything runs.
+/// Runs the daemon until `stop` is cancelled. `ready` receives the handle once everything runs.
 ///
 /// # Errors
-/// [`DaemonError`] where it cannot start, or the disk did not take everything at the end.
+/// [`DaemonError`] if it cannot start, or if the disk did not accept everything at the end.
 pub async fn run(
     options: Options,
     stop: CancellationToken,
@@ -190,7 +191,7 @@ pub async fn run(
     let source = device(&config).unwrap_or_else(|| "serial port".to_owned());
     let (control, commands) = CaptureControl::pair();
     let mut keeper = captures::Keeper::new(store.clone(), jobs.clone(), task_sender.clone(), progress.clone(), source);
-    // The capture is there before the port is opened: none of the sensor's first words is lost on it.
+    // The capture exists before the port is opened: none of the sensor's first messages is lost to it.
     if !keeper.resume(&*clock).await?
         && let Some(request) = capture
     {
@@ -256,7 +257,7 @@ pub async fn run(
         metrics: Arc::clone(&metrics),
         recent,
         clock: Arc::clone(&clock),
-        // Whoever configured a token wants it asked for, loopback or not: others may use this machine too.
+        // A configured token is always required, on loopback too: others may use this machine.
         token: (!config.http.token.is_empty()).then(|| config.http.token.secret().to_owned()),
         default_duration: config.capture.duration,
         reserve_bytes,
@@ -284,7 +285,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, reader).await.is_err() {
         tracing::warn!("the sensor did not take its previous output back in time");
     }
-    // A disk that refuses may hold the keeper; what it has not written is the store's to report.
+    // A disk that refuses writes may delay the keeper; the store reports what was not written.
     let mut keeping = keeping;
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
         keeping.abort();
@@ -318,12 +319,12 @@ async fn disk_fails(store: &Store) {
     }
 }
 
-/// How many files this process may have open: as many as the system lets it.
+/// Raises the number of files that this process may have open, as far as the system allows; returns it.
 fn open_files() -> u64 {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     let limit = getrlimit(Resource::Nofile);
     let wanted = Rlimit { current: limit.maximum, maximum: limit.maximum };
-    // Where the soft limit may not be raised, it stands.
+    // If the soft limit may not be raised, it stays.
     let limit = if setrlimit(Resource::Nofile, wanted).is_ok() { wanted } else { limit };
     limit.current.unwrap_or(u64::MAX)
 }
@@ -337,10 +338,10 @@ pub fn device(config: &Config) -> Option<String> {
     }
 }
 
-/// What the session shall do, and whether the line can carry it.
+/// The options of the session, after checking that the line can carry the output.
 ///
 /// # Errors
-/// [`DaemonError::Output`] with the arithmetic, where the wanted output does not fit the configured baud rate (with
+/// [`DaemonError::Output`] with the calculation, if the wanted output does not fit the configured baud rate (with
 /// `auto`: the highest that is tried).
 pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
     let refuse = |reason: String| DaemonError::Output { reason };
@@ -370,8 +371,8 @@ pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
     Ok(SessionOptions { output, bauds, host_jitter_ns: 0 })
 }
 
-/// Where an unfinished capture goes on. `boot_id` and `mono_ns` are the clock's of now: within one boot of the host its
-/// monotonic clock tells how long the daemon was away, across boots only civil time does.
+/// The point at which an unfinished capture resumes. `boot_id` and `mono_ns` are the clock's present values. Within one
+/// boot of the host its monotonic clock shows how long the daemon was absent; across boots only civil time does.
 fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mono_ns: u64) -> ResumePoint {
     let same_boot = boot_id.is_some() && unfinished.boot_id.as_deref() == boot_id;
     let discarded: std::collections::BTreeMap<DiscardCause, u64> = (unfinished.rejected.iter())
@@ -381,7 +382,7 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
         segments: unfinished.segment,
         epoch: unfinished.epoch,
         samples: unfinished.samples,
-        // A capture of a version that did not count begins with what became of its measurements.
+        // A capture from a version that did not count begins with its samples and discards.
         received: unfinished.received.unwrap_or_else(|| unfinished.samples + discarded.values().sum::<u64>()),
         discarded,
         missing: unfinished.missing,
@@ -397,7 +398,7 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
         serial_number: unfinished
             .sensor
             .as_ref()
-            // A capture is of the first sensor that it has samples of.
+            // A capture belongs to the first sensor that it has samples of.
             .filter(|_| unfinished.samples > 0)
             .and_then(|sensor| sensor["serial_number"].as_str())
             .map(str::to_owned),

@@ -1,4 +1,4 @@
-//! Notices: sets the notifications up, and tells them of captures that complete.
+//! Notices: sets up the notifications, and reports captures that complete.
 
 use crate::config::Config;
 use crate::notify::deliver::Receiver;
@@ -13,10 +13,10 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// How long an ended capture's last samples may take to the disk before nobody is told of its end.
+/// The time for an ended capture's last samples to reach the disk before its notification is dropped.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// Who is told of what, as the configuration has it.
+/// The configured recipients and topics.
 #[must_use]
 pub fn options(config: &Config, database: &Path) -> NotifyOptions {
     let notify = &config.notify;
@@ -43,7 +43,7 @@ pub fn options(config: &Config, database: &Path) -> NotifyOptions {
     }
 }
 
-/// Tells of each capture that leaves the status because it is complete, once its last sample is on disk; until `stop`.
+/// Reports each capture that leaves the status because it is complete, once its last sample is on disk; until `stop`.
 pub async fn tell_of_ends(store: Store, tap: Tap, mut status: watch::Receiver<Status>, stop: CancellationToken) {
     if !tap.is_heard() {
         return;
@@ -66,7 +66,7 @@ pub async fn tell_of_ends(store: Store, tap: Tap, mut status: watch::Receiver<St
 }
 
 async fn tell_of_end(store: Store, tap: Tap, id: i64) {
-    // A disk that refuses keeps the end in memory; it is told when it can be looked up.
+    // A disk that refuses writes leaves the end in memory; it is reported when it can be looked up.
     if !matches!(tokio::time::timeout(PATIENCE, store.flush()).await, Ok(Ok(()))) {
         return;
     }
@@ -80,7 +80,7 @@ async fn tell_of_end(store: Store, tap: Tap, id: i64) {
             missing: row.missing,
             gaps: row.gaps,
         }),
-        // Somebody stopped it, or deleted it already.
+        // A user stopped it, or deleted it already.
         Ok(_) => {}
         Err(error) => tracing::warn!(capture = id, %error, "its end is not told"),
     }

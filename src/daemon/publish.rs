@@ -1,4 +1,4 @@
-//! Publishing: puts together the status that the HTTP interface shows, from memory alone.
+//! Publishing: assembles the status that the HTTP interface shows, from memory alone.
 
 use crate::capture::task::Progress;
 use crate::clock::{Clock, rfc3339};
@@ -12,29 +12,29 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// How often the status is renewed, in real time.
+/// The interval at which the status is renewed, in real time.
 const EVERY: Duration = Duration::from_millis(250);
 
 /// The reader's side of the running capture's numbers, as of its last measurement.
 pub type SharedTally = Arc<Mutex<Option<Tally>>>;
 
-/// What the capture task says about itself.
+/// The reported state of the capture task.
 #[derive(Debug, Clone)]
 pub struct Captured {
     /// Sensor, plan and counts, a few times a second.
     pub progress: watch::Receiver<Progress>,
-    /// Where every measurement is, at once.
+    /// The present counts of all received measurements by their state.
     pub tally: SharedTally,
 }
 
-/// What the status shows of retention, schedule and notifications, from memory.
+/// The status of retention, schedule and notifications, from memory.
 #[derive(Debug, Clone)]
 pub struct Unattended {
-    /// What is going to be deleted.
+    /// The planned deletions.
     pub retention: watch::Receiver<RetentionStatus>,
-    /// Which night comes next.
+    /// The next night.
     pub schedule: watch::Receiver<Option<ScheduleStatus>>,
-    /// How the telling goes.
+    /// The state of the notifications.
     pub notify: NotifyFigures,
 }
 
@@ -67,7 +67,7 @@ pub async fn run(
     }
 }
 
-/// How often the running capture's analysis takes in what was committed, in real time: so that a question for it is
+/// The interval at which the running capture's analysis takes in new samples, in real time, so that a request for it is
 /// answered at once.
 const WARM: Duration = Duration::from_secs(10);
 
@@ -80,7 +80,7 @@ pub async fn keep_warm(store: Store, live: Arc<Live>, status: watch::Receiver<St
             let (live, begun) = (Arc::clone(&live), Instant::now());
             let outcome = store.offload(move |store| Ok(live.catch_up(&store.reader()?, id))).await;
             match outcome {
-                // After a restart there is a night to catch up with; half of the time is left to others.
+                // After a restart a night of data may have to be caught up with; half of the time is left to others.
                 Ok(Ok(false)) => pause = begun.elapsed(),
                 Ok(Err(error)) => tracing::warn!(%error, "the running capture could not be analysed"),
                 Ok(Ok(true)) | Err(_) => {}
@@ -94,8 +94,8 @@ pub async fn keep_warm(store: Store, live: Arc<Live>, status: watch::Receiver<St
 }
 
 fn compose(store: &Store, jobs: &Jobs, captured: &mut Captured, clock: &dyn Clock) -> Status {
-    // The disk's side first: what it has, the reader has counted before, so that nothing is in flight less than not at
-    // all, and received = committed + in flight + discarded at whatever instant somebody asks.
+    // The disk's side is read first: the reader has counted its samples before. So the number in flight is never
+    // negative, and received = committed + in flight + discarded holds at every instant.
     let on_disk = store.progress().committed;
     let tally = *captured.tally.lock().unwrap_or_else(PoisonError::into_inner);
     let progress = &*captured.progress.borrow_and_update();
@@ -133,14 +133,14 @@ fn compose(store: &Store, jobs: &Jobs, captured: &mut Captured, clock: &dyn Cloc
     }
 }
 
-/// What `systemctl status` shows.
+/// The line that `systemctl status` shows.
 fn one_line(status: &Status) -> String {
     let sensor = match (status.sensor.state, &status.sensor.port) {
         (SensorState::Streaming, Some(port)) => format!("streaming from {port}"),
         (state, _) => format!("{state:?}").to_lowercase(),
     };
     match &status.capture {
-        // Whole percents: systemd is not told every sample.
+        // Whole percents: systemd is not notified of every sample.
         Some(capture) => {
             let whole = capture.elapsed_s + capture.remaining_s;
             let percent = if whole > 0.0 { (100.0 * capture.elapsed_s / whole).floor() } else { 0.0 };

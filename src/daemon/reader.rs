@@ -1,15 +1,15 @@
-//! The reader's thread: the serial line is read by a thread and a runtime of its own, so that nothing that anybody asks of
-//! the daemon stands in its way.
+//! The reader's thread: a separate thread and runtime read the serial line, so that no request to the daemon delays it.
 
 use super::DaemonError;
 use crate::process::Priority;
 use std::future::Future;
 use tokio::sync::oneshot;
 
-/// Runs the capture task on a thread of its own, ahead of others if the system allows it. The answer comes when it has ended.
+/// Runs the capture task on a separate thread, ahead of others if the system allows it. The returned channel receives a
+/// message when it has ended.
 ///
 /// # Errors
-/// [`DaemonError::Reader`], if there can be no such thread or runtime.
+/// [`DaemonError::Reader`] if the thread or the runtime cannot be created.
 pub(super) fn start(task: impl Future<Output = ()> + Send + 'static) -> Result<oneshot::Receiver<()>, DaemonError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(DaemonError::Reader)?;
     let (ended, end) = oneshot::channel();
@@ -26,7 +26,7 @@ pub(super) fn start(task: impl Future<Output = ()> + Send + 'static) -> Result<o
             ),
         }
         runtime.block_on(task);
-        // Nobody waits for it if the daemon could not start.
+        // No one waits for it if the daemon could not start.
         let _ = ended.send(());
     };
     std::thread::Builder::new().name("reader".to_owned()).spawn(read).map_err(DaemonError::Reader)?;

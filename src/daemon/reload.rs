@@ -1,7 +1,8 @@
-//! Reload: what works by the configuration and can take another one while the daemon runs.
+//! Reload: applies a changed configuration to the parts that support it while the daemon runs.
 //!
-//! The log's level, the schedule and the limits of retention take effect at once: both tasks are ended and begun again, as
-//! a restart of the daemon would, and the capture does not notice. Every other key is named as one that waits for a restart.
+//! The log's level, the schedule and the limits of retention take effect at once: both tasks are ended and started
+//! again, as at a restart of the daemon, and the capture is unaffected. Every other changed key is reported as one that
+//! requires a restart.
 
 use super::{retention, schedule, session_options, watchdog};
 use crate::clock::{self, Clock};
@@ -17,7 +18,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-/// Runs retention and schedule by the configuration of now.
+/// Runs retention and schedule with the present configuration.
 #[derive(Debug)]
 pub(super) struct Reloading {
     pub(super) store: Store,
@@ -30,14 +31,14 @@ pub(super) struct Reloading {
 }
 
 impl Reloading {
-    /// Runs them until `stop`, and takes each configuration that comes as far as it can.
+    /// Runs them until `stop`, and applies each new configuration as far as possible.
     pub(super) async fn run(self, mut configuration: watch::Receiver<Config>, stop: CancellationToken) {
         let mut effective = configuration.borrow_and_update().clone();
         loop {
             let part = stop.child_token();
             let mut tasks = self.begin(&effective, &part);
             let next = loop {
-                // Once nobody can give another configuration, this one stays.
+                // Once no new configuration can arrive, this one stays.
                 tokio::select! {
                     Ok(()) = configuration.changed() => {}
                     () = stop.cancelled() => return,
@@ -93,10 +94,10 @@ impl Reloading {
     }
 }
 
-/// The present configuration with what can be taken of the wanted one.
+/// The present configuration with the applicable parts of the wanted one.
 ///
 /// # Errors
-/// Why the wanted one is wrong, or does not go with what needs a restart.
+/// The reason why the wanted one is invalid, or contradicts a part that requires a restart.
 fn taken(effective: &Config, wanted: &Config) -> Result<Config, String> {
     session_options(wanted).map_err(|error| error.to_string())?;
     let mut taken = effective.clone();
@@ -125,7 +126,7 @@ fn report(before: &Config, now: &Config, wanted: &Config) {
     }
 }
 
-/// The keys in which two configurations differ, with their sections, in the order of the alphabet.
+/// The keys in which two configurations differ, with their sections, in alphabetical order.
 fn differing(one: &Config, other: &Config) -> Vec<String> {
     let values = |config: &Config| serde_json::to_value(config).unwrap_or_default();
     let (values_of_one, values_of_other) = (values(one), values(other));
@@ -171,7 +172,7 @@ mod tests {
     fn what_is_wrong_or_does_not_go_with_what_stays_is_refused_as_a_whole() {
         let slow = read("[sensor]\nbaud = 9600\nrate-hz = 800.0");
         assert!(taken(&Config::default(), &slow).unwrap_err().contains("560000 bit/s"));
-        // The night would take the duration that only a restart takes.
+        // The night would use the duration that only a restart applies.
         let long = read("[capture]\nduration = \"30h\"");
         let nightly = read("[schedule]\nat = \"22:00\"");
         let refused = taken(&long, &nightly).unwrap_err();

@@ -1,4 +1,4 @@
-//! Retention's shell: asks what is to be deleted, says so, and deletes what is due.
+//! Retention's shell: determines what is to be deleted, announces it, and deletes what is due.
 
 use crate::clock::{Clock, rfc3339};
 use crate::config::Config;
@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// How often it looks: at most and at least so rarely.
+/// The shortest and the longest interval between looks.
 const EVERY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(60));
 /// Deletions that the status lists.
 const LISTED: usize = 100;
@@ -28,24 +28,24 @@ pub fn limits(config: &Config) -> Limits {
     }
 }
 
-/// What it works with.
+/// The parts that it works with.
 #[derive(Debug, Clone)]
 pub struct Retention {
     /// The captures.
     pub store: Store,
-    /// Who takes deleted rows away.
+    /// The workers that remove deleted rows.
     pub jobs: Jobs,
-    /// Who is told.
+    /// The recipient of notifications.
     pub tap: Tap,
-    /// The time.
+    /// The clock.
     pub clock: Arc<dyn Clock>,
     /// What may be kept.
     pub limits: Limits,
 }
 
 impl Retention {
-    /// Looks and deletes until `stop`; `status` hears what is planned. Without limits it looks once, to take back what
-    /// was announced under others.
+    /// Looks and deletes until `stop`; `status` receives the planned deletions. Without limits it looks once, to
+    /// withdraw what was announced under others.
     pub async fn run(self, status: watch::Sender<RetentionStatus>, stop: CancellationToken) {
         let every = (self.limits.notice / 4).clamp(EVERY.0, EVERY.1);
         let mut judge = Judge::default();
@@ -67,7 +67,7 @@ impl Retention {
             match self.store.offload(look).await {
                 Ok((judged, verdict, (planned, deleted))) => {
                     judge = judged;
-                    // Without limits no age matters.
+                    // Without limits ages are irrelevant.
                     let found = verdict.distrust.filter(|_| !self.limits.is_unlimited());
                     let distrust = found.map(|distrust| told(distrust, now.utc_ns));
                     if found != said {
@@ -94,7 +94,7 @@ impl Retention {
         }
     }
 
-    /// One look: answers what is planned, and how many were deleted.
+    /// Does one look; returns the planned deletions, and how many captures were deleted.
     fn look(
         &self,
         rows: &[RetentionRow],
@@ -128,7 +128,7 @@ impl Retention {
                 tracing::info!(capture = id, "it stays: the limits no longer ask for its deletion");
             }
         }
-        // Said only once it is written down: what is told holds after a restart.
+        // Announced only once it is written to the database: the announcement holds after a restart.
         let new: Vec<PlannedDeletion> = planned.iter().filter(|one| one.is_new).map(listed).collect();
         for one in &new {
             let PlannedDeletion { capture, name, reason, delete_at, bytes } = one;
@@ -144,7 +144,7 @@ impl Retention {
                     deleted += 1;
                     tracing::warn!(capture = one.id, reason = one.reason.name(), "deleted, as was announced");
                 }
-                // Pinned or deleted by somebody a moment ago: their word counts.
+                // Pinned or deleted by a user a moment ago: that takes precedence.
                 Err(StoreError::NotDeletable { .. } | StoreError::NoSuchCapture { .. }) => {}
                 Err(error) => return Err(error),
             }
@@ -156,7 +156,7 @@ impl Retention {
     }
 }
 
-/// Why the clock is not believed, for the status.
+/// The reason why the clock is distrusted, for the status.
 fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
     let now = rfc3339(now_utc_ns);
     let message = match distrust {
@@ -177,7 +177,7 @@ fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
     ClockDistrust { reason: distrust.name().to_owned(), message }
 }
 
-/// Says that the clock is not believed, or is again.
+/// Logs that the clock is distrusted, or trusted again.
 fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     match distrust {
         None => {
@@ -187,7 +187,7 @@ fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     }
 }
 
-/// A capture as the clock is judged by it.
+/// The facts about a capture by which the clock is judged.
 pub(super) fn candidate(row: &RetentionRow) -> Candidate {
     Candidate {
         id: row.id,
@@ -210,9 +210,9 @@ mod tests {
     const DAY_NS: i64 = 86_400_000_000_000;
     const NOW_NS: i64 = 1_800_000_000_000_000_000;
 
-    /// Retention by a clock that shows `wrong_ns`, over one capture of [`NOW_NS`] that is too old by the right one, for eight
-    /// looks and longer than its notice; then the clock is set to `right_ns`. Answers the captures left before that and what
-    /// the status says of the clock, and returns once there are none.
+    /// Runs retention with a clock that shows `wrong_ns`, over one capture of [`NOW_NS`] that is too old by the right
+    /// one, for eight looks and longer than its notice; then the clock is set to `right_ns`. Returns, once no capture
+    /// is left, the number of captures left before that and the status of the clock.
     async fn left_by(wrong_ns: i64, right_ns: i64) -> (usize, Option<String>) {
         let folder = tempfile::tempdir().unwrap();
         let made_by: Arc<dyn Clock> = Arc::new(ManualClock::new(NOW_NS));

@@ -1,7 +1,7 @@
-//! The schedule's shell: asks for each night's capture when its time has come.
+//! The schedule's shell: requests each night's capture when its time has come.
 //!
-//! A night's capture is known by its name: where that exists, the night is done, whoever made it and whatever became of it.
-//! So a restart starts no second one, and needs nothing written down.
+//! A night's capture is known by its name: if a capture of that name exists, the night is done, regardless of its
+//! origin and state. So a restart starts no second one, and no state has to be stored.
 
 use super::retention::candidate;
 use crate::clock::{Clock, rfc3339};
@@ -18,12 +18,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// At least so often it looks, by the daemon's clock: the civil clock may be set, and what was in the way may be gone.
+/// The longest interval between looks, by the daemon's clock: the civil clock may be set, and an obstacle may be gone.
 const EVERY: Duration = Duration::from_secs(60);
-/// No more often than this in real time, however fast the daemon's clock runs.
+/// The shortest interval in real time, however fast the daemon's clock runs.
 const SHORTEST: Duration = Duration::from_millis(250);
 
-/// The schedule of the configuration; `None` where there is none.
+/// The schedule of the configuration; `None` if there is none.
 #[must_use]
 pub fn schedule(config: &Config) -> Option<Schedule> {
     let schedule = &config.schedule;
@@ -35,28 +35,28 @@ pub fn schedule(config: &Config) -> Option<Schedule> {
     })
 }
 
-/// What it works with.
+/// The parts that it works with.
 #[derive(Debug, Clone)]
 pub struct Scheduler {
-    /// The captures there are.
+    /// The store with the captures.
     pub store: Store,
-    /// Who starts one.
+    /// The control that starts a capture.
     pub control: CaptureControl,
-    /// Who is told of a night that was skipped.
+    /// The recipient of notifications about skipped nights.
     pub tap: Tap,
-    /// The time.
+    /// The clock.
     pub clock: Arc<dyn Clock>,
-    /// By how many seconds local time is ahead of UTC at an instant in seconds of UTC.
+    /// The offset of local time from UTC, s, at an instant in seconds of UTC.
     pub zone: fn(i64) -> i64,
-    /// When.
+    /// The schedule.
     pub schedule: Schedule,
 }
 
-/// What is kept from one look to the next.
+/// The state between looks.
 #[derive(Debug, Default)]
 struct Course {
     judge: Judge,
-    /// The evening of the night that needs nothing any more.
+    /// The evening of the night that is done.
     done: Option<NaiveDate>,
     /// The night that should have begun.
     waiting: Option<Waiting>,
@@ -67,23 +67,23 @@ struct Course {
 struct Waiting {
     night: Night,
     why: Why,
-    /// That in words, as of the last look.
+    /// The reason as text, as of the last look.
     told: String,
 }
 
-/// Why a night has not begun.
+/// The reasons why a night has not begun.
 #[derive(Debug, PartialEq, Eq)]
 enum Why {
     /// The clock may be wrong.
     Clock(Doubt),
     /// This capture runs or waits.
     Busy(i64),
-    /// The database does not take it, in its words.
+    /// The database does not accept it; the error's message.
     Store(String),
 }
 
 impl Why {
-    /// A sentence for a person: the clock shows `now_utc_ns`.
+    /// A sentence for the user; the clock shows `now_utc_ns`.
     fn message(&self, now_utc_ns: i64) -> String {
         match self {
             Self::Clock(doubt) => doubt.message(now_utc_ns),
@@ -93,18 +93,18 @@ impl Why {
     }
 }
 
-/// What came of trying to begin a night.
+/// The outcome of an attempt to begin a night.
 enum Attempt {
-    /// Its capture is there.
+    /// Its capture exists.
     Done,
-    /// Not yet, and why.
+    /// It cannot begin yet, for this reason.
     Waits(Why),
     /// The daemon is ending.
     Stopping,
 }
 
 impl Scheduler {
-    /// Looks and starts until `stop`; `status` hears what comes next.
+    /// Looks and starts until `stop`; `status` receives the next night.
     pub async fn run(self, status: watch::Sender<Option<ScheduleStatus>>, stop: CancellationToken) {
         let mut course = Course::default();
         loop {
@@ -121,7 +121,7 @@ impl Scheduler {
         }
     }
 
-    /// One look: answers what the status shows, and how long nothing is to be done by the daemon's clock; `None` once the
+    /// Does one look; returns the status, and how long nothing is to be done by the daemon's clock. `None` once the
     /// daemon is ending.
     async fn look(&self, course: &mut Course) -> Option<(Option<ScheduleStatus>, Duration)> {
         let now = Moment {
@@ -133,7 +133,8 @@ impl Scheduler {
         if let Some(Waiting { night, told, .. }) =
             course.waiting.take_if(|waiting| nights.due.as_ref() != Some(&waiting.night))
         {
-            // Else the clock was set back before its hour and it may still come, or the zone has changed and it begins at another.
+            // Otherwise the clock was set back before its hour and it may still come, or the zone has changed and it
+            // begins at another time.
             let is_same = nights.due.as_ref().is_some_and(|due| due.date == night.date);
             if now.utc_ns >= night.start_utc_ns && !is_same {
                 tracing::warn!(night = night.name, "the night was skipped: {told}");
@@ -178,7 +179,7 @@ impl Scheduler {
         Some((next.map(|night| self.told(night, waits)), until_next.min(EVERY)))
     }
 
-    /// What the database says: how the clock is judged by its captures, and whether the night has one.
+    /// Reads from the database how its captures judge the clock, and whether the night has a capture.
     async fn ask_store(
         &self,
         due: Option<&Night>,
@@ -243,7 +244,7 @@ mod tests {
     const MINUTE_NS: i64 = 60_000_000_000;
     const HOUR: Duration = Duration::from_secs(3600);
 
-    /// A scheduler of `at = "22:00"`, `duration = "5h"` in UTC, and a keeper who answers what he is told to.
+    /// A scheduler of `at = "22:00"`, `duration = "5h"` in UTC, and a keeper with prescribed answers.
     struct World {
         scheduler: Scheduler,
         clock: Arc<ManualClock>,
@@ -329,7 +330,7 @@ mod tests {
         let asked = world.asked.lock().unwrap().clone();
         let (name, duration) = (Some(night("2027-01-15")), 5 * HOUR);
         assert_eq!(asked, [CaptureRequest { duration, name, start_at_utc_ns: None }]);
-        // What the next run of the daemon knows is in the database alone.
+        // Everything that the next run of the daemon knows is in the database.
         assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
         assert_eq!(world.asked().len(), 1);
     }
@@ -368,7 +369,7 @@ mod tests {
         world.clock.advance(5 * HOUR);
         assert_eq!(world.look(&mut course).await, (night("2027-01-16"), None));
         assert_eq!(world.asked(), vec![night("2027-01-15"); 3]);
-        // The next night finds the way free after a minute.
+        // The next night can begin after a minute.
         world.clock.advance(19 * HOUR);
         assert_eq!(world.look(&mut course).await.0, night("2027-01-16"));
         *world.refusal.lock().unwrap() = None;
@@ -385,7 +386,7 @@ mod tests {
         let (name, waits) = world.look(&mut course).await;
         assert_eq!(name, night("1970-01-01"));
         assert!(waits.unwrap().contains("so it was never set"));
-        // Set by a time server: the night that goes on begins late.
+        // Set by a time server: the night in progress begins late.
         world.clock.step_utc(START_NS + 10 * MINUTE_NS - world.clock.utc_ns());
         assert_eq!(world.look(&mut course).await, (night("2027-01-16"), None));
         assert_eq!(world.asked(), [night("2027-01-15")]);

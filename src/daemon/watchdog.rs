@@ -1,7 +1,8 @@
-//! Watchdog: tells systemd that all is well, but only while reader and writer both move.
+//! Watchdog: reports to systemd that all is well, but only while reader and writer both advance.
 //!
-//! A timer that always fires proves nothing. The reader's loop turns every 200 ms whatever the sensor does; the writer's
-//! turns every second at the latest. A watchdog whose counters stand still is not fed, and systemd restarts the daemon.
+//! A timer that always fires proves nothing. The reader's loop turns every 200 ms whatever the sensor does; the
+//! writer's turns every second at the latest. If one of the counters does not advance, the watchdog is not fed, and
+//! systemd restarts the daemon.
 
 use crate::store::Store;
 use std::sync::Arc;
@@ -9,17 +10,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
-/// The writer turns every second: a shorter look would take its rest for a standstill.
+/// The writer turns every second: with a shorter interval its rest would count as a standstill.
 const LEAST: Duration = Duration::from_secs(2);
 
-/// Decides whether to feed. Pure.
+/// Decides whether to feed the watchdog. Pure.
 #[derive(Debug, Default)]
 pub struct Judge {
     last: Option<(u64, u64)>,
 }
 
 impl Judge {
-    /// Whether both counters have moved since the last call (the first call is content).
+    /// Whether both counters have advanced since the last call (the first call returns `true`).
     pub fn is_alive(&mut self, reader: u64, writer: u64) -> bool {
         let alive = self.last.is_none_or(|(last_reader, last_writer)| reader != last_reader && writer != last_writer);
         self.last = Some((reader, writer));
@@ -27,9 +28,8 @@ impl Judge {
     }
 }
 
-/// Feeds systemd's watchdog four times in its interval, so that a writer that stands still is noticed within 1.25
-/// intervals; returns at once where there is none. `reader` counts the turns of the
-/// reader's loop.
+/// Feeds systemd's watchdog four times per interval, so that a stalled writer is noticed within 1.25 intervals; returns
+/// at once if there is no watchdog. `reader` counts the turns of the reader's loop.
 pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken) {
     let Some(interval) = sd_notify::watchdog_enabled() else { return };
     let mut judge = Judge::default();
@@ -46,7 +46,7 @@ pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken)
     }
 }
 
-/// Tells systemd; without systemd nothing happens.
+/// Notifies systemd; without systemd nothing happens.
 pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::debug!(%error, "systemd was not told");

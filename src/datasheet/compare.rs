@@ -1,4 +1,4 @@
-//! The comparison: per channel the density and the Allan minimum beside what is printed, with a verdict.
+//! The comparison: per channel the density and the Allan minimum beside the printed figures, with a verdict.
 
 use super::{Datasheet, Figures, FilterWindows, RateError, Sampling};
 use crate::noise::NoiseReport;
@@ -37,21 +37,21 @@ impl Verdict {
     }
 }
 
-/// What a capture shows of one channel, in the channel's unit.
+/// The measured values of one channel, in the channel's unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Measured {
-    /// Noise density N with its 95 % interval; `None` where it is not identified.
+    /// Noise density N with its 95 % interval; `None` if it is not identified.
     pub density: Option<(f64, [f64; 2])>,
     /// Lowest Allan deviation and its averaging time in s, with the lower end of its 68 % interval.
     pub minimum: Option<(f64, f64, f64)>,
-    /// How long the sensor was at rest, s; `None` where that is not known.
+    /// How long the sensor was at rest, s; `None` if that is not known.
     pub at_rest_s: Option<f64>,
     /// Whether it moved all the time.
     pub not_at_rest: bool,
 }
 
 impl Measured {
-    /// What a report says of a channel.
+    /// A report's values for a channel.
     #[must_use]
     pub fn of(report: &NoiseReport, channel: Channel) -> Self {
         let n = report.channels.get(&channel).map(|found| &found.n);
@@ -161,7 +161,8 @@ pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channe
     Comparison { name: sheet.name.clone(), source: sheet.source.clone(), sampling, channels: channels.collect() }
 }
 
-/// Compares all that a report says with a datasheet; `windows` are the sensor's filter windows (register 85), where they are known.
+/// Compares all channels of a report with a datasheet; `windows` are the sensor's filter windows (register 85), if they are
+/// known.
 ///
 /// # Errors
 /// [`RateError`] if a sensor of this datasheet does not send at the report's rate.
@@ -212,12 +213,12 @@ fn density<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64)
     })
 }
 
-/// A lowest point counts where the record is so many times its averaging time: a deviation is told up to about a fifth of a record (five
-/// degrees of freedom), and one within the last two octaves of that may go on falling.
+/// A lowest point counts if the record is this many times its averaging time. A deviation is determined up to about a fifth of a
+/// record (five degrees of freedom), and one within the last two octaves of that may go on falling.
 const TELLING: f64 = 16.0;
 
-/// How long a record has to be for a verdict on `limit`, s: until white noise alone has come down to half its variance, but at least twice
-/// as long as this one tells. The lowest deviation counts as white noise where the density is not known.
+/// How long a record has to be for a verdict on `limit`, s: until white noise alone has come down to half its variance, but at
+/// least twice as long as this record determines. The lowest deviation counts as white noise if the density is not known.
 fn needed(measured: &Measured, limit: f64) -> f64 {
     let (minimum, tau_s, _) = measured.minimum.unwrap_or_default();
     let white = measured.density.map_or(minimum * minimum * tau_s, |(n, _)| n * n);
@@ -326,7 +327,7 @@ mod tests {
             let long = verdict(Channel::GyroX, Measured { at_rest_s, ..told }, 800.0).bias_stability.unwrap();
             assert_eq!((long.verdict, long.needed_s), (Verdict::Above, None));
         }
-        // What is within the limit already stays so.
+        // A value within the limit already stays within it.
         let quiet = Measured { minimum: Some((1e-6, 12.8, 0.9e-6)), ..told };
         assert_eq!(verdict(Channel::GyroX, quiet, 800.0).bias_stability.unwrap().verdict, Verdict::Within);
     }

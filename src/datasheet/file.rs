@@ -1,7 +1,7 @@
-//! Datasheets of other sensors, as a TOML file says them.
+//! Datasheets of other sensors, from a TOML file.
 //!
 //! `name`, and tables `gyro`, `accel`, `mag` with at most one noise density and one bias stability each, in a unit that the key
-//! names. A table `sampling` says how the sensor makes its samples, if it averages and decimates; without it the density is
+//! names. A table `sampling` states how the sensor makes its samples, if it averages and decimates; without it the density is
 //! expected in the output as it stands. docs/noise-model.md has the keys.
 
 use super::{Datasheet, Figures, Sampled};
@@ -12,16 +12,16 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use std::num::NonZeroU32;
 
-/// Why a datasheet's file cannot be taken.
+/// The reason why a datasheet's file is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
-    /// It is no TOML, or has keys that there are not.
+    /// It is not TOML, or has unknown keys.
     #[error("{file} is no datasheet: {reason}")]
     Form {
         /// The file.
         file: String,
-        /// What the reader says, with line, key and what is allowed.
+        /// The reader's error, with line, key and the values allowed.
         reason: String,
     },
     /// A figure is not above 0.
@@ -109,7 +109,7 @@ fn internal_rate<'a, D: Deserializer<'a>>(from: D) -> Result<f64, D::Error> {
     (rate_hz > 0.0 && rate_hz <= 1e6).then_some(rate_hz).ok_or_else(wrong)
 }
 
-/// A key, what it says, the factor to the unit of the channel, and the unit as people write it.
+/// A key, its value, the factor to the unit of the channel, and the unit as people write it.
 type Key = (&'static str, Option<f64>, f64, &'static str);
 
 const G: f64 = STANDARD_GRAVITY_M_S2;
@@ -118,7 +118,7 @@ impl Datasheet {
     /// A datasheet from the text of a TOML file; `file` is its name in errors.
     ///
     /// # Errors
-    /// [`FileError`] with the file, the key, and what is allowed.
+    /// [`FileError`] with the file, the key, and the values allowed.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, FileError> {
         let form = |reason: String| FileError::Form { file: file.to_owned(), reason };
         let sheet: Sheet = toml::from_str(text).map_err(|error| form(error.to_string()))?;
@@ -206,7 +206,7 @@ fn figures<D: Dimension>(densities: &[Key], stabilities: &[Key], file: &str) -> 
     Ok(Figures { density, density_limit: density, bias_stability, printed })
 }
 
-/// The one key that says something: its value in the channel's unit, and as it is written.
+/// The one key that is given: its value in the channel's unit, and as it is written.
 fn one(keys: &[Key], file: &str) -> Result<Option<(f64, String)>, FileError> {
     let mut found: Option<(&Key, f64)> = None;
     for key in keys {

@@ -1,12 +1,13 @@
-//! Datasheets: what a maker promises, and what a capture shows, compared like with like.
+//! Datasheets: a maker's figures, compared with a capture in the same terms.
 //!
-//! Bias stability "in run" is the lowest point of the Allan deviation, so that is what it is compared with, not B. Noise
-//! density is the sensor's own, before its filter window and the choice of every n-th sample; what these make of it is
+//! Bias stability "in run" is the lowest point of the Allan deviation, so that it is compared with that point, not with B. Noise
+//! density is the sensor's own, before its filter window and the choice of every n-th sample. The effect of these two is
 //! predicted ([`Sampling`]) and stands beside the measurement.
 //!
-//! Which spectral density a maker prints is not said. A printed density D is compared with N as "ARW = 60·D" takes it: two-sided,
-//! as N is. Read as one-sided it is N = D/√2, which is the reading that predicts D·√(800/2W) for the deviation of one sample. For the gyroscope at 40 Hz and the factory's window the prediction is 1.37e-4 or
-//! 9.7e-5 rad/s/√Hz, 8.6e-4 or 6.1e-4 rad/s of a sample. Verdicts go by the larger; both stand in the comparison.
+//! Makers do not state which spectral density they print. A printed density D is compared with N as "ARW = 60·D" takes it:
+//! two-sided, as N is. Read as one-sided it is N = D/√2, which is the reading that predicts D·√(800/2W) for the deviation of one
+//! sample. For the gyroscope at 40 Hz and the factory's window the prediction is 1.37e-4 or 9.7e-5 rad/s/√Hz, 8.6e-4 or 6.1e-4
+//! rad/s of a sample. Verdicts go by the larger; both stand in the comparison.
 //!
 //! The VN-100's is built in; those of other sensors are read from a file ([`Datasheet::from_toml`]).
 //!
@@ -27,23 +28,23 @@ pub use vn100::vn_100;
 
 use crate::units::{Acceleration, AngularRate, Density, Dimension, MagneticField, Quantity};
 
-/// What a datasheet says of one triad.
+/// A datasheet's figures for one triad.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figures<D: Dimension> {
-    /// White noise of the sensor itself; `None` where none is given.
+    /// White noise of the sensor itself; `None` if none is given.
     pub density: Option<Density<D>>,
     /// The density is printed with so many digits: the largest that rounds to it.
     pub density_limit: Option<Density<D>>,
-    /// Bias stability in run, the limit; `None` where none is given.
+    /// Bias stability in run, the limit; `None` if none is given.
     pub bias_stability: Option<Quantity<D>>,
     /// As the sheet prints density and stability.
     pub printed: (String, String),
 }
 
-/// How a sensor makes its samples of what its datasheet's density is of.
+/// How a sensor makes its samples from the noise to which its datasheet's density refers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sampled {
-    /// As a VN-100: register 85 tells the windows, else they are the factory's.
+    /// As a VN-100: register 85 gives the windows, else they are the factory's.
     Register85,
     /// By means of that many samples of an internal rate; the magnetometer sends as it samples.
     Told {
@@ -73,13 +74,13 @@ pub struct Datasheet {
     pub mag: Option<Figures<MagneticField>>,
 }
 
-/// Why a datasheet was not found.
+/// The reason why a datasheet was not found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no datasheet is called `{found}`: there is {known}")]
 pub struct DatasheetError {
-    /// What was asked for.
+    /// The name that was asked for.
     pub found: String,
-    /// What there is.
+    /// The known names.
     pub known: &'static str,
 }
 
@@ -99,7 +100,7 @@ pub struct RateError {
 }
 
 impl Datasheet {
-    /// The sampling of a capture at `rate_hz`; `windows` as its register 85 tells them, if the sensor has one.
+    /// The sampling of a capture at `rate_hz`; `windows` as its register 85 gives them, if the sensor has one.
     ///
     /// # Errors
     /// [`RateError`] if a sensor of this datasheet does not send at that rate.

@@ -1,4 +1,4 @@
-//! Sampling: what the sensor's filter window and the choice of every n-th sample do to a white noise density.
+//! Sampling: the effect of the sensor's filter window and the choice of every n-th sample on a white noise density.
 //!
 //! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
 //! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
@@ -7,8 +7,8 @@ use crate::noise::whittle::{self, density_factor};
 use crate::sample::Triad;
 use crate::units::IMU_RATE_HZ;
 
-/// Rate at which the magnetometer is taken to sample, Hz. No document tells it; a unit's 200 Hz output without averaging has 1.7e-3
-/// to 2.4e-3 gauss, where 140 µgauss/√Hz at 200 Hz makes 2.0e-3 and at 800 Hz 4.0e-3.
+/// Rate at which the magnetometer is taken to sample, Hz. No document gives it. A unit's 200 Hz output without averaging has
+/// 1.7e-3 to 2.4e-3 gauss, where 140 µgauss/√Hz at 200 Hz makes 2.0e-3 and at 800 Hz 4.0e-3.
 const MAG_RATE_HZ: f64 = 200.0;
 
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ impl FilterWindows {
         register_85.or_else(|| stated().map(Self::stated))
     }
 
-    /// The windows as a person states them. Nobody states one for the magnetometer.
+    /// The windows as a user states them. There is no such statement for the magnetometer.
     #[must_use]
     pub fn stated(window: u32) -> Self {
         Self { mag: 0, accel: window, gyro: window }
@@ -65,7 +65,7 @@ pub struct Sampling {
 }
 
 impl Sampling {
-    /// The sampling of a capture at `rate_hz`; windows as its register 85 tells them, else the factory's.
+    /// The sampling of a capture at `rate_hz`; windows as its register 85 gives them, else the factory's.
     #[must_use]
     pub fn new(rate_hz: f64, windows: Option<FilterWindows>) -> Self {
         Self {
@@ -89,7 +89,8 @@ impl Sampling {
             Triad::Attitude => 1,
         };
         let own_rate_hz = if triad == Triad::Mag { self.mag_rate_hz } else { self.internal_rate_hz };
-        // A VN-100 sends no other rates than whole parts of its own, but for the magnetometer's, which is inferred.
+        // A VN-100 sends at no rates other than its own divided by whole numbers. The exception is the magnetometer,
+        // whose rate is inferred.
         let nearest = || (own_rate_hz / self.rate_hz).round().clamp(1.0, 1e5) as u32;
         density_factor(window, every(own_rate_hz, self.rate_hz).unwrap_or_else(nearest))
     }
@@ -100,7 +101,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// A datasheet was compared at the factory's windows, whatever had been stated.
+    /// A datasheet was compared at the factory's windows, for any stated window.
     #[test]
     fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
         let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });

@@ -1,4 +1,4 @@
-//! Augmented: the model with its parameters corrected and what was found.
+//! Augments a model: corrects its parameters and adds the effects that were found.
 
 use super::course::Course;
 use super::diagnose::{Findings, Found};
@@ -17,7 +17,7 @@ fn spread(of: &Findings, level: usize) -> Option<f64> {
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
-/// Takes noise that is shared, of a standard deviation a sample, off a channel's N.
+/// Subtracts shared noise, of a given standard deviation per sample, from a channel's N.
 fn without_shared(channel: &mut ChannelModel, sigma: f64, internal_hz: f64) {
     let own = |n: f64| (n * n - sigma * sigma / internal_hz).max(0.0).sqrt();
     let known = channel.interval("N");
@@ -27,16 +27,17 @@ fn without_shared(channel: &mut ChannelModel, sigma: f64, internal_hz: f64) {
     }
 }
 
-/// The model with what was found; on channels where something `remains` with its density as well, as far as it is louder.
+/// The model with the effects that were found. On channels on which something `remains`, the model also receives the density of
+/// what remains, as far as that density is louder than the model's.
 pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remains: &BTreeSet<Channel>) -> SensorModel {
     let mut model = sim.clone();
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     for of in &found.channels {
         let Some(channel) = model.channels.get_mut(&of.prepared.channel) else { continue };
         let level = |index: usize| (0.5 * of.explanation.law.levels[index]).exp() * of.prepared.scale;
-        // The law's level is an average; the model's N is that where nothing changes the variance.
+        // The law's level is an average; the model's N is the level at times when nothing changes the variance.
         channel.n = level(0) / of.average_variance.sqrt() / (0.5 * of.prepared.white_shift).exp();
-        // Levels that are nowhere seen are none.
+        // A level that is identified on no channel is set to 0.
         let seen = |index: usize| of.explanation.law.levels[index] > [-30.0, -20.0, -34.0][index];
         channel.b = if seen(1) { level(1) } else { 0.0 };
         channel.k = if seen(2) { level(2) } else { 0.0 };
@@ -49,7 +50,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
             }
         }
         let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
-        // The law's white noise has what the model shares with other channels in it.
+        // The law's white noise includes the noise that the model shares with other channels.
         let is_common = |effect: &Arc<dyn Effect>| effect.name() == "common_mode";
         let is_off = own().any(|one| one.declared.as_ref().is_some_and(|(_, of)| is_common(of)));
         let shared = channel.effects.iter().filter(|effect| is_common(effect) && !is_off);
@@ -57,7 +58,8 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
         sigmas.into_iter().for_each(|sigma| without_shared(channel, sigma, internal_hz));
         for one in own().filter(|one| one.sense != Sense::Superfluous) {
             if one.effect.name() == "common_mode" {
-                // The first of all channels have one source, the second another: earlier sources are not this channel's.
+                // The first shared noise of all channels has one source, the second another: earlier sources are not this
+                // channel's.
                 let with = |shared: &Shared| {
                     shared.parts.iter().any(|(index, _)| found.channels[*index].prepared.channel == one.channel)
                 };
@@ -77,7 +79,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
             let density = of.nameless.iter().map(|(hz, density)| (*hz, density * square)).collect();
             channel.push_effect(Arc::new(SpectralNoise { density, level: Vec::new() }), &[]);
         }
-        // Removes what the model states wrongly, the last first, so that places stay valid.
+        // Removes the effects that the model states wrongly, the last first, so that places stay valid.
         let gone: BTreeSet<usize> = own().filter_map(|one| Some(one.declared.as_ref()?.0)).collect();
         gone.into_iter().rev().for_each(|place| drop(channel.remove_effect(place)));
         // Limits and the values that are sent lie where they do, and what shifts the level shifts it from somewhere.
@@ -91,7 +93,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
     model
 }
 
-/// What a ramp adds on average beside the course that stands for it, U: the one begins at 0, the other's mean is 0.
+/// The mean of a ramp beside the course that stands for it, U: the ramp begins at 0, the course's mean is 0.
 fn before_ramp(of: &Findings) -> f64 {
     let ramps = of.explanation.courses.iter().filter(|(course, _)| *course == Course::Ramp);
     0.5 * of.prepared.scale * ramps.map(|(_, factor)| factor).sum::<f64>()

@@ -1,4 +1,4 @@
-//! Bands: in which frequencies the likelihood of what was found is gained.
+//! Bands: the frequencies in which what was found gains likelihood.
 
 use super::course::Course;
 use super::evidence::Kind;
@@ -9,32 +9,32 @@ use super::search::Step;
 use super::series::Series;
 use std::collections::BTreeMap;
 
-/// A band in which a series is likelier with something than without it.
+/// A band in which the effect raises the likelihood of a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Band {
     /// Its ends.
     pub(super) hz: [f64; 2],
     /// Nats gained in it.
     pub(super) nats: f64,
-    /// Whether the series is louder there than without it.
+    /// Whether the series is louder in the band than without the effect.
     pub(super) is_louder: bool,
 }
 
 /// The bands of what was found on a channel.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Bands {
-    /// Of spectral effects and of courses of the level.
+    /// The bands of spectral effects and of courses of the level.
     pub(super) kinds: BTreeMap<Kind, Band>,
-    /// Of N, B and K against the model's values.
+    /// The bands of N, B and K against the model's values.
     pub(super) levels: [Option<Band>; 3],
 }
 
-/// A band holds this part of what its effect gains.
+/// A band holds this part of the gain of its effect.
 const HELD: f64 = 0.9;
 
 impl Bands {
-    /// Of an explained series. `declared`: the model's courses; `held`: the law fitted with N, B or K held at the model's value;
-    /// `free`: with none held.
+    /// The bands of an explained series. `declared`: the model's courses; `held`: the law fitted with N, B or K held at the
+    /// model's value; `free`: with none held.
     pub(super) fn of(
         series: &Series<'_>,
         steps: &[Step],
@@ -43,14 +43,14 @@ impl Bands {
         held: &[Fitted; 3],
     ) -> Self {
         let terms = &series.explanation.law.terms;
-        // Where an effect acts, all else as it is.
+        // The gain of an effect, with everything else unchanged.
         let whole = &series.fitted.logarithms;
         let of_term = |place: usize| {
             let mut law = series.explanation.law.clone();
             let term = law.terms.remove(place);
             Some((kind_of(term.shape), likelier(series, whole, &law.logarithms(series.data()))?))
         };
-        // What is otherwise than in the model, against the model's.
+        // The difference from the model, against the model's own terms.
         let of_model = |step: &Step| {
             let (place, sense) = step.of_model?;
             let mut law = series.explanation.law.clone();
@@ -121,7 +121,7 @@ fn hz(series: &Series<'_>, coefficient: usize) -> f64 {
     coefficient as f64 * series.setting().rate_hz / (2.0 * series.len() as f64)
 }
 
-/// The fewest neighbours with a part of the largest sum that neighbours have; none where all lose.
+/// The fewest neighbours with a part of the largest sum that neighbours have; none if all lose.
 fn shortest_with(gains: &[f64], part: f64) -> Option<[usize; 2]> {
     let (mut best, mut span) = (0.0, None);
     let (mut sum, mut start) = (0.0, 0);

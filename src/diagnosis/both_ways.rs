@@ -1,4 +1,5 @@
-//! Both ways: what the model has and the sensor lacks, or has otherwise, is reported as what the model lacks is.
+//! Both directions: an effect that the model has and the sensor lacks, or has with other numbers, is reported in the
+//! same way as an effect that the model lacks.
 
 use super::report::{Cause, Sense};
 use super::round_trip::{model, recording};
@@ -16,7 +17,7 @@ fn brief(causes: &[Cause]) -> Vec<(&'static str, Sense, String)> {
     causes.iter().map(|of| (of.effect, of.sense, of.channels.join(","))).collect()
 }
 
-/// The corrected model explains the record: nothing is missing in it and nothing too much.
+/// The corrected model explains the record: it lacks no effect and has no surplus effect.
 fn is_mended(outcome: &Outcome, sensor: Option<&Value>, seed: u64) -> bool {
     let again = recording(&model(sensor), seed, SAMPLES);
     let found = diagnose(&again, &outcome.augmented, &Options::default()).unwrap().diagnosis;
@@ -179,7 +180,7 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
         let mut effect = declared.clone();
         effect[parameter] = value.clone();
         let name = effect["effect"].as_str().unwrap();
-        // More than the model says, and less.
+        // The sensor has more of the effect than the model states, and less.
         for (own, stated) in [(&effect, &declared), (&declared, &effect)] {
             let outcome = compared(Some(own), Some(stated), seed);
             let found = &outcome.diagnosis;
@@ -198,7 +199,7 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// What the sensor lacks does not hide in N, and what the model adds to a level is no offset.
+/// An effect that the sensor lacks does not hide in N, and the model's addition to a level does not become an offset.
 #[test]
 fn what_is_too_much_leaves_n_and_the_level_alone() {
     for sigma in [0.006, 0.04, 0.6] {
@@ -210,7 +211,7 @@ fn what_is_too_much_leaves_n_and_the_level_alone() {
             assert!((of.n / 2e-3 - 1.0).abs() < 0.02, "{sigma}: {}", of.n);
         }
     }
-    // At a temperature far from the one that the model refers to.
+    // The temperature is far from the one to which the model refers.
     let quieter = json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 10.0});
     let outcome = compared(None, Some(&quieter), 302);
     assert_eq!(brief(&outcome.diagnosis.causes).len(), 1, "{:#?}", outcome.diagnosis.causes);
@@ -243,7 +244,7 @@ fn the_nearest_is_what_the_model_has_elsewhere() {
     assert_eq!(lacked.model["accel_x"]["frequency_hz"], 5.0, "{found:#?}");
 }
 
-/// A model may state more than a record can be asked about.
+/// A model may state more effects than a record can test.
 #[test]
 fn a_variance_by_temperature_of_a_record_without_one_is_taken_as_stated() {
     let quieter = json!({"effect": "variance_change", "per_c": 0.1, "reference_c": 25.0});
@@ -266,7 +267,7 @@ fn a_model_of_thousands_of_steps_and_bands_decides_neither_time_nor_memory() {
     assert!(found.causes.is_empty(), "{:#?}", found.causes);
 }
 
-/// A level that follows the temperature otherwise than along a line is the model's own as well, with its mean.
+/// A level that follows the temperature other than along a line is the model's own as well, with its mean.
 #[test]
 fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
     for (further, seed) in [("per_c2", 61), ("play_c", 62), ("per_c_per_s", 63)] {

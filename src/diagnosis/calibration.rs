@@ -1,4 +1,4 @@
-//! Calibration: records of a model's noise alone, of a record's own length, and what a diagnosis finds in them by chance.
+//! Calibration: records of a model's noise alone, of a record's own length, and the chance findings of a diagnosis in them.
 
 use super::diagnose::Workers;
 use super::error::DiagnosisError;
@@ -18,7 +18,7 @@ use std::sync::{Mutex, PoisonError};
 /// Records that a calibration makes.
 pub const RECORDS: usize = 300;
 
-/// What is imitated.
+/// The model that is imitated.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Nulls {
@@ -28,13 +28,13 @@ pub struct Nulls {
     pub rate_hz: f64,
     /// N, B and K of each channel, in its unit.
     pub levels: Vec<[f64; 3]>,
-    /// The temperature at each sample, °C, where it is measured.
+    /// The temperature at each sample, °C, if it is measured.
     pub temperature_c: Option<Vec<f64>>,
-    /// Of the first record.
+    /// The seed of the first record.
     pub seed: u64,
 }
 
-/// What chance made of one pair of channels.
+/// The result of chance for one pair of channels.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Chance {
@@ -88,10 +88,10 @@ impl Nulls {
         (real, model)
     }
 
-    /// What chance makes of the `index`th record.
+    /// The result of chance for the `index`th record.
     ///
     /// # Errors
-    /// [`DiagnosisError`] for a length or levels of which nothing can be said.
+    /// [`DiagnosisError`] for a length or for levels that the diagnosis cannot handle.
     pub fn chance(&self, index: usize) -> Result<Chance, DiagnosisError> {
         if self.levels.is_empty() {
             return Err(DiagnosisError::Model("no channel has an N, so that there is no noise to simulate".to_owned()));
@@ -106,12 +106,12 @@ impl Nulls {
             let setting = ready.setting(prepared, &base);
             let start = Explanation::noise(prepared.declared.clone());
             let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), start);
-            // What is not even looked at closely gives nothing.
+            // A candidate that is not examined has a gain of 0.
             let mut gains: BTreeMap<Kind, f64> = Kind::ALL.into_iter().map(|kind| (kind, 0.0)).collect();
             for candidate in evidence::all_and_conditional(&mut series) {
                 gains.insert(candidate.kind, candidate.gain);
             }
-            // A loud stretch is one or the other.
+            // A loud stretch is a burst or an interval of another variance.
             let loud = gains[&Kind::Bursts].max(gains[&Kind::VarianceInterval]);
             gains.insert(Kind::Bursts, loud);
             gains.insert(Kind::VarianceInterval, loud);
@@ -137,10 +137,11 @@ impl Nulls {
         Ok(self.chances(records, workers, each)?.map(|all| tails(&all, self.samples)))
     }
 
-    /// What chance makes of so many records; `each` is told how many are done and says whether to go on.
+    /// The tails of chance in so many records. `each` receives the number of records that are done and returns whether
+    /// to continue.
     ///
     /// # Errors
-    /// [`DiagnosisError`] of a record; `Ok(None)` where it was stopped.
+    /// [`DiagnosisError`] of a record; `Ok(None)` if the calibration was stopped.
     pub fn chances(
         &self,
         records: usize,
@@ -171,7 +172,8 @@ impl Nulls {
     }
 }
 
-/// The tails of what chance made; of what says nothing (a value that is always 0) those of the shipped table.
+/// The tails of the chance values. A statistic without information (its value is always 0) takes its tail from the
+/// shipped table.
 #[must_use]
 pub fn tails(all: &[Chance], samples: usize) -> Tails {
     let mut tails = Tails::shipped(samples);

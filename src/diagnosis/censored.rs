@@ -1,11 +1,11 @@
-//! Censored: samples at a limit, of which the law says only that they lie beyond it.
+//! Censored samples: samples at a limit. The law knows only that their values lie beyond the limit.
 
 use super::filling::stream;
 use super::series::Series;
 use crate::effects::Stream;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Random streams of what is drawn: one a purpose, so that no two look alike.
+/// Random streams of the draws: one per purpose, so that no two are alike.
 const BEYOND: u16 = 1;
 const TRUNCATED: u16 = 4;
 
@@ -17,13 +17,13 @@ const FAR: f64 = 4.5;
 pub(super) struct Censored {
     /// Which.
     pub(super) place: usize,
-    /// The limit, less what is explained of the sample beside the noise.
+    /// The limit, less the explained part of the sample beside the noise.
     pub(super) bound: f64,
     /// 1 for an upper limit, −1 for a lower one.
     pub(super) sign: f64,
 }
 
-/// The samples among `places` (in order) that are at a limit; `rest`: the samples less what is explained.
+/// The samples among `places` (in order) that are at a limit; `rest`: the samples less the explained part.
 pub(super) fn at_limits(places: &[usize], samples: &[f64], rest: &[f64], limits: [Option<f64>; 2]) -> Vec<Censored> {
     let is = |place: usize, limit: f64| (samples[place] - limit).abs() < 1e-9 * limit.abs().max(1.0);
     let of = |place: &usize| {
@@ -54,14 +54,16 @@ impl Series<'_> {
         }
     }
 
-    /// Draws the samples at a limit from the law's distribution of them given all others and that they lie beyond it, by Gibbs
-    /// sampling (Geweke 1991, Computing Science and Statistics 23): one after the other given all else, several times over.
+    /// Draws the samples at a limit from their distribution under the law, given all other samples and given that they lie beyond
+    /// the limit. The method is Gibbs sampling (Geweke 1991, Computing Science and Statistics 23): each sample is drawn given all
+    /// others, in several sweeps.
     ///
     /// The law's precision matrix is that of a cosine transform's: a function of the distance, reflected at the ends.
     pub(super) fn draw_censored(&mut self) {
         const SWEEPS: usize = 12;
         const REACH: usize = 1024;
-        /// Pairs of samples that a sweep looks at, about: where very many are cut off only near ones are.
+        /// Approximate number of pairs of samples that a sweep uses. If very many samples are cut off, it uses only
+        /// near pairs.
         const PAIRS: usize = 40_000_000;
         /// Part of the kernel's sum of absolute values that may be left out.
         const LEFT: f64 = 1e-3;
@@ -91,7 +93,7 @@ impl Series<'_> {
                 let spread = precision.sqrt().recip();
                 let mean = now - gradient[own] / precision;
                 if sign * (bound - mean) > FAR * spread {
-                    // Given all others it is not beyond the limit: it is the others' turn to move.
+                    // Given all others, this sample is not beyond the limit: the other samples have to move first.
                     continue;
                 }
                 let drawn = truncated(&mut stream, [mean, spread], bound, sign);

@@ -1,4 +1,5 @@
-//! Cliffs: what lies just beyond the sizes that models and records usually have is named as well, and nothing in its place.
+//! Cliffs: effects just beyond the usual sizes of models and records are named as well, and no other effect is named in their
+//! place.
 
 use super::report::Cause;
 use super::round_trip::{RATE_HZ, model, recording};
@@ -19,13 +20,13 @@ pub(super) fn names(outcome: &Outcome) -> Vec<&'static str> {
     outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
 }
 
-/// What a cause has on a channel, one after the other.
+/// The effects of a cause on a channel, one after the other.
 pub(super) fn list(cause: &Cause, channel: &str) -> Vec<Value> {
     let of = cause.parameters.get(channel);
     of.map_or(Vec::new(), |of| of.as_array().cloned().unwrap_or_else(|| vec![of.clone()]))
 }
 
-/// Collects what goes wrong in several cases, so that a failure shows all of it.
+/// Collects the failures of several cases, so that a failing test shows all of them.
 #[derive(Debug, Default)]
 pub(super) struct Wrong(Vec<String>);
 
@@ -124,7 +125,7 @@ fn what_goes_to_and_fro_between_two_levels_is_no_chain_of_steps() {
     wrong.none();
 }
 
-/// What is slow and large would hide in B and K of the half that is learned from.
+/// A slow and large effect would hide in B and K of the half that is learned from.
 #[test]
 fn what_a_slow_effect_closes_is_a_number() {
     let mut wrong = Wrong::default();
@@ -144,7 +145,7 @@ fn what_a_slow_effect_closes_is_a_number() {
             wrong.expect(right, || format!("{effect}, seed {seed}: {closed:?} {:?}", names(&found)));
         }
     }
-    // Parameters alone close nothing: there is nothing to close.
+    // A correction of parameters alone closes no gap, because there is no gap to close.
     for seed in 85..88 {
         let mut sim = model(None);
         sim.channels.values_mut().for_each(|of| (of.n, of.b) = (0.8 * of.n, 1.3 * of.b));
@@ -182,7 +183,7 @@ fn a_corrected_model_of_limits_and_steps_stands_at_the_records_level() {
                     |value: &&f64| [-9.8 - 1.2 * WHITE, 0.3 + WHITE].iter().any(|limit| (*value - limit).abs() < 1e-9);
                 of.values(channel).unwrap().iter().filter(at).count() as f64 / 20_000.0
             };
-            // Slow noise of its own moves each by about a tenth.
+            // Independent slow noise moves each channel by about a tenth.
             let right = (mean(&real) - mean(&again)).abs() < 0.3 * WHITE && (share(&real) - share(&again)).abs() < 0.05;
             wrong.expect(right, || {
                 let [from, to] = [mean(&real), mean(&again)];
@@ -205,7 +206,8 @@ fn amplitude_of(real: &Recording, channel: Channel, frequency_hz: f64) -> f64 {
     2.0 * f64::hypot(cosine, sine) / values.len() as f64
 }
 
-/// The model has a tone in front of the filters, the record behind them: whichever of the two states the filter.
+/// The model has a tone in front of the filters, the record has it behind them. The filter may be stated by either of
+/// the two.
 #[test]
 fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
     let mut wrong = Wrong::default();
@@ -268,7 +270,7 @@ fn a_tone_of_a_few_periods_is_a_tone() {
     wrong.none();
 }
 
-/// What goes up and down with each sample is the fastest tone there is.
+/// A sine that alternates with each sample is the fastest possible tone.
 #[test]
 fn a_pattern_of_odd_and_even_samples_is_a_tone() {
     for seed in 105..107 {
@@ -282,7 +284,7 @@ fn a_pattern_of_odd_and_even_samples_is_a_tone() {
     }
 }
 
-/// Slow noise has no periods, whatever the model says of it.
+/// Slow noise has no periods, whatever the model states about it.
 #[test]
 fn slow_noise_alone_is_no_slow_tone() {
     let mut wrong = Wrong::default();
@@ -299,7 +301,7 @@ fn slow_noise_alone_is_no_slow_tone() {
     wrong.none();
 }
 
-/// Where a filter lets nothing pass no one can tell how large a tone was in front of it.
+/// If a filter passes nothing, the size of a tone in front of the filter cannot be determined.
 #[test]
 fn a_tone_that_a_filter_hardly_lets_pass_has_no_interval() {
     let filter = json!({"effect": "moving_average", "window": 4});

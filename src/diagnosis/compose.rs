@@ -1,4 +1,4 @@
-//! Composition: what was found becomes a verdict, a report and a corrected model.
+//! Composition: the findings become a verdict, a report and a corrected model.
 
 use super::augmented::augmented;
 use super::confidence::Surroundings;
@@ -24,13 +24,13 @@ use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// A statistic that is this rare in noise alone, all of them counted, is no chance.
+/// If a statistic is this rare in noise alone, with all statistics counted, it is not attributed to chance.
 const REMAINS: f64 = 0.005;
-/// The same on a channel of which nothing was named while others have their causes.
+/// The same limit on a channel without a named effect, if other channels have named causes.
 const REMAINS_ELSEWHERE: f64 = 1e-4;
-/// A parameter is off from so many standard errors on.
+/// A parameter is off if it differs by at least this many standard errors.
 const OFF: f64 = 4.0;
-/// And from this part of itself on, of a rate in 10⁴.
+/// And if it differs by at least this part of its value; for a rate, in parts of 10⁴.
 const RATE_OFF: f64 = 1e-4;
 
 pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Outcome {
@@ -99,17 +99,17 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     Outcome { diagnosis, augmented, residuals: Vec::new() }
 }
 
-/// What remains.
+/// The remainder.
 struct Remains {
     worst: Option<(Channel, Statistic)>,
     p_value: f64,
     /// Where.
     channels: BTreeSet<Channel>,
-    /// The rarest statistic of each channel where something does: its value and its chance.
+    /// The rarest statistic of each channel on which something remains: its value and its chance.
     rarest: BTreeMap<Channel, (f64, f64)>,
 }
 
-/// Where something remains, and how much of it.
+/// The places where something remains, and how much of it.
 fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
     let of_odd =
         odd.iter().map(|(channel, of)| Remnant { channel: *channel, nats: of.nats, p_value: (-of.nats).exp() });
@@ -143,14 +143,15 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             .iter()
             .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
             || step.is_some_and(|step| step > 0.6 * of.white);
-        // What the model has come and go does so otherwise in every record; a band whose level changes does not move.
+        // An effect of the model that comes and goes does so differently in every record; a band whose level changes
+        // does not move.
         let changes = of.prepared.changes;
         let swells = own.iter().any(|one| one.effect.name() == "modulated_band");
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
-            // On a lattice the value in the middle is met most.
+            // On a lattice, the value in the middle is the most frequent.
             let lattice = step.is_some() && *statistic == Statistic::Atom;
-            // Steps wider than the noise, and what was cut on one side, are skewed by themselves.
+            // Steps wider than the noise, and values that were cut on one side, are skewed without another effect.
             let coarse = step.is_some_and(|step| step > 1.2 * of.white);
             let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
             let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
@@ -177,7 +178,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
     Remains { worst, p_value, channels, rarest }
 }
 
-/// What the values and stamps show that no effect does, each with a channel that it is on.
+/// The oddities that the values and stamps show and that no effect explains, each with the channel on which it occurs.
 fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
     let mut all = Vec::new();
     for of in &found.channels {
@@ -193,7 +194,8 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
     all
 }
 
-/// Codes that are left out. A channel that something moves by steps and more has another distribution of codes than noise has.
+/// Codes that are left out. If something moves a channel by steps or otherwise, its distribution of codes differs from that of
+/// noise.
 fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
     const STILL: [&str; 3] = ["resolution", "timing", "common_mode"];
     const MOVING: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
@@ -208,7 +210,7 @@ fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity>
     oddities::of_codes(&there.map(|(_, value)| *value).collect::<Vec<f64>>(), step)
 }
 
-/// A slope that no power law has.
+/// A slope that differs from those of the power laws.
 fn odd_slope(of: &Findings) -> Option<Oddity> {
     let exponent = |term: &Term| matches!(term.shape, Shape::Slope(_)).then(|| term.numbers.get(1).copied()).flatten();
     let exponents = of.explanation.law.terms.iter().filter_map(exponent);
@@ -221,8 +223,8 @@ fn odd_slope(of: &Findings) -> Option<Oddity> {
     Some(Oddity { what, nats })
 }
 
-/// ln of the square of N as `noise` finds it, of a law and what its model has besides: the plateau of the spectrum in terms of
-/// the model's N, its own effects and rounding included ([`plateau`]).
+/// ln of the square of N as `noise` finds it, of a law and its model's other noise: the plateau of the spectrum in terms of the
+/// model's N, its own effects and rounding included ([`plateau`]).
 fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
     let Prepared { channel, scale, white_shift, step, ref has, ref samples, .. } = of.prepared;
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz)).powi(2);
@@ -240,12 +242,12 @@ fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
     ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
 }
 
-/// Whether the noise was louder or quieter for a while: the noise room's N is of all of it.
+/// Whether the noise was louder or quieter for a while: the N of `noise` is that of the whole record.
 fn changes(of: &Findings) -> bool {
     of.louder != 1.0 || of.explanation.loud.len() > of.prepared.loud.len()
 }
 
-/// Whether something acts at low frequencies besides B and K, which the noise room has in B and K.
+/// Whether an effect besides B and K acts at low frequencies. `noise` counts such an effect in B and K.
 fn is_slow(of: &Findings) -> bool {
     let law = &of.explanation.law;
     let slow = |shape: &Shape| matches!(shape, Shape::GaussMarkov | Shape::QuantizationNoise | Shape::Slope(_));
@@ -254,9 +256,10 @@ fn is_slow(of: &Findings) -> bool {
 
 /// N, B, K and bias that are off.
 ///
-/// They are off if the law says so, in which effects have their part, and if their owner agrees ([`Owned`]): N is that of `noise`,
-/// the plateau of the spectrum with what channels share, what lies behind a filter and the skirts of bands. If `noise` has no N,
-/// it is the plateau of the law. B and K are the law's, which has slow effects beside them, where `noise` does not contradict.
+/// A parameter is off if two conditions hold. The law reports it, with the effects taken into account, and its owner agrees
+/// ([`Owned`]). N is the N of `noise`: the plateau of the spectrum, including noise that channels share, noise behind a filter
+/// and the skirts of bands. If `noise` has no N, it is the plateau of the law. B and K are the law's, which has slow effects
+/// beside them, if `noise` does not contradict them.
 fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
     let mut off = Vec::new();
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
@@ -269,7 +272,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
             one.channel == of.prepared.channel && one.declared.is_some() && one.effect.name() == "common_mode"
         });
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
-            // The model's own value does as well.
+            // The model's own value is as good.
             let share = if level == 0 { of.prepared.share } else { 1.0 };
             let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
             if (does_as_well && level > 0) || (level == 0 && is_shared) {
@@ -287,7 +290,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
                 let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
                 (end(0.0), [end(-1.0), end(1.0)])
             });
-            // If the law cannot tell N from all else that it has, what `noise` has counts alone.
+            // If the law cannot separate N from its other terms, the value of `noise` counts alone.
             if does_as_well && (by_law.is_some() || share < 1.0) {
                 continue;
             }
@@ -295,19 +298,20 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
                 owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
             let found = match (own[level], by_law) {
-                // A step wider than the noise adds no twelfth of its square: `noise` does not look behind it.
+                // A step wider than the noise does not add a twelfth of its square: `noise` does not look behind the
+                // step.
                 (Some(Known { value: Some(value), ends }), _) if level == 0 && share == 1.0 && !changes(of) => {
                     Some((value / folded, ends.map(|end| end / folded)))
                 }
                 (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,
-                // The law shows none of it: it is below what the record could show.
+                // The law does not show the parameter: it is below the resolution of the record.
                 (Some(Known { value: None, ends }), None) if level > 0 && !is_slow(of) => Some((0.0, ends)),
                 _ => by_law,
             };
             let Some((capture, [low, high])) = found else { continue };
             let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
             let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
-            // Told with an interval or a limit that reaches the capture's, it is not off.
+            // A parameter that is stated with an interval or a limit is not off if that reaches the capture's value.
             let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
             let within = known.is_some_and(|[least, most]| low <= most && high >= least);
             let is_off = if capture > 0.0 { apart > OFF * spread } else { told > high };
@@ -334,7 +338,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     off
 }
 
-/// The parameters of effects by channel, a list where a channel has several.
+/// The parameters of effects by channel, a list if a channel has several.
 fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
     let mut lists: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     for (channel, effect) in effects {
@@ -394,7 +398,7 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
     causes.into_iter().map(|(_, cause)| cause).collect()
 }
 
-/// What was worth its price as well, at some step, and was not named.
+/// Includes the effects that were worth their price at some step and were not named.
 fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
     let mut best: BTreeMap<&'static str, (f64, f64, Kind, Vec<String>)> = BTreeMap::new();
     for of in &found.channels {

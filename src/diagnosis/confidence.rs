@@ -1,8 +1,8 @@
-//! Confidence: how often a cause of its kind was right among sealed cases of the wide trial (docs/validation.md).
+//! Confidence: how often causes of a given kind were right in sealed cases of the wide trial (docs/validation.md).
 //!
-//! The search knows by how many nats a cause leads over the next best reading. What it cannot know is what is outside the
-//! library: that shows in what remains beside a cause, in how small its part of the gap is, and in how few independent values a
-//! narrow band has, which a line that wanders or comes and goes has as well.
+//! The search knows by how many nats a cause leads over the next best reading. It cannot know about effects outside the library.
+//! Such effects show in three ways: in what remains beside a cause, in a small share of the gap, and in few independent values of
+//! a narrow band. A line that wanders or comes and goes also has few independent values.
 
 use super::report::{Cause, Of, Place};
 use crate::sample::Channel;
@@ -10,7 +10,7 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
-/// The part of causes that were right of those that make a large part of the gap and beside which nothing remains.
+/// The share of right causes among those that make a large part of the gap and beside which nothing remains.
 const RIGHT_LARGE: f64 = 0.98;
 /// The same of those that make a smaller part.
 const RIGHT_SMALLER: f64 = 0.93;
@@ -18,7 +18,7 @@ const RIGHT_SMALLER: f64 = 0.93;
 const RIGHT_SMALL: f64 = 0.85;
 /// The same of narrow bands.
 const RIGHT_NARROW: f64 = 0.75;
-/// The same of those on a channel on which something remains.
+/// The same for causes on a channel on which something remains.
 const RIGHT_BESIDE: f64 = 0.5;
 /// Parts of the gap.
 const LARGE: f64 = 0.1;
@@ -26,11 +26,11 @@ const SMALL: f64 = 0.01;
 /// Independent values of a band, below which it is narrow.
 const NARROW: f64 = 120.0;
 
-/// What a cause is judged by besides its lead.
+/// The evidence by which a cause is judged besides its lead.
 #[derive(Debug)]
 pub(super) struct Surroundings<'a> {
     pub(super) places: &'a [Place],
-    /// Channels on which something remains.
+    /// The channels on which something remains.
     pub(super) remains: &'a BTreeSet<Channel>,
     pub(super) length_s: f64,
 }

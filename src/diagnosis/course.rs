@@ -19,13 +19,13 @@ pub enum Course {
     Follows(Follow),
 }
 
-/// How a level may follow the temperature otherwise than along a straight line ([`crate::effects::TemperatureBias`]).
+/// How a level may follow the temperature other than along a straight line ([`crate::effects::TemperatureBias`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Follow {
     /// Its square, °C².
     Square,
-    /// With play of so many °C: it stays while the temperature is within half of that from it (a backlash; Visintin 1994, Differential
-    /// Models of Hysteresis, section III.2).
+    /// With play of so many °C: it stays while the temperature is within half of that from it (a backlash; Visintin
+    /// 1994, Differential Models of Hysteresis, section III.2).
     Play(f64),
     /// The rate at which it changes behind a lag of so many samples, °C a sample
     /// ([`crate::effects::TemperatureBias::per_c_per_s`]).
@@ -67,7 +67,7 @@ impl Follow {
     }
 }
 
-/// What courses need to know of a record.
+/// The data about a record that courses need.
 #[derive(Debug, Clone)]
 pub struct Courses {
     samples: usize,
@@ -75,16 +75,16 @@ pub struct Courses {
     ramp: Vec<f64>,
     /// The temperature about the reference, °C, and its transform.
     temperature: Option<(Vec<f64>, Vec<f64>)>,
-    /// Transforms of what else may follow it.
+    /// Transforms of the other courses that may follow it.
     follows: OnceLock<Vec<(Follow, Vec<f64>)>>,
-    /// Of [`Follow::Rate`], samples.
+    /// The lag of [`Follow::Rate`], samples.
     lag: f64,
     /// Step in which the temperature was read, °C; 0 if none is seen.
     reading_c: f64,
 }
 
 impl Courses {
-    /// Coefficients that are looked at: courses are slow.
+    /// Coefficients that are used: courses are slow.
     pub const KEPT: usize = 4096;
 
     /// For records as long as the transform's; `temperature` is the sensor's at every sample about some reference, °C, if it
@@ -117,7 +117,8 @@ impl Courses {
         self.reading_c
     }
 
-    /// How a level may follow this record's temperature, where it moves enough to tell.
+    /// The ways in which a level may follow this record's temperature; empty if the temperature moves too little to
+    /// distinguish them.
     #[must_use]
     pub fn ways(&self) -> Vec<Follow> {
         const LEAST_C: f64 = 0.5;

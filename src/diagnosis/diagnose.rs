@@ -1,4 +1,5 @@
-//! The diagnosis of a whole record: every channel explained, what they share, what is off, what remains.
+//! The diagnosis of a whole record: explains every channel, and finds the shared effects, the parameters that are off,
+//! and the remainder.
 
 use super::bands::Bands;
 use super::declared::courses::{self, Off};
@@ -30,9 +31,9 @@ use crate::simulator::SensorModel;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
-/// Who does the work: several channels may be looked at at a time.
+/// The scheduler of the work: several channels may be examined at a time.
 pub trait Workers: Sync {
-    /// Calls `work` once with each number below `count`; where it leaves some out the diagnosis is called off.
+    /// Calls `work` once with each number below `count`. If it leaves some numbers out, the diagnosis is cancelled.
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
 }
 
@@ -47,27 +48,28 @@ impl Workers for Alone {
     }
 }
 
-/// What a diagnosis is told besides record and model.
+/// The inputs of a diagnosis besides record and model.
 #[derive(Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out over its default")]
 pub struct Options<'a> {
     /// The program and its version.
     pub software: &'a str,
-    /// What the recording is called.
+    /// The name of the recording.
     pub real: &'a str,
-    /// What the model is called.
+    /// The name of the model.
     pub sim: &'a str,
     /// The part of records of noise alone in which an effect may be named by chance.
     pub level: f64,
-    /// Who does the work.
+    /// The scheduler of the work.
     pub workers: &'a dyn Workers,
-    /// Part of the gap above which what remains makes the verdict `unknown_effect`.
+    /// Part of the gap above which the remainder makes the verdict `unknown_effect`.
     pub unknown_above: f64,
-    /// Names of the effects to look for; none is all.
+    /// Names of the effects to look for; an empty list means all effects.
     pub effects: Option<&'a [&'static str]>,
-    /// Whether the model's B and K are believed to be about right; else they are fitted as if nothing were known of them.
+    /// Whether the model's B and K are believed to be about right. If not, they are fitted without prior knowledge.
     pub believed: bool,
-    /// What chance makes in records of this length ([`super::calibration`]); without them those of the shipped table.
+    /// The distribution of chance in records of this length ([`super::calibration`]); without it, that of the shipped
+    /// table.
     pub tails: Option<&'a Tails>,
 }
 
@@ -106,19 +108,19 @@ impl Default for Options<'_> {
     }
 }
 
-/// What a diagnosis gives.
+/// The result of a diagnosis.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Outcome {
     /// The report.
     pub diagnosis: Diagnosis,
-    /// The model with its parameters corrected and what it lacked added.
+    /// The model with its parameters corrected and the missing effects added.
     pub augmented: SensorModel,
-    /// What a record of a known motion shows beyond the model, for pictures; empty of one at rest.
+    /// The part of a record of a known motion beyond the model, for pictures; empty for a record at rest.
     pub residuals: Vec<Residuals>,
 }
 
-/// What was found on a channel.
+/// The findings on a channel.
 #[derive(Debug)]
 pub(super) struct Findings {
     pub(super) prepared: Prepared,
@@ -126,35 +128,35 @@ pub(super) struct Findings {
     pub(super) steps: Vec<Step>,
     /// The law with effects, its levels free of beliefs.
     pub(super) fitted: Fitted,
-    /// Nats lost where N, B or K is held at the model's value and all else is fitted again.
+    /// Nats lost if N, B or K is held at the model's value and all other numbers are fitted again.
     pub(super) held: [f64; 3],
-    /// In which frequencies what was found is gained.
+    /// The frequencies in which the effects gain likelihood.
     pub(super) bands: Bands,
-    /// The density of what is louder than everything found: points in Hz and the series' scale squared a Hz.
+    /// The density of what is louder than everything found: points in Hz and the series' scale squared per Hz.
     pub(super) nameless: Vec<(f64, f64)>,
     /// Bands whose level changes.
     pub(super) levels: Vec<Levels>,
-    /// Where everything found still fails.
+    /// The tiles of time and frequency in which the residual still differs from the law.
     pub(super) after: Tiles,
     pub(super) statistics: Vec<(Statistic, f64)>,
     pub(super) scores: Scores,
     /// Standard deviation of the white part, U per sample.
     pub(super) white: f64,
-    /// The record's mean without what is explained of it, U.
+    /// The record's mean without the explained part, U.
     pub(super) level: f64,
-    /// The white part's mean variance over that where nothing changes it.
+    /// The white part's mean variance over its variance at times when nothing changes it.
     pub(super) average_variance: f64,
-    /// The same over what the model says of it.
+    /// The same ratio over the ratio that the model states.
     pub(super) louder: f64,
     /// Standard errors of the explanation.
     pub(super) spread: Spread,
     /// The model's lines as the channel has them.
     pub(super) lines: Vec<MeasuredLine>,
-    /// The model's drifts, steps and changes of variance that it has otherwise.
+    /// The model's drifts, steps and changes of variance that the channel has with other numbers.
     pub(super) off: Vec<Off>,
 }
 
-/// What was found in a record.
+/// The findings in a record.
 #[derive(Debug)]
 pub(super) struct Found {
     pub(super) channels: Vec<Findings>,
@@ -169,7 +171,7 @@ pub(super) struct Found {
 /// Compares a record with a model.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
+/// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
 pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
     let zeros = zero_rows::rows(real);
     let real = &*zero_rows::without(real, &zeros);
@@ -213,7 +215,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     Ok(outcome)
 }
 
-/// Everything about one channel.
+/// The complete result for one channel.
 fn explain(
     ready: &Ready,
     sim: &SensorModel,
@@ -280,7 +282,7 @@ fn explain(
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
     let statistics = omnibus::statistics(&mut series);
-    // The model's lines have its amplitudes, but those that the channel has otherwise.
+    // The model's lines have the model's amplitudes, except those that the channel has with other amplitudes.
     let mut known = known;
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
     known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));

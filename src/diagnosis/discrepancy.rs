@@ -1,4 +1,4 @@
-//! Discrepancy: how large the gap is, before and after, on the half of the record that chose no number.
+//! Discrepancy: the size of the gap, before and after, on the half of the record from which no number was fitted.
 
 use super::diagnose::{Findings, Found};
 use super::holdout::BLOCKS;
@@ -6,7 +6,7 @@ use super::named::Named;
 use super::report::Discrepancy;
 use crate::effects::{Stream, StreamId};
 
-/// How much is explained, on the half that chose no number.
+/// The explained part, on the half from which no number was fitted.
 pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepancy {
     const DRAWS: usize = 1000;
     let channels = found.channels.len().max(1) as f64;
@@ -15,7 +15,7 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
         (0..BLOCKS).map(|block| found.channels.iter().map(|of| which(of)[block]).sum::<f64>()).collect()
     };
     let common = named.iter().any(|of| of.effect.name() == "common_mode");
-    // What correlation gives is the same in every block.
+    // The gain from correlation is the same in every block.
     let shared: f64 = found.shared.iter().filter(|_| common).map(|shared| shared.gain).sum();
     let more = 0.5 * shared / BLOCKS as f64;
     let declared = blocks(|of| &of.scores.declared);
@@ -28,7 +28,7 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
         of.iter().zip(&ceiling).enumerate().map(|(block, (own, best))| weights(block) * (best - own)).sum()
     };
     let one = |_: usize| 1.0;
-    // `lost`: nats that the first half's numbers, which are not exact, lose on the second.
+    // `lost`: nats that the first half's numbers lose on the second half because they are not exact.
     let ratio = |weights: &dyn Fn(usize) -> f64, lost: f64| {
         let (before, after) = (gap(&parameters, weights), gap(&effects, weights));
         (before - after + lost) / (before - floor_nats)

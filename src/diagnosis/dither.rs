@@ -1,4 +1,4 @@
-//! Dither: white noise that is added to samples, and that the law knows.
+//! Dither: white noise that is added to samples, and that the law includes.
 
 use super::filling::stream;
 use super::prepare::{Prepared, scale_of};
@@ -6,16 +6,18 @@ use super::prepare::{Prepared, scale_of};
 /// Random stream of the noise that is added.
 const DITHER: u16 = 6;
 
-/// Adds as much white noise to samples as those that are left out, or the ends, hide behind a filter with a zero; `there`: the samples
-/// that are there, U, `white`: the declared deviation of the white noise before filters, U.
+/// Adds as much white noise to samples as those that are left out, or the ends, hide behind a filter with a zero;
+/// `there`: the samples that are there, U, `white`: the declared deviation of the white noise before filters, U.
 ///
-/// A zero as x⁴ about half the rate, known down to a density q, is q^¼ wide. A sample that is left out has an error of its own at all
-/// frequencies, so that of m runs of them in n samples nothing is known of a density below about (m/n)⁴: neither which it is, nor what
-/// belongs in place of the samples. Noise that is known to be there takes both questions away. The ends of a record, which the transform
-/// mirrors, ask them too, of filters that let next to nothing pass over a good part of the band.
+/// A filter's zero that goes as x⁴ near half the rate, known down to a density q, is q^¼ wide. A sample that is left out has an
+/// independent error at all frequencies. With m runs of such samples in n samples, the record therefore shows nothing of a
+/// density below about (m/n)⁴: neither its value, nor what belongs in place of the samples. Added noise of known density removes
+/// both questions. The ends of a record, which the transform mirrors, raise the same questions for filters that pass almost
+/// nothing over a good part of the band.
 pub(super) fn dither(of: &mut Prepared, there: &[f64], white: f64) {
     const TIMES: f64 = 10.0;
-    /// Below the least what belongs in place of the samples is too far from what is seen of them for numbers.
+    /// Below the least, the values in place of the samples are too far from the visible values for floating-point
+    /// numbers.
     const SHARES: [f64; 2] = [1e-4, 1e-2];
     const BLOCK: usize = 8;
     /// The ends of a record on which all samples are there are known to this part of the noise before filters.

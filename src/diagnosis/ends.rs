@@ -1,17 +1,18 @@
-//! Ends: what a narrow band or quantization noise does at the ends of a record that the transform does not allow.
+//! Ends: the part of a narrow band or of quantization noise at the ends of a record that the transform does not
+//! represent.
 
 use super::law::{Shape, Term};
 use super::series::Series;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::{PI, TAU};
 
-/// Bands that forget within fewer samples than 1 over this do nothing at the ends that matters.
+/// Bands that forget within fewer samples than 1 over this have no material effect at the ends.
 const WIDEST: f64 = 0.3;
-/// Correlation times after which nothing is left.
+/// Correlation times after which no correlation is left.
 const FORGOTTEN: f64 = 8.0;
 
-/// What of a term is odd about a record's first end, and the variance of it, in the series' scale: e^(−γ(t + ½))·sin(ω(t + ½)) of a band; of
-/// quantization noise, which is u_t − u_(t−1), what u was before the first sample.
+/// The part of a term that is odd about a record's first end, and its variance, in the series' scale: e^(−γ(t + ½))·sin(ω(t + ½))
+/// for a band. Quantization noise is u_t − u_(t−1), and its odd part is the u before the first sample.
 fn odd_part(term: &Term, rate_hz: f64, samples: usize) -> Option<(Vec<f64>, f64)> {
     if term.shape == Shape::QuantizationNoise {
         return term.numbers.first().map(|level| (vec![1.0], level.exp() * rate_hz * rate_hz));
@@ -36,19 +37,20 @@ impl Series<'_> {
         terms.filter(|term| matches!(term.shape, Shape::Resonance | Shape::QuantizationNoise))
     }
 
-    /// Takes off the rest what narrow bands and quantization noise do at the ends of the record and the law does not allow.
+    /// Subtracts from the rest the part of narrow bands and quantization noise at the ends of the record that the law does not
+    /// represent.
     ///
-    /// The cosine transform continues a record by its mirror image. A stationary process whose autocovariance is c has
-    /// c(s − t) between samples s and t of it; the law of the transform's coefficients has c(s − t) + c(s + t + 1) at the first
-    /// end, and its mirror image at the last. Of a band, c(s + t + 1) is σ²·e^(−γ(s + t + 1))·cos ω(s + t + 1): the product of its even
-    /// part about the end at s and at t less that of its odd part. The law lacks the odd part, which is as large
-    /// as the even one; a strong band's looks like a burst at the end, or like a filter. Of quantization noise, c(1) is −σ²,
-    /// and the odd part is the first sample alone. The most probable course of the odd parts, given the rest, is what is taken off.
+    /// The cosine transform continues a record by its mirror image. A stationary process whose autocovariance is c has c(s − t)
+    /// between samples s and t of it; the law of the transform's coefficients has c(s − t) + c(s + t + 1) at the first end, and
+    /// its mirror image at the last. For a band, c(s + t + 1) is σ²·e^(−γ(s + t + 1))·cos ω(s + t + 1): the product of its even
+    /// part about the end at s and at t less that of its odd part. The law lacks the odd part, which is as large as the even one;
+    /// a strong band's looks like a burst at the end, or like a filter. For quantization noise, c(1) is −σ², and the odd part is
+    /// the first sample alone. The most probable course of the odd parts, given the rest, is what is taken off.
     pub(super) fn take_ends_off(&mut self) {
         let n = self.len();
         let rate_hz = self.setting().rate_hz;
         let parts: Vec<(Vec<f64>, f64)> = self.odd_terms().filter_map(|term| odd_part(term, rate_hz, n)).collect();
-        // Of what lies behind a filter it is not known precisely enough where that lets next to nothing pass.
+        // If a band lies behind a filter that passes almost nothing there, its course is not known precisely enough.
         if parts.is_empty() || self.spectrum.len() != n || self.filters().is_some() {
             return;
         }

@@ -1,20 +1,21 @@
-//! Equaliser: what makes a record whose white noise changes with time one whose white noise is even.
+//! Equaliser: turns a record whose white noise changes with time into one whose white noise is even.
 
 use super::filling::stream;
 use super::series::Series;
 use super::transform::Cosines;
 
-/// The random stream of what is drawn.
+/// The random stream of the draws.
 const DRAWN: u16 = 7;
 
-/// A record x is the sum of white noise w, whose variance v changes with time, and of the rest s, of spectrum S. Given x, both are
-/// drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380): of draws s' and w' from their laws, s is
-/// s' + C(C + V)⁻¹(x − s' − w') with C the covariance of S and V that of w. Then s + w/√v has the spectrum S + 1, exactly: everything
-/// that asks for the same noise all the time may be asked of it. A filter that acts behind the white noise cannot be undone
-/// so, and is left as it is.
+/// A record x is the sum of white noise w, whose variance v changes with time, and of the rest s, of spectrum S. Given x, both
+/// are drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380). With draws s' and w' from their
+/// laws, s is s' + C(C + V)⁻¹(x − s' − w'); C is the covariance of S and V that of w. Then s + w/√v has the spectrum S + 1,
+/// exactly. Every method that requires the same noise throughout may therefore be applied to it. A filter that acts behind the
+/// white noise cannot be undone in this way, and is left as it is.
 #[derive(Debug, Clone)]
 pub(super) struct Equaliser {
-    /// Standard deviation of the white noise at each sample; [`Equaliser::UNKNOWN`] times the largest where nothing is known.
+    /// Standard deviation of the white noise at each sample; [`Equaliser::UNKNOWN`] times the largest for samples without
+    /// information.
     deviation: Vec<f64>,
     /// The same where the variance is 1.
     white: f64,
@@ -25,10 +26,11 @@ pub(super) struct Equaliser {
 }
 
 impl Equaliser {
-    /// Standard deviations of what is not known, over the largest.
+    /// Standard deviations of unknown samples, over the largest.
     const UNKNOWN: f64 = 1e3;
 
-    /// What becomes of values of the record; white noise as a multiple of its own deviation, at `white`. None if they were not found.
+    /// The values of the record with even white noise; `white` is its standard deviation as a multiple of the noise's own. None
+    /// if the solver found no solution.
     pub(super) fn apply(&self, transform: &mut Cosines, values: &[f64]) -> Option<Vec<f64>> {
         let solution = self.solve(transform, values, None)?;
         Some(self.even(transform, values, &solution))
@@ -63,14 +65,15 @@ impl Equaliser {
         image
     }
 
-    /// (C + V)⁻¹ times values, from near it where something is known.
+    /// (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
     /// Conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
     fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
         const ROUNDS: usize = 100;
-        /// Samples that all rounds together transform.
+        /// The number of samples that all rounds together transform.
         const WORK: usize = 60_000_000;
-        /// Parts of the values' own square, as the residual's: one that is none any more, and the largest that may be left.
+        /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest that may be
+        /// left.
         const ENOUGH: f64 = 1e-8;
         const MOST: f64 = 1e-4;
         let n = values.len();
@@ -119,8 +122,8 @@ impl Equaliser {
 }
 
 impl Series<'_> {
-    /// Whether the law is about as high as the record where it is white: a filter that is not known yet would be drawn apart from the
-    /// white noise, until nothing of that is left.
+    /// Whether the law is about as high as the record where the record is white. A filter that is not known yet would be drawn
+    /// apart from the white noise, until no white noise is left.
     fn law_is_even(&self) -> bool {
         const BANDS: usize = 8;
         /// Of the record over the law.
@@ -164,14 +167,14 @@ impl Series<'_> {
         for place in self.excluded() {
             deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
         }
-        // A constant is no noise that would be divided.
+        // A constant is not noise, and is not divided.
         let weights = deviation.iter().map(|own| 1.0 / (own * own));
         let (sum, all) = self.rest.iter().zip(weights).fold((0.0, 0.0), |(sum, all), (x, w)| (sum + w * x, all + w));
         let mean = sum / all;
         self.mean += mean;
         self.rest.iter_mut().for_each(|value| *value -= mean);
         let mut rest: Vec<f64> = self.spectrum.iter().map(|s| (s - white * white).max(0.0)).collect();
-        // Nothing is known of the mean.
+        // The mean is unknown.
         rest[0] = rest[1];
         let mut equaliser = Equaliser { deviation, white, rest, solution: Vec::new() };
         let mut stream = stream(n, self.setting().owner, DRAWN);

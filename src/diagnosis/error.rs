@@ -1,6 +1,6 @@
-//! Why a diagnosis was refused.
+//! The reasons why a diagnosis is refused.
 
-/// Why nothing can be said of a record and a model.
+/// The reasons why a record and a model cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DiagnosisError {
@@ -9,7 +9,7 @@ pub enum DiagnosisError {
     MissingChannel {
         /// The channel.
         channel: String,
-        /// Those there are.
+        /// The channels of the recording.
         found: String,
     },
     /// The rates differ.
@@ -38,7 +38,7 @@ pub enum DiagnosisError {
         /// Its value.
         value: f64,
     },
-    /// A channel has a value that is no number.
+    /// A channel has a value that is not a number.
     #[error("{channel} has {value} at sample {index}; mark the sample as missing or leave it out")]
     NotFinite {
         /// The channel.
@@ -93,7 +93,7 @@ pub enum DiagnosisError {
     /// A triad's answer cannot be fitted.
     #[error("the answer to the motion cannot be fitted: {0}")]
     Response(#[from] super::response::ResponseError),
-    /// Whoever works on it left a channel out: nobody wants it any more.
+    /// The caller that works on it left a channel out, because the result is no longer wanted.
     #[error("the diagnosis was called off")]
     CalledOff,
     /// The model cannot be simulated at this rate.

@@ -1,4 +1,4 @@
-//! Explanation: what makes a series, as far as it is known.
+//! Explanation: the known effects and the noise of a series.
 
 use super::course::Course;
 use super::law::Law;
@@ -33,18 +33,18 @@ impl Sine {
     }
 }
 
-/// Whether a sine goes up and down from sample to sample as far as a record can tell: it has no phase then.
+/// Whether a sine alternates from sample to sample, as far as a record can resolve. Such a sine has no phase.
 pub(super) fn alternates(cycles: f64, samples: usize) -> bool {
     const NEAR: f64 = 0.25;
     (0.5 - cycles) * (samples as f64) < NEAR
 }
 
-/// What a sum of products with a cosine or a sine is to be multiplied by for their factor.
+/// The factor by which a sum of products with a cosine or a sine is multiplied.
 pub(super) fn per_product(cycles: f64, samples: usize) -> f64 {
     if alternates(cycles, samples) { 1.0 / samples as f64 } else { 2.0 / samples as f64 }
 }
 
-/// Calls with cosine and sine of 2π·cycles·t for each t; a rotation that is set anew often enough to be exact.
+/// Calls with cosine and sine of 2π·cycles·t for each t. The rotation is reset often enough to be exact.
 pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f64, f64)) {
     const RUN: usize = 256;
     let (step_sine, step_cosine) = (std::f64::consts::TAU * cycles).sin_cos();
@@ -59,7 +59,7 @@ pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f
     }
 }
 
-/// From this ratio of variances on a stretch says nothing about the noise: it is excluded.
+/// A stretch with at least this ratio of variances carries no information about the noise: it is excluded.
 pub(super) const LOUD: f64 = 4.0;
 
 /// A factor on the white part's standard deviation inside a range of samples.
@@ -78,8 +78,8 @@ impl Loud {
     pub(super) fn gain(&self) -> f64 {
         0.5 * (self.to - self.from) as f64 * (self.ratio - 1.0 - self.ratio.ln())
     }
-    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet. `bursts`: where the model has bursts,
-    /// however long.
+    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet. `bursts`: the intervals of the
+    /// model's bursts, of any length.
     #[must_use]
     pub fn is_interval(&self, samples: usize, bursts: &[Range<usize>]) -> bool {
         let length = self.to - self.from;
@@ -104,7 +104,7 @@ pub struct SpikeLaw {
     pub samples: usize,
 }
 
-/// How the variance of the white part depends on something.
+/// How the variance of the white part depends on time or temperature.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Scedasticity {
     /// ln of the variance per °C about the mean temperature.
@@ -113,21 +113,21 @@ pub enum Scedasticity {
     Profile(Vec<f64>),
 }
 
-/// Everything that explains a series so far. What is transformed is built anew from the samples each time, so that nothing is
-/// undone or done twice.
+/// The complete explanation of a series so far. Transformed values are built again from the samples each time, so that no step is
+/// undone or applied twice.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Explanation {
     /// The spectrum.
     pub law: Law,
-    /// The model's own effects of the spectrum that are not as it says: their places in its list.
+    /// The model's own spectral effects that differ from its statement: their places in its list.
     pub without: BTreeSet<usize>,
     /// Courses of the level and their factors.
     pub courses: Vec<(Course, f64)>,
     /// Sines.
     pub sines: Vec<Sine>,
-    /// Samples that are no noise: spikes, held or clipped values.
+    /// Samples that are not noise: spikes, held or clipped values.
     pub outliers: Vec<usize>,
-    /// What the spikes among them are like.
+    /// The law of the spikes among them.
     pub spikes: Option<SpikeLaw>,
     /// Stretches of another variance.
     pub loud: Vec<Loud>,
@@ -135,12 +135,12 @@ pub struct Explanation {
     pub scedasticity: Option<Scedasticity>,
     /// Degrees of freedom of Student's t.
     pub tails: Option<f64>,
-    /// Where the samples are cut off, below and above.
+    /// The limits at which the samples are cut off, below and above.
     pub limits: [Option<f64>; 2],
 }
 
 impl Explanation {
-    /// Whether it has nothing that another has not, its numbers apart.
+    /// Whether both explanations have the same effects, apart from their numbers.
     #[must_use]
     pub fn adds_nothing_to(&self, other: &Self) -> bool {
         let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
@@ -162,8 +162,8 @@ impl Explanation {
         self.outliers.dedup();
     }
 
-    /// The outliers of a record of `samples`, in order, and its first and last samples as far as filters reach: a filter
-    /// begins from something, and the transform reflects what is not even there.
+    /// The outliers of a record of `samples`, in order, and its first and last samples as far as filters reach. A filter begins
+    /// from an unknown state, and the transform reflects samples that do not exist.
     #[must_use]
     pub fn left_out(&self, samples: usize, reach: usize) -> Cow<'_, [usize]> {
         let reach = reach.min(samples);

@@ -1,8 +1,8 @@
-//! Facts: what the values show by themselves, beyond inference: a step that all are multiples of, limits, repeats, stamps.
+//! Facts: properties that the values show without inference: a step that all are multiples of, limits, repeats, stamps.
 
 use super::oddities::{self, Oddity};
 
-/// What one channel's values show.
+/// The facts that one channel's values show.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Facts {
@@ -41,8 +41,9 @@ pub fn of(values: &[f64]) -> Facts {
         }
         runs
     };
-    // How often the extreme would be there if it were a tail's: the logarithms of a distribution's counts bend down, so that
-    // a straight line through the next ones is above. Few of them say little: what they may well have been counts.
+    // The count that the extreme would have if it belonged to a tail. The logarithms of a distribution's counts bend down, so
+    // that a straight line through the next counts lies above. Small counts carry little information: their plausible upper
+    // values are used.
     let near = |inwards: &mut dyn Iterator<Item = &(f64, usize)>| {
         let mut next = || inwards.next().map_or(1, |one| one.1) as f64;
         let [first, second, third, fourth] = [next(), next(), next(), next()];
@@ -129,7 +130,7 @@ pub struct Repeats {
     pub places: Vec<usize>,
     /// How many chance would make.
     pub expected: f64,
-    /// Nats that repeats explain, 0 where they are chance's.
+    /// Nats that repeats explain, 0 if they are chance's.
     pub gain: f64,
 }
 
@@ -149,7 +150,7 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     let same = |t: usize, back: usize| columns.iter().all(|column| column[t] == column[t - back]) && !cut(t);
     let places: Vec<usize> = (1..n).filter(|t| same(*t, 1)).collect();
     let found = places.len() as f64;
-    // What chance makes, and what it would make if it alone made every repeat of each channel.
+    // The number of repeats by chance, and the number if chance alone made every repeat of each channel.
     let [expected, alone] = match columns {
         [one] => [chance(&one[..n]) * (n - 1) as f64; 2],
         several => {
@@ -169,8 +170,8 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     Repeats { places, expected, gain }
 }
 
-/// How often chance makes all channels equal their last samples, of how often they are (`all`, `each`): whatever part is sent
-/// again is so in all at once.
+/// How often chance makes all channels equal their last samples, given how often they are equal (`all`, `each`): a sample that is
+/// sent again is equal in all channels at once.
 fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
     const ROUNDS: usize = 60;
     let by_chance = |again: f64| {
@@ -191,10 +192,11 @@ fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
 /// Distances, in samples: farther than a value is held, near enough that the level is the same.
 const APART: std::ops::Range<usize> = 20..28;
 
-/// By how much more often channels are all what they were some samples ago than if each were so by itself: coarse values
-/// that share noise, or are loud and quiet together, are. Samples that are sent again do not make it.
+/// The ratio of how often all channels together equal their values some samples ago to how often they would if they were
+/// independent. It is above 1 for coarse values that share noise, or that are loud and quiet together. Samples that are sent
+/// again do not raise it.
 fn together(columns: &[&[f64]], n: usize) -> f64 {
-    /// Fewer tell nothing.
+    /// Fewer samples carry no information.
     const LEAST: f64 = 200.0;
     let (mut both, mut alone) = (0.0, 0.0);
     for apart in APART.filter(|apart| *apart < n) {
@@ -226,7 +228,8 @@ fn chance(column: &[f64]) -> f64 {
         let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
         return apart / column.len() as f64;
     }
-    // ln of the counts is a − b·multiple². Of coarse values it is not: they are what they were some samples ago as often.
+    // ln of the counts is a − b·multiple². For coarse values this does not hold: they are equally often what they were
+    // some samples ago.
     let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
     let apart = APART.filter(|apart| *apart < column.len());
     let again = |apart: usize| {
@@ -237,7 +240,7 @@ fn chance(column: &[f64]) -> f64 {
     (at_zero / distances.len() as f64).max(sum / f64::max(count, 1.0)).min(1.0)
 }
 
-/// What stamps show.
+/// The facts that stamps show.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Stamps {
@@ -316,7 +319,7 @@ mod tests {
         for step in [0.03, 0.2, 0.003_33 * 9.806_65, 1.0, 3.0] {
             let mut values: Vec<f64> = noise(1, 30_001).iter().map(|v| (v / step).round() * step).collect();
             assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-4, "{step}: {:?}", of(&values));
-            // A few values off the lattice change nothing.
+            // A few values off the lattice do not change the result.
             values[17] += 0.377;
             assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-3, "{step}: {:?}", of(&values));
         }

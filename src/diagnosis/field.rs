@@ -1,8 +1,8 @@
 //! Field: stretches of a record in which a magnet or iron was near the magnetometer.
 //!
 //! The earth's field keeps its magnitude whichever way the sensor points; what a magnetometer's own hard and soft iron make of it
-//! follows the pose by some percent. A magnitude far outside what the rest of the record has is the surroundings', and no effect
-//! of the sensor that a simulator could have.
+//! follows the pose by some percent. A magnitude far outside the range of the rest of the record comes from the surroundings, and
+//! is not an effect of the sensor that a simulator could have.
 
 use super::recording::Recording;
 use crate::sample::Triad;
@@ -50,8 +50,8 @@ impl Disturbed {
 /// The disturbed stretches of a record with a magnetometer, in order.
 ///
 /// # Validation
-/// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) the two passes of the magnet, and nothing in 01, 24 and 26
-/// (docs/motion-diagnosis.md).
+/// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) this finds the two passes of the magnet, and nothing in 01,
+/// 24 and 26 (docs/motion-diagnosis.md).
 #[must_use]
 pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
     let columns: Option<Vec<&[f64]>> = Triad::Mag.channels().into_iter().map(|channel| real.values(channel)).collect();

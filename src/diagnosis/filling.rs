@@ -1,4 +1,4 @@
-//! Filling: what stands in place of samples that are no noise.
+//! Filling: values that replace samples that are not noise.
 
 use super::explanation::LOUD;
 use super::preconditioner::Preconditioner;
@@ -9,13 +9,14 @@ use crate::effects::{Stream, StreamId};
 const SIMPLE: u16 = 0;
 const DRAWN: u16 = 3;
 
-/// `owner`: the channel's, so that what is filled in at the same places of several channels is not the same.
+/// `owner`: the channel's, so that the values that are filled in at the same places of several channels differ.
 pub(super) fn stream(samples: usize, owner: u32, effect: u16) -> Stream {
     Stream::new(samples as u64, StreamId { owner, effect, instance: 0 })
 }
 
 impl Series<'_> {
-    /// The samples that are no noise, in order: what is left out, and stretches that are much louder than the rest.
+    /// The samples that are not noise, in order: those that are left out, and stretches that are much louder than the
+    /// rest.
     pub(super) fn excluded(&self) -> Vec<usize> {
         let mut places = self.explanation.left_out(self.len(), self.reach()).into_owned();
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
@@ -26,13 +27,12 @@ impl Series<'_> {
         places
     }
 
-    /// Puts in place of excluded samples what noise of the present law would be there, given all others: a draw from the
-    /// conditional distribution, so that they look like nothing in particular.
+    /// Replaces excluded samples with a draw from the conditional distribution of the present law, given all other samples. The
+    /// replaced samples then show no features of any effect.
     ///
-    /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients
-    /// on the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380), preconditioned by its
-    /// entries between near samples ([`Preconditioner`]). Of samples at a limit is
-    /// known besides that they lie beyond it: they are drawn once more from there.
+    /// With a record drawn from the law, the difference of both is continued into the excluded places by conjugate gradients on
+    /// the law's precision matrix (Hoffman and Ribak 1991, Astrophys. J. 380), preconditioned by its entries between near samples
+    /// ([`Preconditioner`]). Samples at a limit are known to lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
         const ROUNDS: usize = 200;
         /// Samples that all rounds together transform: of a long record with a steep filter not all that it could do.
@@ -42,7 +42,7 @@ impl Series<'_> {
         const IN_A_ROW: usize = 4;
         /// Samples that count as near.
         const REACH: usize = 512;
-        /// Of what a record is more, nothing is left that its noise would be known of.
+        /// If a record has more excluded samples than this part, too little is left to determine its noise.
         const MOST: f64 = 0.9;
         let places = self.excluded();
         if places.is_empty() || places.len() as f64 > MOST * self.len() as f64 {
@@ -53,7 +53,7 @@ impl Series<'_> {
         let mut drawn: Vec<f64> =
             self.spectrum.iter().map(|s| if s.is_finite() { s.sqrt() * stream.normal() } else { 0.0 }).collect();
         self.transform.backward(&mut drawn);
-        // What is known of the difference, with a first guess in the excluded places: nothing.
+        // The known values of the difference, with a first guess of 0 in the excluded places.
         let mut difference: Vec<f64> = self.rest.iter().zip(&drawn).map(|(own, other)| own - other).collect();
         let guess = self.simple_guess(&difference, &places);
         for (place, value) in places.iter().zip(guess) {
@@ -121,7 +121,7 @@ pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64, owner: u
     let mut stream = stream(n, owner, SIMPLE);
     while at < places.len() {
         let mut end = at + 1;
-        // A run, with what good samples lie within it too few to tell a level.
+        // A run, together with the good samples inside it, which are too few to determine a level.
         while end < places.len() && places[end] <= places[end - 1] + 1 {
             end += 1;
         }

@@ -23,7 +23,7 @@ pub struct Narrow {
 }
 
 impl Grid {
-    /// Coefficients that have a bin of their own.
+    /// Coefficients that have a separate bin each.
     const SINGLE: usize = 256;
     /// Bins a decade.
     const PER_DECADE: f64 = 28.0;
@@ -32,7 +32,7 @@ impl Grid {
     /// Widths of a line on each side of it with finer bins, and bins in a width.
     const AROUND: f64 = 25.0;
     const IN_WIDTH: f64 = 5.0;
-    /// Finer bins have at least so many coefficients: what is narrower is a tone.
+    /// Finer bins have at least so many coefficients: a narrower line is a tone.
     const LEAST: usize = 4;
     /// From this coefficient on so many are filled in at a time.
     const DENSE: usize = 4096;
@@ -110,8 +110,8 @@ impl Grid {
         self.edges.windows(2).map(mean).collect()
     }
 
-    /// A spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, straight between
-    /// them in both logarithms; the constant's is infinite: nothing is known about a record's mean.
+    /// A spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, straight between them in
+    /// both logarithms. The value of the constant is infinite, because a record's mean is unknown.
     #[must_use]
     pub fn fill(&self, logarithms: &[f64]) -> Vec<f64> {
         self.fill_first(logarithms, self.samples)

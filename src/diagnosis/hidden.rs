@@ -1,4 +1,4 @@
-//! Hidden: effects that look like others as long as they are not known.
+//! Hidden effects: effects that look like others as long as they are not known.
 
 use super::course::Course;
 use super::evidence::{self, Candidate, Kind};
@@ -6,9 +6,9 @@ use super::prices::Prices;
 use super::search::{Step, leave_rises_out, more_tones};
 use super::series::Series;
 
-/// What may look like other effects as long as it is not known, and what it may look like: a large step makes a few samples of the
-/// residual loud and the rest quiet beside them; strong lines do that to parts of the spectrum, as filters do; a few values that are far
-/// out look like tails, behind a filter like bursts; loud stretches look like tails.
+/// Effects that may look like other effects as long as they are not known, and the kinds that they may look like. A large step
+/// makes a few samples of the residual loud and the rest quiet beside them. Strong lines do that to parts of the spectrum, as
+/// filters do. A few values that are far out look like tails, behind a filter like bursts. Loud stretches look like tails.
 const HIDDEN: [(Kind, &[Kind]); 5] = [
     (
         Kind::BiasStep,
@@ -27,7 +27,8 @@ const HIDDEN: [(Kind, &[Kind]); 5] = [
     (Kind::Bursts, &[Kind::HeavyTails]),
 ];
 
-/// What comes before the effect that would be chosen, because it takes away what that would explain; `all` is what else there is.
+/// The effect that comes before the one that would be chosen, because it takes away the gain of that one; `all` holds the other
+/// candidates.
 pub(super) fn instead(
     series: &Series<'_>,
     prices: &Prices,
@@ -35,9 +36,9 @@ pub(super) fn instead(
     step: &Step,
     all: Vec<Candidate>,
 ) -> Option<(Step, Candidate)> {
-    /// Nats beyond its price of what is looked at.
+    /// Nats beyond its price from which on an effect is examined.
     const LARGE: f64 = 50.0;
-    /// Part of the gain that is left of what it takes away.
+    /// Part of the gain that is left of an effect whose gain it takes away.
     const LEFT: f64 = 0.5;
     if step.of_model.is_some() {
         return None;
@@ -53,7 +54,7 @@ pub(super) fn instead(
         }
         let mut beside = series.clone();
         beside.explanation = of.explanation.clone();
-        // Tails are looked for only where no spikes are named; the samples stay left out.
+        // Tails are searched only if no spikes are named; the samples stay left out.
         beside.explanation.spikes = series.explanation.spikes;
         beside.rebuild(false);
         match of.kind {
@@ -88,7 +89,7 @@ fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
     })
 }
 
-/// What a filter, or an effect on single samples and their variance, would give.
+/// The gain of a filter, or of an effect on single samples and their variance.
 fn gain_of(kind: Kind, series: &Series<'_>) -> f64 {
     let found: Vec<Candidate> = match kind {
         Kind::LowPass => evidence::spectral::low_pass(series).into_iter().collect(),

@@ -8,7 +8,7 @@ use crate::simulator::SensorModel;
 /// How near a ratio has to come to a meaningful one, ln: a model is rarely nearer to its sensor than that.
 const NEAR: f64 = 0.12;
 
-/// What a ratio of the capture's value over the model's may mean.
+/// The possible meaning of a ratio of the capture's value over the model's.
 struct Meaning {
     ratio: f64,
     kind: HintKind,
@@ -66,7 +66,7 @@ fn meanings(triad: Option<Triad>, rate_hz: f64) -> Vec<Meaning> {
     all
 }
 
-/// What the sizes of the differences may mean.
+/// The possible meanings of the sizes of the differences.
 pub(super) fn hints(found: &Found, sim: &SensorModel, parameters: &[Parameter], offsets: &[Offset]) -> Vec<Hint> {
     let mut hints = Vec::new();
     let triads = [Triad::Accel, Triad::Gyro, Triad::Mag];
@@ -143,8 +143,8 @@ fn of_signs(triad: Triad, offsets: &[Offset]) -> Vec<Hint> {
 /// Means that differ from those that the model states by more than turn-on bias and, of an accelerometer or a magnetometer, the
 /// pose explain.
 pub(super) fn offsets(found: &Found, sim: &SensorModel) -> Vec<Offset> {
-    /// What a sensor's bias may be after it is switched on: 1 °/s and 30 mg, more than the data sheets of industrial sensors have
-    /// (VN-100: 5°/h and 0.04 mg in run; BMI088: 1 °/s and 20 mg), and 0.1 gauss for iron beside it.
+    /// The possible bias of a sensor after it is switched on: 1 °/s and 30 mg, more than the data sheets of industrial sensors
+    /// have (VN-100: 5°/h and 0.04 mg in run; BMI088: 1 °/s and 20 mg), and 0.1 gauss for iron beside it.
     const TURN_ON: [(Triad, f64); 3] = [(Triad::Gyro, 0.0175), (Triad::Accel, 0.3), (Triad::Mag, 0.1)];
     let mut offsets = Vec::new();
     for (triad, explained) in TURN_ON {
@@ -162,7 +162,8 @@ pub(super) fn offsets(found: &Found, sim: &SensorModel) -> Vec<Offset> {
         let is_whole = stated.len() == 3;
         let lengths = [length(|of| of.model), length(|of| of.capture)];
         let is_as_long = (lengths[0] - lengths[1]).abs() <= explained.max(0.05 * lengths[0]);
-        // A table is a little out of level, and which way is north is anything; one axis of gravity is no longer than it.
+        // A table is a little out of level, and north may lie in any direction. One axis of gravity is at most as long as
+        // gravity.
         let is_posed = |of: &Offset| match triad {
             Triad::Accel if is_whole => is_as_long && !turned(&stated),
             Triad::Accel => of.capture.abs().max(of.model.abs()) <= 9.806_65 + explained,
@@ -242,7 +243,7 @@ mod tests {
 
         let exchanged = with(|axis, own| own.bias = Some([-9.8, -0.1, 0.3][axis]));
         assert!(exchanged.hints.iter().any(|hint| hint.kind == HintKind::Axes), "{:#?}", exchanged.hints);
-        // What a table and a turn-on bias make is nothing to report.
+        // A difference that a table and a turn-on bias explain is not reported.
         let tilted = with(|axis, own| own.bias = Some([0.1, 0.2, -9.8][axis]));
         assert!(tilted.offsets.is_empty(), "{:#?}", tilted.offsets);
     }

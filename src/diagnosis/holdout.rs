@@ -9,19 +9,20 @@ use statrs::function::gamma::ln_gamma;
 
 /// Blocks of time in which densities are summed, for the bootstrap.
 pub const BLOCKS: usize = 64;
-/// Nats for a sine's phase, which no one can foretell.
+/// Nats for a sine's phase, which cannot be predicted.
 const PHASE: f64 = 4.0;
 
-/// ln of density of the second half's samples, nats, in [`BLOCKS`] blocks.
+/// Logarithm of the density of the second half's samples, nats, in [`BLOCKS`] blocks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
     /// Under the declared model.
     pub declared: Vec<f64>,
-    /// With the levels that the first half has beside the effects, and without these.
+    /// With the levels of the first half that were fitted beside the effects, but without the effects.
     pub parameters: Vec<f64>,
-    /// With everything found, its numbers from the first half.
+    /// With all effects that were found; their numbers are from the first half.
     pub effects: Vec<f64>,
-    /// With everything found, its numbers from the second half itself: a ceiling, too high by half a nat a number.
+    /// With all effects that were found; their numbers are from the second half itself. This is a ceiling, too high by
+    /// half a nat per number.
     pub ceiling: Vec<f64>,
     /// How many numbers.
     pub numbers: usize,
@@ -29,7 +30,7 @@ pub struct Scores {
     pub samples: usize,
 }
 
-/// The halves of a record: what belongs to all channels.
+/// The halves of a record: the data that all channels share.
 #[derive(Debug)]
 pub struct Halves {
     /// First sample and one past the last.
@@ -39,7 +40,8 @@ pub struct Halves {
 }
 
 impl Halves {
-    /// Of a record of `samples`, its temperature about its mean, and the lag behind which a level follows its rate, samples.
+    /// The halves of a record of `samples`, from its temperature about its mean, and the lag behind which a level follows its
+    /// rate, samples.
     #[must_use]
     pub fn new(samples: usize, temperature: Option<&[f64]>, lag: f64) -> Self {
         let middle = samples / 2;
@@ -54,7 +56,7 @@ impl Halves {
     }
 }
 
-/// What a half is made of.
+/// The data of a half.
 #[derive(Clone, Copy)]
 pub struct Whole<'a> {
     /// The samples.
@@ -73,9 +75,9 @@ pub struct Whole<'a> {
     pub reach: usize,
     /// Number of the channel.
     pub owner: u32,
-    /// What the model explains already.
+    /// The model's own explanation.
     pub known: &'a Explanation,
-    /// Everything.
+    /// The complete explanation that was found.
     pub found: &'a Explanation,
 }
 
@@ -117,7 +119,8 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
     part
 }
 
-/// The parts of the density that are not the whitened residual's: spikes, tails, and what cannot be foretold.
+/// The parts of the density that the whitened residual does not include: spikes, tails, and phases that cannot be
+/// predicted.
 fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carried: usize) -> f64 {
     let explanation = &series.explanation;
     let n = series.len() as f64;
@@ -130,11 +133,13 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
     };
     let own = new(explanation, known);
     sum -= (2.0 * n.ln() + 3.0) * own.len() as f64;
-    // Loud stretches were replaced by noise of the law: each of their samples is as much rarer as the stretch is louder.
+    // Loud stretches were replaced by noise of the law: the density of each of their samples is lower by the factor by which the
+    // stretch is louder.
     for loud in own.iter().filter(|loud| loud.ratio > LOUD) {
         sum -= 0.5 * (loud.to - loud.from) as f64 * loud.ratio.ln();
     }
-    // So were the model's that are none: usual noise is rare where it should be loud.
+    // The same applies to the model's stretches that the record lacks: usual noise is rare at places where it should be
+    // loud.
     for loud in new(known, found).iter().filter(|loud| loud.ratio > LOUD && explanation.loud.contains(loud)) {
         sum -= 0.5 * (loud.to - loud.from) as f64 * (loud.ratio.ln() + 1.0 / loud.ratio - 1.0);
     }
@@ -166,7 +171,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         white: whole.known.law.levels[0],
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,
-        // Nothing is named in a half.
+        // A half names no effects.
         bursts: &[],
         reach: whole.reach,
         owner: whole.owner,
@@ -219,7 +224,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     for (sine, learned) in carried_over.sines.iter_mut().zip(&full.sines) {
         sine.rescale(learned.amplitude());
     }
-    // The white noise where nothing changes it is the same in both.
+    // The white noise at times when nothing changes it is the same in both.
     carried_over.law.levels[0] -= quiet;
     let effects = scored(&Series::frozen(&second, transforms[1].clone(), samples(1), carried_over), &known(1));
     Scores { declared, parameters, effects, ceiling, numbers, samples: samples_scored }

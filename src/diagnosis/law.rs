@@ -1,7 +1,7 @@
 //! The law: the spectrum of a channel under a model, and its parameters at the likelihood's maximum.
 //!
-//! Everything here is in the channel's own scale and per sample: power is U²·rate of a two-sided density, U a unit in which
-//! the white part is about 1.
+//! All quantities here are in the channel's own scale and per sample: power is U²·rate of a two-sided density, and U is a unit in
+//! which the white part is about 1.
 
 use super::grid::{Grid, Narrow};
 use crate::effects::{Effect, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
@@ -28,13 +28,14 @@ pub enum Shape {
 impl Shape {
     /// Exponents between those of white noise, flicker and random walk, and beyond.
     pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 3.5)];
-    /// Exponents that noise of a power law may have: at the ends of what is searched for it is something else, mostly a drift.
+    /// Exponents that noise of a power law may have. At the ends of the searched range, the cause is another effect, mostly a
+    /// drift.
     pub(super) const POWER_LAW: std::ops::Range<f64> = 0.31..2.49;
     /// How many numbers a narrow band has that is symmetric.
     pub(super) const SYMMETRIC: usize = 3;
     /// Nats that an asymmetry has to give.
     pub(super) const LEANING: f64 = 4.0;
-    /// Where a slope's density is given, over the rate.
+    /// The frequency at which a slope's density is given, over the rate.
     pub(super) const MIDDLE: f64 = 0.01;
 }
 
@@ -43,7 +44,7 @@ impl Shape {
 pub struct Term {
     /// Its kind.
     pub shape: Shape,
-    /// Its numbers, as [`Shape`] says.
+    /// Its numbers, in the order that [`Shape`] states.
     pub numbers: Vec<f64>,
 }
 
@@ -82,7 +83,7 @@ impl Term {
         Some(Self { shape, numbers })
     }
 
-    /// Where its spectrum is narrow.
+    /// The frequencies at which its spectrum is narrow.
     pub(super) fn narrow(&self, rate_hz: f64) -> Vec<Narrow> {
         const NOTCH: f64 = 1e-3;
         match self.shape {
@@ -104,7 +105,7 @@ impl Term {
         self.numbers.get(index).copied().unwrap_or_default()
     }
 
-    /// The effect in the channel's scale; what a filter lets pass afterwards apart. None of a slope, which depends on the rate.
+    /// The effect in the channel's scale; without the noise behind a filter. None for a slope, which depends on the rate.
     pub(super) fn effect(&self, rate_hz: f64) -> Option<Box<dyn Effect>> {
         let at = |index: usize| self.at(index);
         Some(match self.shape {
@@ -120,7 +121,7 @@ impl Term {
         })
     }
 
-    /// Whether it adds noise of its own that has a time it is correlated for.
+    /// Whether it adds noise with a correlation time.
     pub(super) fn adds(&self) -> bool {
         matches!(self.shape, Shape::GaussMarkov | Shape::Resonance | Shape::Slope(_))
     }
@@ -166,7 +167,7 @@ impl Term {
         self.effect(rate_hz).filter(|_| self.is_filter()).map_or(0, |effect| reach(&*effect, rate_hz))
     }
 
-    /// Where its numbers may be, for a record of `samples` at `rate_hz`.
+    /// The range of its numbers, for a record of `samples` at `rate_hz`.
     fn ranges(&self, samples: usize, rate_hz: f64) -> Vec<(f64, f64)> {
         let level = (-16.0, 24.0);
         let longest = (samples as f64 / rate_hz / 6.0).ln();
@@ -187,7 +188,7 @@ impl Term {
     }
 }
 
-/// Samples that what comes to a filter lasts behind it.
+/// The number of samples for which an input of a filter lasts behind it.
 pub(in crate::diagnosis) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
     let parameters = filter.parameters();
     let number =
@@ -196,16 +197,17 @@ pub(in crate::diagnosis) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
     window.map_or(0, |samples| samples.ceil() as usize)
 }
 
-/// What N, B and K of 1 (in the channel's scale) and the model's own effects give in each bin.
+/// The spectra of N, B and K of 1 (in the channel's scale) and of the model's own effects in each bin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Base {
     /// White, flicker, random walk.
     pub shapes: [Vec<f64>; 3],
-    /// What the model has besides, before [`Base::gain`]'s filters.
+    /// The model's other noise, before [`Base::gain`]'s filters.
     pub known: Vec<f64>,
-    /// What acts after everything, such as rounding.
+    /// Noise that acts after all other stages, such as rounding.
     pub after: Vec<f64>,
-    /// The most that there may be behind the model's filters without its saying so, power per sample; 0 where it has none.
+    /// The largest power per sample that may be present behind the model's filters and that the model does not state; 0 if it has
+    /// no filters.
     pub quiet_max: f64,
     /// Power gain of the model's own filters.
     pub gain: Vec<f64>,
@@ -213,7 +215,7 @@ pub struct Base {
     pub passed: Vec<f64>,
 }
 
-/// What is believed of ln N², ln B² and ln K² beforehand: centre and standard deviation; none where anything goes.
+/// The prior belief about ln N², ln B² and ln K²: centre and standard deviation; none if any value is allowed.
 pub type Beliefs = [Option<(f64, f64)>; 3];
 
 /// A channel's spectrum as numbers.
@@ -237,14 +239,14 @@ pub struct Fitted {
     pub log_likelihood: f64,
     /// With the beliefs' part.
     pub log_posterior: f64,
-    /// Covariance of the numbers: the levels, then each term's. None where it is singular.
+    /// Covariance of the numbers: the levels, then each term's. None if it is singular.
     pub covariance: Option<DMatrix<f64>>,
     /// ln of the spectrum in each bin.
     pub logarithms: Vec<f64>,
 }
 
 impl Fitted {
-    /// What a function of the law is uncertain by: its slopes by all numbers and their covariance (the delta method). None where
+    /// The uncertainty of a function of the law: from its slopes by all numbers and their covariance (the delta method). None if
     /// the covariance is not known.
     pub(super) fn spread(&self, of: impl Fn(&Law) -> f64) -> Option<f64> {
         const STEP: f64 = 1e-4;
@@ -279,8 +281,8 @@ pub struct Data<'a> {
     pub beliefs: &'a Beliefs,
 }
 
-/// Bounds of ln of the white noise's power behind a filter over that before it. A filter made by the bilinear transform lets next to nothing
-/// pass at half the rate, and samples of 53 bits show that.
+/// Bounds of ln of the white noise's power behind a filter over its power before it. A filter made by the bilinear transform
+/// passes almost nothing at half the rate, and samples of 53 bits show that.
 const FLOOR: (f64, f64) = (-72.0, 0.0);
 
 /// Bounds of a line's asymmetry, over the most.
@@ -422,7 +424,7 @@ impl Law {
             places.map(|((value, gain), s)| value * gain / s).collect()
         };
         let mut slopes: Vec<Vec<f64>> = pieces.levels.iter().map(|level| scaled(level)).collect();
-        // The noise behind a filter is told as a part of that before it.
+        // The noise behind a filter is stated as a part of the noise before it.
         let floor: f64 = pieces.floors.iter().sum();
         if floor > 0.0 {
             slopes[0].iter_mut().zip(&pieces.spectrum).for_each(|(slope, s)| *slope += floor / s);

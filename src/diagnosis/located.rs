@@ -1,4 +1,4 @@
-//! Located: every cause and every parameter that is off has its places, and a channel on which nothing is has none.
+//! Located: every cause and every parameter that is off has its places. A channel without findings has none.
 
 use super::report::{Of, Place};
 use super::round_trip::{model, recording};

@@ -3,10 +3,10 @@
 //! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of docs/formats.md,
 //! and the model with its parameters corrected and the effects found added.
 //!
-//! Everything is in one currency: nats of log density of the real samples per sample. A channel's samples are transformed
-//! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]); what is deterministic in them follows
-//! [`course`]s and sines ([`series`]). What each effect would give is in [`evidence`]; [`search`] adds one after the other as
-//! long as they are worth their price, which is what chance gives in simulated records of the same length.
+//! All evidence is in one unit: nats of log density of the real samples per sample. A channel's samples are transformed
+//! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]). Their deterministic part follows [`course`]s and
+//! sines ([`series`]). [`evidence`] computes the gain of each effect. [`search`] adds one effect after the other as long as each
+//! is worth its price. The price is the gain that chance makes in simulated records of the same length.
 
 mod augmented;
 mod bands;

@@ -1,4 +1,5 @@
-//! Named: effects on channels, with what they give and how that is known: of the search, the values, the stamps.
+//! Named effects: effects on channels, with their gains and the source of the evidence: the search, the values, or the
+//! stamps.
 
 use super::censored;
 use super::declared::{self, values};
@@ -23,7 +24,7 @@ pub(super) const MATERIAL_STEP: f64 = 0.03;
 pub(super) struct Named {
     pub(super) channel: Channel,
     pub(super) sense: Sense,
-    /// The model's own effect, and its place in the list, where it has it.
+    /// The model's own effect, and its place in the list, if it has it.
     pub(super) declared: Option<(usize, Arc<dyn Effect>)>,
     /// The sensor's; where the sensor lacks it the model's.
     pub(super) effect: Arc<dyn Effect>,
@@ -37,7 +38,7 @@ pub(super) struct Named {
 }
 
 impl Named {
-    /// An effect that the model lacks, as sure as what is read off values and stamps.
+    /// An effect that the model lacks, as sure as the effects that are read off values and stamps.
     pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
         let sense = Sense::Missing;
         Self {
@@ -79,7 +80,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
     named
 }
 
-/// What the search found on a channel.
+/// The findings of the search on a channel.
 fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
@@ -90,7 +91,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);
-    // A level that follows the temperature otherwise than along a line is the same effect.
+    // A level that follows the temperature other than along a line is the same effect.
     let is = |step: &super::search::Step, kind: Kind| {
         step.kind == kind || (step.kind == Kind::TemperatureCurve && kind == Kind::TemperatureBias)
     };
@@ -138,12 +139,12 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
     found_here.into_iter().chain(superfluous).collect()
 }
 
-/// What is stated for a lead of so many nats over the next best reading.
+/// The confidence that is stated for a lead of so many nats over the next best reading.
 pub(super) fn confidence(margin: f64) -> f64 {
     1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
 }
 
-/// What the values show by themselves.
+/// The effects that the values show without inference.
 fn of_facts(of: &Findings) -> Vec<Named> {
     let mut named = Vec::new();
     let channel = of.prepared.channel;
@@ -234,14 +235,14 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     named
 }
 
-/// The 95 % interval of a chance that was met as often as it says in so many samples.
+/// The 95 % interval of a chance, given how often the event occurred in so many samples.
 fn poisson(chance: f64, samples: usize) -> [f64; 2] {
     let count = chance * samples as f64;
     let half = 1.96 * count.max(1.0).sqrt();
     [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
 }
 
-/// What the stamps show, where there are any.
+/// The effects that the stamps show, if there are any stamps.
 pub(super) fn stamps(real: &Recording) -> Option<facts::Stamps> {
     let there = |place: &usize| !real.missing.get(*place).copied().unwrap_or(false);
     let places: Vec<usize> = if real.time_s.len() == real.len() {
@@ -310,7 +311,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     }]
 }
 
-/// Whether an effect is read off the values and stamps: what it does is left out of all densities alike.
+/// Whether an effect is read off the values and stamps: its consequences are left out of all densities alike.
 pub(super) fn is_fact(of: &Named) -> bool {
     matches!(of.effect.name(), "resolution" | "saturation" | "held_samples" | "timing")
 }

@@ -1,9 +1,10 @@
-//! Nameless: the density of what remains beside everything that was found, as far as it is louder there.
+//! Nameless density: the density of what remains beside all effects that were found, in bands in which the remainder is
+//! louder.
 
 use super::series::Series;
 
-/// Coefficients of the finest bands at least, the part of the band that they are at least (the effect that stands for it resolves no
-/// less), and by how much bands grow.
+/// Coefficients of the finest bands at least, the part of the band that they are at least (the effect that stands for
+/// it resolves no less), and by how much bands grow.
 const WIDTH: usize = 64;
 const PARTS: usize = 125;
 const WIDER: usize = 4;
@@ -14,8 +15,8 @@ const MOST: usize = 24;
 /// The least part of power that a filter lets pass of what is put in front of it.
 const PASSED: f64 = 0.01;
 
-/// Points [frequency in Hz, two-sided density in front of all filters, in the series' scale² /Hz] of what the residual has beyond a
-/// white one; empty if no band is clearly louder. It is 0 outside the bands.
+/// Points [frequency in Hz, two-sided density in front of all filters, in the series' scale² /Hz] of what the residual
+/// has beyond a white one; empty if no band is clearly louder. It is 0 outside the bands.
 pub(super) fn density(series: &Series<'_>) -> Vec<(f64, f64)> {
     let n = series.len();
     let rate_hz = series.setting().rate_hz;
@@ -68,7 +69,7 @@ mod tests {
     #[test]
     fn what_has_no_name_is_in_the_corrected_model() {
         let band = json!({"effect": "resonance", "frequency_hz": 8.0, "bandwidth_hz": 1.0, "sigma": 0.01});
-        // Bands are not looked for, so that there is no name for it.
+        // Bands are not searched, so that the density has no name.
         let options = Options { effects: Some(&["tone"]), ..Options::default() };
         let outcome = diagnose(&recording(&model(Some(&band)), 5, 32_000), &model(None), &options).unwrap();
         assert_eq!(outcome.diagnosis.verdict, Verdict::UnknownEffect, "{}", outcome.diagnosis.summary);

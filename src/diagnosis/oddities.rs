@@ -1,4 +1,4 @@
-//! Oddities: what no effect of the library does, as the values and stamps themselves show it.
+//! Oddities: features of the values and stamps that no effect of the library explains.
 //!
 //! Each is a likelihood ratio in nats over the nearest effect of the library: codes that a converter leaves out over rounding,
 //! repeats at even distances over samples sent twice by chance, a clock that wanders over stamps that scatter.
@@ -6,7 +6,7 @@
 use statrs::distribution::{ContinuousCDF as _, Normal};
 use std::collections::BTreeMap;
 
-/// Something odd.
+/// A feature that no effect of the library explains.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Oddity {
     /// What is odd.
@@ -25,7 +25,7 @@ const LEAST: f64 = 25.0;
 pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
     /// Samples of the level about each.
     const NEAR: usize = 64;
-    /// Counts below say little.
+    /// Counts below this carry little information.
     const FEWEST: f64 = 30.0;
     /// Standard errors, and part of a count, that a code has to be off by.
     const ERRORS: f64 = 5.0;
@@ -93,7 +93,7 @@ pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
         let middle = (4.0 * (b + c) - (a + d)) / 6.0;
         let apart = own - middle;
         let should = count * middle.exp();
-        // The four have errors of their own.
+        // The four counts also have errors.
         let z = (apart.exp() - 1.0) * should.sqrt() / 1.4;
         if z.abs() > ERRORS && apart.abs() > PART {
             nats += should * (apart.exp() * (apart - 1.0) + 1.0);

@@ -1,8 +1,8 @@
-//! Owned: N, B and K of a record as the noise room has them.
+//! Owned: N, B and K of a record as the module `noise` determines them.
 //!
-//! They have one owner. The law of a diagnosis has N, B and K beside effects, which share one spectrum with them: what a filter
-//! or the skirt of a band takes from N is a matter of the law's form. What is reported as the capture's is therefore what `noise`
-//! says of the same samples, wherever it says that it may be used.
+//! The module `noise` owns these parameters. The law of a diagnosis has N, B and K beside effects, which share one spectrum with
+//! them. How much of N a filter or the skirt of a band takes therefore depends on the law's form. The reported capture's value is
+//! the value that `noise` reports for the same samples, if `noise` states that the value may be used.
 //!
 //! # Validation
 //! `examples/one_n.rs`, docs/validation.md.
@@ -56,7 +56,7 @@ impl<'a> Owned<'a> {
         Self { real, moving: stillness.settle().unwrap_or_default() }
     }
 
-    /// N (as sent), B and K of a channel; none where the noise room says that they are not to be used.
+    /// N (as sent), B and K of a channel; none if `noise` states that they must not be used.
     pub(super) fn of(&self, channel: Channel) -> Option<[Option<Known>; 3]> {
         let rate_hz = self.real.rate_hz;
         let parts = self.parts(channel);

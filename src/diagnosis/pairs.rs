@@ -1,4 +1,5 @@
-//! Pairs: what one record cannot tell apart, and the measurement that would. Said as notes, and for lines as evidence.
+//! Pairs: causes that one record cannot distinguish, and the measurement that would distinguish them. They are reported
+//! as notes, and for lines as evidence.
 
 use super::diagnose::Found;
 use super::named::Named;
@@ -16,7 +17,7 @@ const MAINS_WANDER: f64 = 1e-3;
 /// Gravity, m/s²: an axis that has nearly all of it does not feel a tilt.
 const UPRIGHT: f64 = 9.0;
 
-/// What a line may be besides what it seems: frequencies that sampling folds there, and mains among them.
+/// The possible sources of a line: frequencies that sampling folds to it, and mains frequencies among them.
 pub(super) fn of_line(channel: Channel, effect: &dyn Effect, rate_hz: f64) -> Option<String> {
     let frequency_hz = number(effect, "frequency_hz").or(number(effect, "fundamental_hz"))?;
     let folded = [rate_hz - frequency_hz, rate_hz + frequency_hz, 2.0 * rate_hz - frequency_hz];
@@ -122,7 +123,7 @@ fn channels(of: &[&Named]) -> String {
     all.into_iter().map(Channel::name).collect::<Vec<_>>().join(", ")
 }
 
-/// The course of time that a temperature follows, if it does: a straight one, or an exponential one.
+/// The function of time that a temperature follows, if there is one: a straight line, or an exponential.
 fn follows(read: &[f64]) -> Option<(&'static str, f64)> {
     /// Time constants that are tried, in records.
     const CONSTANTS: [f64; 7] = [0.03, 0.06, 0.1, 0.2, 0.3, 0.5, 1.0];

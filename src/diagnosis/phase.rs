@@ -1,7 +1,7 @@
-//! Phase: what filters do to the course of what passes them, undone.
+//! Phase: removes the phase that filters give to what passes them.
 //!
 //! A residual that is whitened by its spectrum alone keeps the filters' phase: a spike that passed them is spread out, and tails
-//! look normal. The filters of the library are of minimum phase, which the gain tells (Oppenheim and Schafer, Discrete-Time
+//! look normal. The filters of the library have minimum phase, which the gain determines (Oppenheim and Schafer, Discrete-Time
 //! Signal Processing, section 12.3, by way of the cepstrum).
 
 use super::plans;
@@ -26,7 +26,7 @@ pub(super) fn undo(values: &mut [f64], gain: &[f64]) {
     if backward.process(&mut spectrum, &mut cepstrum).is_err() {
         return;
     }
-    // What is before 0 is folded onto what is after it.
+    // The part before 0 is folded onto the part after it.
     for (at, value) in cepstrum.iter_mut().enumerate() {
         let weight = match (2 * at).cmp(&n) {
             _ if at == 0 => 1.0,
@@ -46,7 +46,7 @@ pub(super) fn undo(values: &mut [f64], gain: &[f64]) {
     for (k, (value, response)) in own.iter_mut().zip(&response).enumerate() {
         let (sine, cosine) = response.im.sin_cos();
         let [re, im] = [value.re * cosine + value.im * sine, value.im * cosine - value.re * sine];
-        // What stands alone has no phase.
+        // An isolated value has no phase.
         let alone = k == 0 || (k == last && n.is_multiple_of(2));
         (value.re, value.im) = if alone { (value.re, 0.0) } else { (re, im) };
     }

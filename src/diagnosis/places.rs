@@ -1,4 +1,5 @@
-//! Places: where each cause, each parameter that is off and what remains has its part of the gap.
+//! Places: where in time and frequency each cause, each parameter that is off and the remainder has its part of the
+//! gap.
 
 use super::diagnose::{Findings, Found};
 use super::evidence::Kind;
@@ -12,7 +13,7 @@ use serde_json::Value;
 /// Half of a line's width in parts of 1 over the record's length.
 const LINE: f64 = 2.0;
 
-/// What remains on a channel, and the chance that noise alone makes as much.
+/// The remainder on a channel, and the chance that noise alone makes as much.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Remnant {
     pub(super) channel: Channel,
@@ -20,7 +21,7 @@ pub(super) struct Remnant {
     pub(super) p_value: f64,
 }
 
-/// Where an effect acts on a channel.
+/// The place of an effect on a channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Spot {
     band_hz: [f64; 2],
@@ -31,7 +32,7 @@ struct Spot {
     is_louder: bool,
 }
 
-/// Everything's places, the heaviest first.
+/// The places of all causes, parameters and remainders, the heaviest first.
 pub(super) fn places(
     found: &Found,
     named: &[Named],
@@ -91,14 +92,14 @@ fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &R
     }
 }
 
-/// Where a cause acts on a channel, and where the model has it if that is elsewhere.
+/// The places of a cause on a channel, and of the model's own effect if that lies elsewhere.
 fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real: &Recording) {
-    /// A cause has the heaviest of its places.
+    /// A cause receives the heaviest of its places.
     const MOST: usize = 16;
     let Some(own) = found.channels.iter().find(|own| own.prepared.channel == of.channel) else { return };
     let mut spots = spots(&*of.effect, own, real);
     match (of.sense, &of.declared) {
-        // Of another shape of the spectrum it is known on which side it is louder.
+        // For another shape of the spectrum, the side on which it is louder is known.
         _ if is_shape(&*of.effect) => {}
         (Sense::Superfluous, _) => spots.iter_mut().for_each(|spot| spot.is_louder = !spot.is_louder),
         (Sense::Size, Some((_, declared))) => {
@@ -158,8 +159,8 @@ fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
     sizes.is_some_and(|(name, one, other)| (one.abs() < other.abs()) != (name == "degrees_of_freedom"))
 }
 
-/// Where an effect acts: a line about its frequency, a step at its time, an interval in its own, another shape of the spectrum
-/// where its likelihood is gained; all else everywhere.
+/// The place of an effect: a line has a place about its frequency, a step at its time, an interval in its own range. Another
+/// shape of the spectrum has its place in the band in which likelihood is gained. All other effects act everywhere.
 fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
     let (length_s, half_hz) = (real.length_s(), 0.5 * real.rate_hz);
     let whole = Spot { band_hz: [0.0, half_hz], time_s: [0.0, length_s], weight: 1.0, is_louder: true };
@@ -236,8 +237,8 @@ fn loudest(profile: &[[f64; 2]]) -> Option<[f64; 2]> {
     Some([first[0], last[0]]).filter(|[from, to]| from < to)
 }
 
-/// Where on a channel something remains: in the rectangle of time and frequency that holds most of it, where chance makes such a
-/// one rarely, else anywhere.
+/// The place on a channel where something remains: the rectangle of time and frequency that holds most of it, if chance rarely
+/// makes such a rectangle; otherwise the whole channel.
 fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> Place {
     /// How rarely noise makes a rectangle that is a place.
     const RARE: f64 = 0.01;

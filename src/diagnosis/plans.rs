@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Lengths that are kept; with one more all are forgotten.
+/// Lengths that are kept; one more length discards all of them.
 const MOST: usize = 24;
 
 /// cos and sin of πk/2n for k up to n/2.
@@ -50,7 +50,7 @@ pub(super) fn backward(n: usize) -> Arc<dyn ComplexToReal<f64>> {
     })
 }
 
-/// Of a cosine transform of length `n`.
+/// The tables of a cosine transform of length `n`.
 pub(super) fn turns(n: usize) -> Turns {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();

@@ -1,4 +1,4 @@
-//! Polish: numbers that were found before all else was known are found once more beside it.
+//! Polish: numbers that were found early are found again beside all effects that are known later.
 
 use super::course::{Course, Follow};
 use super::evidence::loudness;
@@ -108,7 +108,7 @@ pub(super) fn scedasticity(series: &mut Series<'_>) {
     }
 }
 
-/// The ratios of stretches that are not left out, each against what is in none.
+/// The ratios of stretches that are not left out, each relative to the samples in no stretch.
 fn stretches(series: &mut Series<'_>, known: usize) {
     const ROUNDS: usize = 8;
     /// Change of ln of a ratio that is none.
@@ -125,7 +125,7 @@ fn stretches(series: &mut Series<'_>, known: usize) {
             loud.ratio = ratio;
         }
         series.rebuild(false);
-        // What white noise is apart from the rest depends on how loud it is.
+        // The separation of white noise from the rest depends on how loud the white noise is.
         if moved < SETTLED || series.equaliser.is_none() {
             break;
         }

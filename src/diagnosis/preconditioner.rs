@@ -1,4 +1,4 @@
-//! Preconditioner: the precision matrix among some samples, of which those that are near one another count.
+//! Preconditioner: the precision matrix among some samples, restricted to pairs that are near one another.
 
 /// The Cholesky factor of a matrix that is a function of the distance between places, tapered so that far ones have none of it.
 ///
@@ -11,7 +11,8 @@ pub(super) struct Preconditioner {
 }
 
 impl Preconditioner {
-    /// Factors the matrix among `places` (in order); `kernel` is the matrix by distance, from 0 on. `None` if there is no factor in numbers.
+    /// Factors the matrix among `places` (in order); `kernel` is the matrix by distance, from 0 on. `None` if there is
+    /// no factor in numbers.
     pub(super) fn of(kernel: &[f64], places: &[usize]) -> Option<Self> {
         /// Products that making the factor takes, about: of long runs only nearer samples are looked at.
         const WORK: usize = 30_000_000;

@@ -20,18 +20,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Fewest samples of which anything is said.
+/// Fewest samples for a diagnosis.
 pub const LEAST: usize = 1000;
-/// Greatest density behind a model's filters that nobody states, as a part of the white noise's before them.
+/// Greatest density behind a model's filters that may be present without being stated, as a part of the white noise's
+/// density before them.
 const QUIET: f64 = 1e-6;
 /// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
 const SMOOTHED_S: f64 = 60.0;
 const STEPS: f64 = 3.0;
-/// How fast it moves is seen in means over so many s: from reading to reading it goes to and fro between two steps.
+/// Its rate is taken from means over so many s: from reading to reading it goes to and fro between two steps.
 const MOVES_S: f64 = 10.0;
 
-/// By how much what differs from sample to sample may be above the declared white noise and be taken for it: what is louder is lines, or
-/// white noise of another unit.
+/// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
+/// Larger differences are lines, or white noise in another unit.
 const LOUDER: f64 = 20.0;
 
 /// One channel, ready to be explained.
@@ -41,7 +42,7 @@ pub struct Prepared {
     pub channel: Channel,
     /// U per unit of the series.
     pub scale: f64,
-    /// What was subtracted as its level, U.
+    /// The level that was subtracted, U.
     pub level: f64,
     /// The samples less their level, in the series' scale.
     pub samples: Vec<f64>,
@@ -55,19 +56,20 @@ pub struct Prepared {
     pub declared: Law,
     /// Beliefs about them.
     pub beliefs: Beliefs,
-    /// The step that counts as rounding, U: the capture's, or the model's; none where the samples are as before rounding.
+    /// The step that counts as rounding, U: the capture's, or the model's; none if the samples are as before rounding.
     pub step: Option<f64>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub spectral: Vec<(usize, Term)>,
     /// Lines that the model has, with its amplitudes.
     pub sines: Vec<Sine>,
-    /// Of each the place of its effect in the model's list, and its amplitude over what the effect alone has.
+    /// For each line, the place of its effect in the model's list, and its amplitude over the amplitude that the effect
+    /// alone has.
     pub lines: Vec<(usize, f64)>,
     /// Its drifts and steps: of each the place of its effect, and its factor.
     pub shifts: Vec<(usize, Course, f64)>,
     /// Stretches of another variance that it has, with the places of their effects.
     pub loud: Vec<(usize, Loud)>,
-    /// Where the model has bursts, whether the channel has them or not.
+    /// The model's intervals of bursts, whether the channel has them or not.
     pub bursts: Vec<Range<usize>>,
     /// Its variance by temperature or time, and the place of the effect.
     pub scedasticity: Option<(usize, Scedasticity)>,
@@ -77,9 +79,10 @@ pub struct Prepared {
     pub has: Vec<&'static str>,
     /// Whether an effect of it comes, goes or wanders, so that no two records are alike.
     pub changes: bool,
-    /// ln of the white variance at the record's mean temperature over that at the temperature its N is told for.
+    /// ln of the white variance at the record's mean temperature over that at the temperature to which N refers.
     pub white_shift: f64,
-    /// The part of the information on the white noise that was sent: a step wider than the noise hides some.
+    /// The part of the information on the white noise that the sent values contain: a step wider than the noise hides
+    /// some.
     pub share: f64,
     /// Variance of the white noise that was added, in the series' scale squared.
     pub dither: f64,
@@ -96,7 +99,7 @@ pub struct Ready {
     pub transform: Cosines,
     /// By triad (or single channel): repeats that are not chance's.
     pub repeats: Vec<(Vec<Channel>, Repeats)>,
-    /// What the recording has and the model does not.
+    /// The channels that the recording has and the model lacks.
     pub further: Vec<Channel>,
     /// Samples per second.
     pub rate_hz: f64,
@@ -105,7 +108,7 @@ pub struct Ready {
 }
 
 impl Ready {
-    /// What belongs to the record, for one of its channels.
+    /// The record's data, for one of its channels.
     pub(super) fn setting<'a>(&'a self, prepared: &'a Prepared, base: BaseOf<'a>) -> Setting<'a> {
         Setting {
             courses: &self.courses,
@@ -124,7 +127,7 @@ impl Ready {
 /// Looks at a recording and a model together.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared.
+/// [`DiagnosisError`] if the inputs cannot be compared.
 pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisError> {
     let wanted = comparable(real, sim)?;
     let n = real.len();
@@ -161,8 +164,9 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     })
 }
 
-/// Rates that differ by less are one rate by two clocks: a sensor's and a host's each run within 1e-4 of true, stamps give a rate within
-/// 1e-4, and a model has the rate that was set, of which a VN-100 was seen to differ by 1.9e-4 (40 Hz, 39.9926 Hz by its host).
+/// Rates that differ by less than this are one rate by two clocks. A sensor's clock and a host's each run within 1e-4 of true,
+/// stamps give a rate within 1e-4, and a model has the rate that was set. A VN-100 was seen to differ from that rate by 1.9e-4
+/// (40 Hz, 39.9926 Hz by its host).
 const SAME_RATE_WITHIN: f64 = 5e-4;
 
 /// Whether two rates are one by two clocks.
@@ -182,7 +186,7 @@ pub fn same_rate(found_hz: f64, expected_hz: f64) -> Result<(), DiagnosisError> 
 /// Whether a recording and a model can be compared, and the channels that are.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared.
+/// [`DiagnosisError`] if the inputs cannot be compared.
 pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Channel>, DiagnosisError> {
     let n = real.len();
     same_rate(real.rate_hz, sim.rate_hz)?;
@@ -194,7 +198,8 @@ pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Chan
         if values.len() != n {
             return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
         }
-        // A value that is absent now and then is left out; one that is no number ever so often is refused.
+        // A channel with a few values that are not numbers is accepted, and these values are left out. A channel with
+        // many of them is refused.
         let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
         if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
             let value = &values[index];
@@ -216,7 +221,7 @@ fn is_missing(real: &Recording, t: usize) -> bool {
     real.is_missing(t)
 }
 
-/// The temperature with its gaps filled, smoothed where it moves in steps, and the step, °C; None where it does not move.
+/// The temperature with its gaps filled, smoothed if it moves in steps, and the step, °C. None if it does not move.
 pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
     let mut filled = read.clone();
@@ -411,7 +416,7 @@ fn channel_of(
     Ok(prepared)
 }
 
-/// Takes what a model states of the level beyond the shifts that are fitted off samples, U.
+/// Subtracts from samples the model's statement of the level beyond the shifts that are fitted, U.
 fn subtract_others(
     samples: &mut [f64],
     model: &ChannelModel,
@@ -432,15 +437,15 @@ fn subtract_others(
     }
 }
 
-/// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone does not tell them apart.
+/// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone cannot separate them.
 pub(super) fn white_density(model: &ChannelModel, internal_hz: f64) -> f64 {
     let shared = model.effects.iter().filter(|effect| effect.name() == "common_mode");
     let power: f64 = shared.filter_map(|effect| effect.psd(0.0, internal_hz)).sum();
     (model.n * model.n + power).sqrt()
 }
 
-/// The lines of a model's channel as they are sent, in the series' scale (U per unit of it), each with the place of its effect in
-/// the model's list and its amplitude over what the effect alone has: what filters let pass.
+/// The lines of a model's channel as they are sent, in the series' scale (U per unit of it). Each has the place of its effect in
+/// the model's list, and its amplitude over the amplitude that the effect alone has: the part that the filters pass.
 fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> Vec<(Sine, (usize, f64))> {
     let record = Record { rate_hz: sim.rate_hz, samples: samples as u64 };
     let effects = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
@@ -465,10 +470,10 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
     effects.iter().enumerate().flat_map(of_effect).collect()
 }
 
-/// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places in its list;
-/// those after them are taken as they are stated.
+/// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places
+/// in its list; those after them are taken as they are stated.
 fn terms_of(model: &ChannelModel, scale: f64, density: f64, rate_hz: f64) -> Vec<(usize, Term)> {
-    /// Each is compared by a fit of its own at every step of a search.
+    /// Every step of a search compares each of them by a separate fit.
     const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
     listed
@@ -491,7 +496,7 @@ pub(super) fn scale_of(values: &[f64]) -> f64 {
     let trimmed = rms(lower) / OF_MOST;
     let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
     let robust = *median / (0.674_49 * 2f64.sqrt());
-    // Where half the neighbours are equal, a step is wider than the noise.
+    // If half the neighbours are equal, a step is wider than the noise.
     match (robust > 0.2 * trimmed, trimmed > 0.0) {
         (true, _) if robust > 0.0 => robust,
         (_, true) => trimmed,
@@ -499,7 +504,8 @@ pub(super) fn scale_of(values: &[f64]) -> f64 {
     }
 }
 
-/// By how much a model's white part is louder, in ln of its variance, at a temperature than where its N is told for.
+/// By how much a model's white part is louder at a temperature than at the temperature to which N refers, in ln of its
+/// variance.
 fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
     let changes = model.effects.iter().filter(|effect| effect.name() == "variance_change");
     let of = |effect: &Arc<dyn Effect>| {
@@ -510,10 +516,10 @@ fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
     changes.map(of).sum()
 }
 
-/// What an effect of a model is, with its place in the model's list.
+/// The role of an effect of a model, with its place in the model's list.
 type OfModel<T> = (usize, T);
 
-/// What a model says of its white part's variance.
+/// The model's statement of its white part's variance.
 fn variance_of(
     model: &ChannelModel,
     samples: usize,
@@ -571,7 +577,7 @@ fn variance_of(
     (loud, scedasticity)
 }
 
-/// Where a model has bursts, of its stretches of another variance.
+/// The intervals of a model's bursts among its stretches of another variance.
 fn loud_of_bursts(model: &ChannelModel, loud: &[OfModel<Loud>]) -> Vec<Range<usize>> {
     let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.name() == "bursts");
     loud.iter().filter(|(place, _)| is_burst(*place)).map(|(_, loud)| loud.from..loud.to).collect()
@@ -583,7 +589,7 @@ fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
     by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
 }
 
-/// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. Where it is decimated
+/// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. If it is decimated,
 /// [`Spectrum`] folds it.
 fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
     let rate_hz = grid.rate_hz();
@@ -592,7 +598,7 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
         let psd = |effect: &dyn Effect| effect.psd(*f, rate_hz).unwrap_or(0.0);
         let noise = model.effects.iter().filter(|effect| effect.stage() == Stage::Noise).map(|effect| psd(&**effect));
         let before = levels.into_iter().map(psd).sum::<f64>() + noise.sum::<f64>();
-        // What comes in behind a filter passes the filters after it.
+        // Noise that enters behind a filter passes the filters after it.
         let filters = model.effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
         rate_hz * filters.fold(before, |sum, filter| sum * filter.power_gain(*f, rate_hz) + psd(&**filter))
     };

@@ -1,4 +1,4 @@
-//! Prices: what chance makes of each effect's gain and of each omnibus statistic in records of noise alone.
+//! Prices: the distribution of each effect's gain and of each omnibus statistic in records of noise alone.
 //!
 //! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). [`Tails::shipped`] has those of
 //! simulated records at three lengths (`cargo run --release --example null_tails`); [`super::calibration`] finds them for a
@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Tail {
-    /// Where the line meets a chance of 1, nats.
+    /// The value at which the line meets a chance of 1, nats.
     pub offset: f64,
     /// Nats for a factor of e.
     pub scale: f64,
@@ -52,7 +52,7 @@ impl Tail {
     }
 }
 
-/// The tails of everything that a diagnosis looks at.
+/// The tails of all statistics and kinds that a diagnosis examines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Tails {
@@ -127,7 +127,7 @@ impl Tails {
         }
     }
 
-    /// Whether there is one for everything.
+    /// Whether there is a tail for every kind and statistic.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         Kind::ALL.iter().all(|kind| self.kinds.contains_key(kind))
@@ -141,7 +141,7 @@ impl Tails {
     }
 }
 
-/// What each kind that is looked for has to give before it is named, nats.
+/// The gain that each searched kind needs before it is named, nats.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prices(BTreeMap<Kind, f64>);
 
@@ -156,7 +156,7 @@ impl Prices {
         Self(kinds.map(|(kind, tail)| (*kind, tail.beyond(level).max(LEAST))).collect())
     }
 
-    /// Of a kind; infinite if it is not looked for.
+    /// The price of a kind; infinite if it is not looked for.
     #[must_use]
     pub fn of(&self, kind: Kind) -> f64 {
         self.0.get(&kind).copied().unwrap_or(f64::INFINITY)

@@ -1,28 +1,27 @@
-//! Recording: what is diagnosed, on a regular grid of instants.
+//! Recording: the input of a diagnosis, on a regular grid of instants.
 
 use crate::noise::whittle::Sampling;
 use crate::sample::{Channel, Triad};
 use std::collections::BTreeMap;
 
-/// Samples of several channels at one rate. A sample that was lost has a place all the same, so that what comes after it
-/// stands where it was.
+/// Samples of several channels at one rate. A lost sample keeps a place, so that later samples stay at their instants.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Recording {
     /// Samples per second.
     pub rate_hz: f64,
-    /// Each channel's values in its unit, all of one length; what stands where a sample is missing does not count.
+    /// Each channel's values in its unit, all of one length; the value at a missing sample does not count.
     pub channels: Vec<(Channel, Vec<f64>)>,
     /// Which samples are missing; empty if none is.
     pub missing: Vec<bool>,
-    /// The sensor's temperature at every sample, °C, where it was measured; as it was read, in whatever steps.
+    /// The sensor's temperature at every sample, °C, if it was measured, as it was read, in steps of any size.
     pub temperature_c: Option<Vec<f64>>,
     /// Stamps, s, one per sample that is there or per place; empty if none were taken.
     pub time_s: Vec<f64>,
-    /// Where the channels' values are what remains beyond an answer to a motion: the values that the sensor sent. Steps of
-    /// rounding and samples sent again are seen in these alone; limits are the answer's.
+    /// If the channels' values are the remainder beyond an answer to a motion: the values that the sensor sent. Steps of rounding
+    /// and samples sent again are seen in these alone; limits are the answer's.
     pub sent: Vec<(Channel, Vec<f64>)>,
-    /// How the samples of a triad came about, where that is known.
+    /// How the samples of a triad came about, if that is known.
     pub sampling: BTreeMap<Triad, Sampling>,
 }
 
@@ -79,7 +78,7 @@ impl Recording {
         self.missing.get(place).copied().unwrap_or(false)
     }
 
-    /// The lowest and the highest temperature from one time to another, s from the first sample; None where none was measured.
+    /// The lowest and the highest temperature from one time to another, s from the first sample; None if none was measured.
     #[must_use]
     pub fn temperatures_between(&self, from_s: f64, to_s: f64) -> Option<[f64; 2]> {
         let place = |time_s: f64| ((time_s * self.rate_hz).round().max(0.0) as usize).min(self.len());

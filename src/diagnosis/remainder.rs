@@ -1,4 +1,4 @@
-//! The remainder: what no known effect explains, how large it is, and whether that is material.
+//! The remainder: the part of the gap that no known effect explains, how large it is, and whether it is material.
 
 use super::report::{Of, Place, Remainder, Verdict};
 use std::collections::BTreeSet;
@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 pub const MATERIAL: f64 = 0.02;
 
 impl Remainder {
-    /// Of the places of a record, `all` its samples on all channels; none if nothing remains.
+    /// From the places of a record; `all` is the number of its samples on all channels. None if nothing remains.
     pub(super) fn of(places: &[Place], what: BTreeSet<String>, all: f64) -> Option<Self> {
         let own = || places.iter().filter(|place| place.of == Of::Remainder);
         let channels: BTreeSet<&str> = own().map(|place| place.channel.as_str()).collect();
@@ -33,7 +33,7 @@ pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: boo
 /// Nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), that of one regressor among `samples`
 /// normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without end; a likelihood does not.
 pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
-    // What is no number is worth nothing, what is infinite is worth less than infinitely much.
+    // A value that is not a number counts as 0; an infinite value counts as a finite maximum.
     let half_square = if half_square.is_nan() { 0.0 } else { half_square.min(0.25 * f64::MAX) };
     0.5 * samples * (2.0 * half_square / samples).ln_1p()
 }

@@ -1,4 +1,4 @@
-//! The report: what a diagnosis says, in the form of docs/formats.md.
+//! The report: the result of a diagnosis, in the form of docs/formats.md.
 
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -7,18 +7,18 @@ use std::collections::BTreeMap;
 /// The format's name.
 pub const FORMAT: &str = "vn100d-diagnosis-1";
 
-/// What was found in all.
+/// The overall result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(clippy::exhaustive_enums, reason = "the documented four")]
 pub enum Verdict {
-    /// Nothing beyond chance.
+    /// No difference beyond chance.
     NoGap,
     /// Only N, B, K, a bias or the rate is off.
     Parameters,
-    /// What was found explains the discrepancy down to the floor.
+    /// The effects that were found explain the discrepancy down to the floor.
     Effects,
-    /// Something real remains that no known effect explains, and is more than a small part of the gap.
+    /// A discrepancy remains that no known effect explains, and it is more than a small part of the gap.
     UnknownEffect,
 }
 
@@ -34,11 +34,11 @@ pub struct Discrepancy {
     pub after_parameters: f64,
     /// With the effects found as well.
     pub after: f64,
-    /// What a true model shows.
+    /// The discrepancy of a true model.
     pub floor: f64,
     /// Chance that a true model shows as much as is left.
     pub p_value_after: f64,
-    /// (after_parameters − after)/(after_parameters − floor); none where nothing was added or nothing was there to close.
+    /// (after_parameters − after)/(after_parameters − floor); none if no effect was added or if there was no gap to close.
     pub closed: Option<f64>,
     /// Its 95 % interval.
     pub closed_ci95: Option<[f64; 2]>,
@@ -54,7 +54,7 @@ pub enum Of {
     Cause(usize),
     /// Parameters that are off.
     Parameters,
-    /// What no known effect explains.
+    /// The part of the gap that no known effect explains.
     Remainder,
 }
 
@@ -87,7 +87,7 @@ pub struct Place {
     /// Temperatures, where the discrepancy depends on them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<[f64; 2]>,
-    /// What the motion does where it lies, where it is the motion's.
+    /// The course of the motion at the place, if the gap is the motion's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Driver>,
     /// Part of the nats of all places.
@@ -102,7 +102,7 @@ pub struct Place {
 
 #[cfg(test)]
 impl Place {
-    /// One on gyro_x over all times and frequencies of 1000 s at 40 Hz, with 1000 nats in all places.
+    /// A place on gyro_x over all times and frequencies of 1000 s at 40 Hz, with 1000 nats in all places.
     pub(crate) fn in_tests(of: Of, share: f64) -> Self {
         Self {
             of,
@@ -152,7 +152,7 @@ pub struct Parameter {
     pub capture: f64,
     /// The second over the first; none if one of them is 0.
     pub ratio: Option<f64>,
-    /// Nats that the model's value loses against the best one; 0 where they are not measured.
+    /// Nats that the model's value loses against the best one; 0 if they are not measured.
     pub nats: f64,
     /// 95 % interval of the capture's value.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -169,11 +169,11 @@ pub struct Offset {
     pub model: f64,
     /// The capture's mean without what is explained of it, U.
     pub capture: f64,
-    /// What turn-on bias explains, U.
+    /// The part that turn-on bias explains, U.
     pub explained: f64,
 }
 
-/// What the size of a difference may mean.
+/// The possible meaning of the size of a difference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(clippy::exhaustive_enums, reason = "the documented five")]
@@ -194,7 +194,7 @@ pub enum HintKind {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Hint {
-    /// What differs, such as `accel_x N`.
+    /// The quantity that differs, such as `accel_x N`.
     pub about: String,
     /// Which meaning.
     pub kind: HintKind,
@@ -230,14 +230,14 @@ pub struct Cause {
     pub channels: Vec<String>,
     /// Chance that it is this one.
     pub confidence: f64,
-    /// The part of the gap that it closes; none where nothing could be measured.
+    /// The part of the gap that it closes; none if nothing could be measured.
     pub closes: Option<f64>,
-    /// By channel (or triad): the sensor's parameters, a list where there are several.
+    /// By channel (or triad): the sensor's parameters, a list if there are several.
     pub parameters: BTreeMap<String, Value>,
     /// The model's in the same form, where it has the effect.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub model: BTreeMap<String, Value>,
-    /// 95 % intervals in the same form, where they are known.
+    /// 95 % intervals in the same form, if they are known.
     #[serde(skip_serializing_if = "Map::is_empty")]
     pub uncertainty: Map<String, Value>,
     /// Sentences with figures.
@@ -264,13 +264,13 @@ pub struct Alternative {
 pub struct ChannelGap {
     /// Under the model as it came.
     pub before: f64,
-    /// With everything found.
+    /// With all effects that were found.
     pub after: f64,
-    /// What a true model shows.
+    /// The discrepancy of a true model.
     pub floor: f64,
 }
 
-/// What no known effect explains.
+/// The part that no known effect explains.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Remainder {
@@ -280,11 +280,11 @@ pub struct Remainder {
     pub nats: f64,
     /// The channels it is on.
     pub channels: Vec<String>,
-    /// What shows it, a sentence each.
+    /// The evidence, a sentence each.
     pub what: Vec<String>,
 }
 
-/// What a diagnosis says.
+/// The result of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Diagnosis {
@@ -296,33 +296,33 @@ pub struct Diagnosis {
     pub summary: String,
     /// How much.
     pub discrepancy: Discrepancy,
-    /// Where, heaviest first: each cause, the parameters that are off, what remains.
+    /// The places, heaviest first: of each cause, of the parameters that are off, of the remainder.
     pub r#where: Vec<Place>,
-    /// What is merely off.
+    /// The parameters that are merely off.
     pub parameters: Vec<Parameter>,
-    /// Means that differ where the model states them.
+    /// Means that differ from those that the model states.
     pub offsets: Vec<Offset>,
-    /// What the sizes of these differences may mean.
+    /// The possible meanings of the sizes of these differences.
     pub hints: Vec<Hint>,
     /// Effects in which sensor and model differ, strongest first.
     pub causes: Vec<Cause>,
-    /// What no known effect explains; none if nothing remains.
+    /// The part that no known effect explains; none if nothing remains.
     pub remainder: Option<Remainder>,
-    /// What was weighed.
+    /// The effects that were weighed and not named.
     pub alternatives: Vec<Alternative>,
     /// Per channel.
     pub per_channel: BTreeMap<String, ChannelGap>,
-    /// What a reader should know: channels not compared, effects larger than which are excluded, pairs that this record cannot
-    /// tell apart and the measurement that would.
+    /// Notes for the reader: channels that were not compared, effects larger than which are excluded, pairs that this record
+    /// cannot distinguish, and the measurement that would distinguish them.
     pub notes: Vec<String>,
     /// The program.
     pub software: String,
-    /// What was compared.
+    /// The inputs that were compared.
     pub inputs: BTreeMap<&'static str, String>,
 }
 
 impl Diagnosis {
-    /// Tells all its times from the capture's begin on, of which it saw what is `from_s` and later.
+    /// States all times from the capture's begin on, of which the diagnosis saw the part from `from_s` on.
     pub fn begins_at(&mut self, from_s: f64) {
         for place in &mut self.r#where {
             place.from_s += from_s;

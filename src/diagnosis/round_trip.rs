@@ -243,7 +243,7 @@ fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
     }
 }
 
-/// Behind a steep filter without noise behind it the law cannot always tell N from what else it has; `noise` can.
+/// Behind a steep filter without noise behind it the law cannot always separate N from its other terms; `noise` can.
 #[test]
 fn an_n_that_is_off_is_reported_behind_a_steep_filter() {
     let filter = json!({"effect": "low_pass", "cutoff_hz": 3.855, "order": 3});

@@ -1,8 +1,8 @@
-//! Rounded: what may have stood where a coarse sensor sends the nearest multiple of its step.
+//! Rounded values: the possible values before rounding, if a coarse sensor sends the nearest multiple of its step.
 //!
-//! Values of few levels are no normal noise: they repeat, they have other tails, their variance depends on where the level lies
-//! between two multiples. What was rounded has none of this, and of it is known that each value lies within half a step of what
-//! was sent.
+//! Rounded values of few levels are not normal noise: they repeat, they have other tails, and their variance depends on the
+//! position of the level between two multiples. The values before rounding have none of these properties, and each is known to
+//! lie within half a step of the value that was sent.
 
 use super::filling::stream;
 use super::grid::Grid;
@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Random stream of what is drawn.
 const ROUNDED: u16 = 5;
 
-/// What rounded values show of white noise.
+/// The information of rounded values about white noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct White {
     /// Its standard deviation, U.
@@ -28,8 +28,8 @@ pub(super) struct White {
 /// The white noise of values (U) that are coarse: so many neighbours are equal that rounding shows as more than noise, from steps
 /// of about 1.3 standard deviations on; None of others. `left_out`, in order, do not count.
 ///
-/// The likelihood of the counts, by blocks of time with levels of their own. Where two levels alone are sent a wider noise and
-/// another level look the same: then it is about the model's, `declared` (a standard deviation, U).
+/// The likelihood of the counts, by blocks of time with separate levels. If only two levels are sent, a wider noise and another
+/// level look the same: the estimate is then about the model's `declared` (a standard deviation, U).
 pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: f64) -> Option<White> {
     const EQUAL: f64 = 0.35;
     const BLOCKS: usize = 8;
@@ -82,7 +82,7 @@ pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: 
     Some(White { deviation: step * logarithm.exp(), share: share / (2.0 - share) })
 }
 
-/// Where a function with one maximum has it, and it, by the golden section.
+/// The place of the maximum of a function with one maximum, and the maximum, by the golden section.
 fn greatest([mut low, mut high]: [f64; 2], of: impl Fn(f64) -> f64) -> (f64, f64) {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     const ROUNDS: usize = 22;
@@ -103,8 +103,8 @@ fn greatest([mut low, mut high]: [f64; 2], of: impl Fn(f64) -> f64) -> (f64, f64
     if at_left < at_right { (right, at_right) } else { (left, at_left) }
 }
 
-/// Draws samples that were rounded to multiples of `step` (U) from their distribution given what was sent; those that are left
-/// out may be anything.
+/// Draws samples that were rounded to multiples of `step` (U) from their distribution given the sent values. Samples that are
+/// left out may take any value.
 ///
 /// Gibbs sampling (Tanner and Wong 1987, J. Am. Stat. Assoc. 82) under the model's own law, its levels fitted on the way: what is
 /// above the white part, lines included, is drawn given all samples, then each sample given that and its bounds.
@@ -137,7 +137,7 @@ pub(super) fn unround(prepared: &mut Prepared, sim: &SensorModel, step: f64, whi
         transform.forward(&mut above);
         let power = grid.power(&above);
         let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &prepared.beliefs };
-        // The first draws are anywhere within the steps, and show nothing of the noise.
+        // The first draws lie anywhere within the steps, and carry no information about the noise.
         if round >= FEWEST {
             law = law.fit(data).law;
         }
@@ -184,7 +184,7 @@ mod tests {
             assert!((deviation - 1.0).abs() < 3.5 * error + 1e-3, "{step}: {deviation} ± {error}");
             assert!(error < 0.1, "{step}: {error}");
         }
-        // Two levels show nothing but their shares.
+        // Two levels show only their shares.
         let White { deviation, share } = white_of(&rounded(12.0, 5.8), 12.0, &[], 1.1).unwrap();
         assert!((deviation - 1.1).abs() < 0.3 && share < 1e-3, "{deviation} {share}");
         assert_eq!(white_of(&rounded(1.0, 0.0), 1.0, &[], 1.0), None);

@@ -1,4 +1,4 @@
-//! The search: in which effects a series and its model differ, one after the other, each paid for.
+//! The search: the effects in which a series and its model differ, one after the other, each at its price.
 
 use super::course::Course;
 use super::evidence::declared;
@@ -24,19 +24,20 @@ pub struct Step {
     pub gain: f64,
     /// Nats that it had to give.
     pub price: f64,
-    /// What else would have been worth its price, best first.
+    /// The other effects that would have been worth their price, best first.
     pub others: Vec<(Kind, f64)>,
     /// Which of the model's own effects was changed, by its place in the list, and how; none of what the model lacks.
     pub of_model: Option<(usize, Sense)>,
 }
 
 impl Step {
-    /// The chance that noise alone gives as much somewhere in a record, where it gives the price with chance `level`.
+    /// The chance that noise alone gains as much somewhere in a record, given that it gains the price with chance
+    /// `level`.
     pub(super) fn chance(&self, level: f64) -> f64 {
         (level * (self.price - self.gain).exp()).min(1.0)
     }
 
-    /// Whether the law has a term of it.
+    /// Whether the law has a term of this kind.
     pub(super) fn has_term(&self) -> bool {
         self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)
     }
@@ -56,7 +57,7 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::HeavyTails, Kind::Spikes, 0.0),
     (Kind::LowPass, Kind::MovingAverage, BOXCAR),
     (Kind::GaussMarkov, Kind::RateRamp, 4.0),
-    // What is rarer has to be clearly better.
+    // A rarer effect has to be clearly better.
     (Kind::Slope, Kind::GaussMarkov, 3.0),
     (Kind::Slope, Kind::QuantizationNoise, 3.0),
     (Kind::Slope, Kind::LowPass, 3.0),
@@ -67,19 +68,20 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::TemperatureCurve, Kind::GaussMarkov, 3.0),
 ];
 
-/// Nothing is known of a level.
+/// The levels have no prior.
 pub(super) const FREE: Beliefs = [None, None, None];
-/// Nats that B and K of any size have to give: what the model says of them is wrong by far more rarely than not.
+/// Nats that B and K of any size have to give: the model's statement about them is rarely wrong by a large factor.
 const ANY_LEVELS: f64 = 12.0;
 
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     const MOST: usize = 12;
-    /// Steps may be taken back as they are made, and found again: after so many turns the search ends whatever it has.
+    /// Steps may be taken back after they are made, and found again. After this number of turns the search ends in its
+    /// current state.
     const TURNS: usize = 3 * MOST;
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
-    // What they are is asked once all else is known.
+    // The peaks are classified once all else is known.
     let is_plain = start.spikes.is_none() && start.tails.is_none();
     let mut peaks = if is_plain { evidence::peaks::peaks(&series.rest) } else { Vec::new() };
     peaks.retain(|place| start.outliers.binary_search(place).is_err());
@@ -87,7 +89,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         series.explanation.leave_out(peaks.iter().copied());
         series.rebuild(true);
     }
-    // What was taken back at once would be found again.
+    // An effect that was taken back at once would be found again.
     let mut refused: Vec<Kind> = Vec::new();
     for _ in 0..TURNS {
         if steps.len() >= MOST {
@@ -131,7 +133,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 more_bursts(series, prices, &mut steps);
             }
             Kind::Bursts => more_bursts(series, prices, &mut steps),
-            // What it does not say of the variance would look like tails.
+            // A course of the variance that it does not include would look like tails.
             Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
             _ => {}
         }
@@ -153,8 +155,8 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     steps
 }
 
-/// Nats of doubt about a filter that needs far more white noise in front of it than the model says: white noise of the model's size and
-/// a process that is short look like the noise behind a filter and what it lets pass.
+/// Nats of doubt about a filter that needs far more white noise in front of it than the model states. White noise of the model's
+/// size and a process of short correlation look like the noise behind a filter and the noise that the filter passes.
 fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     /// ln of how many times as large N² may be without doubt, and of an N that is none.
     const AS_LARGE: f64 = 2.5;
@@ -167,7 +169,8 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
 }
 
-/// Whether a candidate is slow noise that is no larger than what rounded readings of the temperature do not say of a level that follows it.
+/// Whether a candidate is slow noise that is no larger than the part of a level following the temperature that rounded readings
+/// do not show.
 fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
     /// Parts of a step of the readings.
     const UNSAID: f64 = 0.4;
@@ -180,14 +183,14 @@ fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
         && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unsaid)
 }
 
-/// Takes this doubt off what filters give.
+/// Subtracts this doubt from the gains of filters.
 fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
     for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
         of.gain -= louder_before(series, &of.explanation);
     }
 }
 
-/// What the model may lack, and what it may have otherwise than the series.
+/// The effects that the model may lack, and those that it may have with other numbers than the series.
 fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     let mut found = evidence::all(series);
     doubt_filters(series, &mut found);
@@ -199,7 +202,7 @@ fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     found
 }
 
-/// Whether B and K that are far off do as well as an effect: then nothing is believed of them any more.
+/// Whether B and K that are far off do as well as an effect. In that case, the prior on them is dropped.
 fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     /// Nats that slow noise of another form has to be better by.
     const CLEARLY: f64 = 3.0;
@@ -225,7 +228,7 @@ fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     do_as_well
 }
 
-/// Once effects are known beside them B and K may be about what the model says after all.
+/// Once effects are known, B and K beside them may be about the model's values after all.
 fn believe_again(series: &mut Series<'_>) {
     if series.beliefs == series.setting().beliefs {
         return;
@@ -238,7 +241,7 @@ fn believe_again(series: &mut Series<'_>) {
     }
 }
 
-/// Gives narrow bands an asymmetry where it is worth something: what is far from a strong line would look like a filter or like
+/// Gives narrow bands an asymmetry if it is worth its price: the part far from a strong line would look like a filter or like
 /// further noise.
 fn lean(series: &mut Series<'_>) {
     for at in 0..series.explanation.law.terms.len() {
@@ -256,7 +259,8 @@ fn lean(series: &mut Series<'_>) {
     }
 }
 
-/// What a step does until it is over is no other effect. Of large steps the largest hide the others' until they are left out.
+/// The course of a step until it is over is not another effect. The largest of several large steps hide the others' until they
+/// are left out.
 pub(super) fn leave_rises_out(series: &mut Series<'_>) {
     const ROUNDS: usize = 6;
     for _ in 0..ROUNDS {
@@ -269,8 +273,8 @@ pub(super) fn leave_rises_out(series: &mut Series<'_>) {
     }
 }
 
-/// Chosen before all else was known, what is the matter of single samples is chosen anew: a spike behind a filter looks like a
-/// burst before the filter is known, and stretches like tails. `peaks` were left out until now.
+/// Effects on single samples that were chosen early are chosen again: a spike behind a filter looks like a burst before the
+/// filter is known, and stretches look like tails. `peaks` were left out until now.
 fn samples_again(
     series: &mut Series<'_>,
     prices: &Prices,
@@ -306,7 +310,7 @@ fn samples_again(
     }
 }
 
-/// Takes back what is the matter of single samples but the model's, and leaves out some.
+/// Takes back the effects on single samples except the model's, and leaves out some samples.
 fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Explanation, left_out: &[usize]) {
     steps.retain(|step| !step.kind.is_marginal());
     let (samples, bursts) = (series.len(), series.setting().bursts);
@@ -322,7 +326,7 @@ fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Expla
     leave_rises_out(series);
 }
 
-/// Names what is the matter of single samples.
+/// Names the effects on single samples.
 fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     const MOST: usize = 12;
     for _ in 0..MOST {
@@ -374,9 +378,9 @@ fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     }
 }
 
-/// The candidate to be added next of those that were not named yet, None where nothing is worth its price.
+/// The candidate to be added next from those that were not named yet. None if no candidate is worth its price.
 fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
-    // What is named is named once: more of the same would be a failure to explain it.
+    // An effect that is named is named once: more of the same would be a failure to explain it.
     let curve = |kind: Kind| kind == Kind::TemperatureCurve;
     let apart = |step: &Step, of: &Candidate| curve(step.kind) != curve(of.kind);
     let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect() || apart(step, of));
@@ -389,7 +393,7 @@ fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> O
 fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
-    // The last to be chosen knew everything.
+    // The last effect was chosen with all others known.
     let is_filter = |step: &Step| filters.contains(&step.kind) && step.has_term();
     let of_filters: Vec<usize> = (0..steps.len()).filter(|at| is_filter(&steps[*at])).collect();
     let [at] = of_filters[..] else { return };
@@ -423,8 +427,8 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     *series = kept;
 }
 
-/// Several processes and filters that were named one after the other may be one density that falls as a power: where that does
-/// the work of all of them it is what there is.
+/// Several processes and filters that were named one after the other may be one density that falls as a power. If that density
+/// explains as much as all of them, it replaces them.
 fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     /// Nats that it has to be better by.
     const CLEARLY: f64 = 3.0;
@@ -465,8 +469,8 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     steps.push(Step { kind: Kind::Slope, gain: slope.gain, price, others: Vec::new(), of_model: None });
 }
 
-/// What was beyond a limit is drawn as if there were no filter until one is known, and that may make it look like the other
-/// kind: each is held against the other with what is drawn by its own law.
+/// Samples beyond a limit are drawn as if there were no filter until one is known, and that may make the filter look like the
+/// other kind. Each kind is therefore compared with the other on samples that are drawn under its own law.
 fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
     /// Nats that the other has to be better by.
     const CLEARLY: f64 = 3.0;
@@ -510,15 +514,15 @@ pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
 /// Nats by which what the model lacks has to be better than another reading of what it has.
 const NEWER: f64 = 4.0;
 
-/// The change to be made next, and the candidate that makes it; None where nothing is worth its price.
+/// The change to be made next, and the candidate that makes it. None if no change is worth its price.
 fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
     let score = |at: usize| candidates[at].gain - prices.of(candidates[at].kind);
     let mut order: Vec<usize> = (0..candidates.len()).filter(|at| candidates[*at].gain.is_finite()).collect();
     order.sort_by(|a, b| score(*b).total_cmp(&score(*a)));
     let kind = |at: usize| candidates[at].kind;
     let mut best = *order.first().filter(|best| score(**best) > 0.0)?;
-    // A change of variance and bursts beside it look like tails or like a course of the variance, and those give at once what they give
-    // one by one.
+    // A change of variance and bursts beside it look like tails or like a course of the variance, and those give at
+    // once what they give one by one.
     let is_stretch = |at: &&usize| matches!(kind(**at), Kind::Bursts | Kind::VarianceInterval) && score(**at) > 0.0;
     let looks_like_stretches = |kind: Kind| matches!(kind, Kind::HeavyTails | Kind::VarianceProfile);
     let stretches = order.iter().filter(is_stretch);

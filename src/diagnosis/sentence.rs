@@ -70,7 +70,8 @@ pub(super) fn summary(of: &Diagnosis) -> String {
     }
 }
 
-/// What is off, each with its nats, the largest first; axes of which the same is off by about the same ratio are one.
+/// The parameters that are off, each with its nats, the largest first; axes on which the same parameter is off by about
+/// the same ratio are one.
 fn parameters(of: &Diagnosis) -> Vec<(String, f64)> {
     /// Ratios that are one, ln.
     const SAME: f64 = 0.1;

@@ -1,4 +1,4 @@
-//! A series: one channel's samples, what explains them so far, and the residual that ought to be white.
+//! A series: one channel's samples, their explanation so far, and the residual, which ought to be white.
 
 use super::censored::{self, Censored};
 use super::course::{Course, Courses};
@@ -16,7 +16,7 @@ use std::collections::BTreeSet;
 /// Spectra on a grid without the model's effects at these places of its list.
 pub type BaseOf<'a> = &'a (dyn Fn(&Grid, &BTreeSet<usize>) -> Base + Sync);
 
-/// What belongs to the whole record.
+/// The data of the whole record.
 pub struct Setting<'a> {
     /// Courses.
     pub courses: &'a Courses,
@@ -30,7 +30,7 @@ pub struct Setting<'a> {
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
-    /// Where the model has bursts.
+    /// The intervals of the model's bursts.
     pub bursts: &'a [std::ops::Range<usize>],
     /// Samples that the model's own filters reach.
     pub reach: usize,
@@ -57,17 +57,17 @@ pub struct Series<'a> {
     base: Base,
     /// Beliefs about the levels: the setting's, unless the record speaks against them.
     pub(super) beliefs: Beliefs,
-    /// The samples without what is explained.
+    /// The samples less the explained part.
     pub rest: Vec<f64>,
     /// The mean that was taken off them.
     pub(super) mean: f64,
-    /// Those of them that stand at a limit.
+    /// The samples among them that stand at a limit.
     pub(super) censored: Vec<Censored>,
     /// Its transform.
     pub coefficients: Vec<f64>,
     /// Power in bins.
     pub power: Vec<f64>,
-    /// How many independent coefficients each bin is worth.
+    /// The number of independent coefficients in each bin.
     worth: Vec<f64>,
     /// The spectrum's fit.
     pub fitted: Fitted,
@@ -77,11 +77,11 @@ pub struct Series<'a> {
     pub whitened: Vec<f64>,
     /// Their inverse transform: about white noise of variance 1.
     pub residual: Vec<f64>,
-    /// The same with the filters' phase undone; empty where there are no filters.
+    /// The same with the filters' phase undone; empty if there are no filters.
     unfiltered: Vec<f64>,
-    /// The variance that the explanation gives the residual at each sample; empty where it is 1.
+    /// The variance that the explanation gives the residual at each sample; empty if it is 1.
     pub variance: Vec<f64>,
-    /// What has made the white noise of the rest even, if it has.
+    /// The equaliser of the white noise, if there is one.
     pub(super) equaliser: Option<Equaliser>,
 }
 
@@ -153,7 +153,7 @@ impl<'a> Series<'a> {
         &self.samples
     }
 
-    /// What a law is fitted to, with the bins' power as it is.
+    /// The data that a law is fitted to, with the bins' power as it is.
     #[must_use]
     pub fn data(&self) -> Data<'_> {
         self.data_of(&self.power)
@@ -171,7 +171,7 @@ impl<'a> Series<'a> {
         (0.5 * self.explanation.law.levels[0]).exp() * self.setting.rate_hz.sqrt()
     }
 
-    /// Builds everything anew from samples and explanation; `several`: from several starts of the law.
+    /// Builds the state again from samples and explanation; `several`: from several starts of the law.
     pub fn rebuild(&mut self, several: bool) {
         /// From this part of a record on (one in so many) what is filled in counts in its law.
         const MANY: usize = 50;
@@ -180,14 +180,15 @@ impl<'a> Series<'a> {
         self.resolve_lines();
         self.fit_means();
         self.refit(several);
-        // What depends on the law was done by the last one.
+        // The values that depend on the law were computed with the previous law.
         if self.depends_on_law() {
             self.fit_means();
             self.refit(false);
         }
         if !self.excluded().is_empty() {
-            // What stands for excluded samples depends on the law, and the law on that: a little on a few samples; behind a filter,
-            // whose spectrum may be next to nothing somewhere, much; on a good part of the record until both agree.
+            // The replacement of excluded samples depends on the law, and the law on the replacement. The dependence is weak for
+            // a few samples. Behind a filter, whose spectrum may be almost 0 somewhere, it is strong. For a good part of the
+            // record, the loop runs until both agree.
             let filtered = self.explanation.law.terms.iter().any(Term::is_filter);
             let least = if filtered { 5 } else { 2 };
             let most = if self.loud_samples() * MANY > self.len() { 12 } else { least };
@@ -205,7 +206,7 @@ impl<'a> Series<'a> {
         self.measure_loud();
     }
 
-    /// The samples as the explanation says, whitened by the law as it is.
+    /// The samples less the explanation, whitened by the law as it is.
     pub(super) fn rewhiten(&mut self) {
         self.fit_means();
         self.interpolate();
@@ -213,7 +214,7 @@ impl<'a> Series<'a> {
         self.whiten();
     }
 
-    /// Measures anew how loud the excluded stretches are, against the noise without them.
+    /// Measures again how loud the excluded stretches are, against the noise without them.
     fn measure_loud(&mut self) {
         if self.explanation.loud.iter().all(|loud| loud.ratio <= LOUD) {
             return;
@@ -251,10 +252,10 @@ impl<'a> Series<'a> {
         self.whiten();
     }
 
-    /// How many independent coefficients the bins of a grid are worth.
+    /// The number of independent coefficients in the bins of a grid.
     ///
-    /// The mean square of n coefficients of white noise whose variance v changes over a record is that of n·⟨v⟩²/⟨v²⟩ of even
-    /// noise (the moments of its sum of squares); what is filled in for loud stretches is worth nothing.
+    /// The mean square of n coefficients of white noise whose variance v changes over a record has the scatter of n·⟨v⟩²/⟨v²⟩
+    /// coefficients of even noise (the moments of its sum of squares). The replacement of loud stretches has no weight.
     pub(super) fn worth_on(&self, grid: &Grid, base: &Base) -> Vec<f64> {
         /// Bins are worth half at least: else bands that are there would be taken for white noise of another level.
         const MOST: f64 = 1.0;
@@ -286,8 +287,8 @@ impl<'a> Series<'a> {
         self.explanation.law = law;
     }
 
-    /// A series under an explanation that is not fitted any more, but for the phases of its sines, which no one can know. Its
-    /// level of white noise is that where nothing changes the variance.
+    /// A series under an explanation that is no longer fitted, except for the phases of its sines, which cannot be known in
+    /// advance. Its level of white noise is the level at times when nothing changes the variance.
     #[must_use]
     pub fn frozen(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, explanation: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, explanation);
@@ -296,7 +297,7 @@ impl<'a> Series<'a> {
         let amplitudes: Vec<f64> = series.explanation.sines.iter().map(Sine::amplitude).collect();
         for pass in 0..3 {
             series.fit_means();
-            // What stands for left out samples is drawn from the spectrum, which depends a little on it.
+            // The replacement of samples that are left out is drawn from the spectrum, which depends a little on it.
             for is_drawn in [false, true] {
                 if is_drawn {
                     series.interpolate();
@@ -306,7 +307,7 @@ impl<'a> Series<'a> {
                 series.spectrum = series.grid.fill(&series.fitted.logarithms);
             }
             series.whiten();
-            // What depends on the law needs one more.
+            // The values that depend on the law need one more iteration.
             let is_alone = series.explanation.sines.is_empty() && !(pass == 0 && series.depends_on_law());
             if is_alone || pass == 2 {
                 break;
@@ -348,7 +349,7 @@ impl<'a> Series<'a> {
         self.turn_of(&self.setting.courses.turning(cycles))
     }
 
-    /// The same of the transforms of what its cosine and sine make of the rest.
+    /// The same from the transforms of the products of its cosine and sine with the rest.
     fn turn_of(&self, columns: &[Vec<f64>; 2]) -> (f64, [f64; 2]) {
         let product = |a: &[f64], b: &[f64]| -> f64 {
             a.iter().zip(b).zip(&self.spectrum).skip(1).map(|((a, b), s)| a * b / s).sum()
@@ -408,7 +409,8 @@ impl<'a> Series<'a> {
         if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
             return;
         }
-        /// Standard deviations of white noise that a step may still move by: its size and what is filled in about it depend on each other.
+        /// Standard deviations of white noise that a step may still move by: its size and what is filled in about it
+        /// depend on each other.
         const SETTLED: f64 = 0.2;
         const ROUNDS: usize = 8;
         let has_steps = self.explanation.courses.iter().any(|(course, _)| matches!(course, Course::Step(_)));
@@ -420,7 +422,7 @@ impl<'a> Series<'a> {
             self.fit_means();
             self.interpolate();
             self.refit(false);
-            // What moves more and more is left.
+            // A step that moves more and more is left.
             if moved < SETTLED * self.white() || moved > before {
                 break;
             }
@@ -451,7 +453,7 @@ impl<'a> Series<'a> {
         moved
     }
 
-    /// The transforms of what the equaliser makes of functions of the record; None where there is none, or where it fails.
+    /// The transforms of the equalised functions of the record; None if there is none, or where it fails.
     fn equalised<T: AsMut<[Vec<f64>]>>(&mut self, functions: impl FnOnce() -> T) -> Option<T> {
         let equaliser = self.equaliser.take()?;
         let mut functions = functions();
@@ -478,8 +480,8 @@ impl<'a> Series<'a> {
         Grid::new(self.len(), rate_hz, &lines)
     }
 
-    /// The series as if its model had no spectral effect at this place of its list. What stands for left out samples under a
-    /// filter that is wrong may be anything, and is drawn again; else the law is fitted again to what it is fitted to now.
+    /// The series as if its model had no spectral effect at this place of its list. Excluded samples that were replaced under a
+    /// wrong filter may have any value, and are drawn again. Otherwise, the law is fitted again to its current input.
     #[must_use]
     pub(super) fn without_declared(&self, place: usize) -> Self {
         let mut bare = self.clone();
@@ -499,7 +501,7 @@ impl<'a> Series<'a> {
         law.logarithms(Data { base: &base, ..self.data() })
     }
 
-    /// Fits the law again beside what is left of the model's own effects.
+    /// Fits the law again beside the remaining effects of the model.
     pub(super) fn relaw(&mut self) {
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);
         // A wrong filter may have driven the levels far away: white noise is about 1 in this scale.
@@ -516,7 +518,7 @@ impl<'a> Series<'a> {
         self.whitened = self.coefficients.iter().zip(&self.spectrum).map(|(c, s)| c / s.sqrt()).collect();
     }
 
-    /// Rebuilds grid and spectra of what there is.
+    /// Rebuilds grid and spectra from the present explanation.
     fn resolve_lines(&mut self) {
         self.grid = self.resolving(&[]);
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);
@@ -582,7 +584,7 @@ impl<'a> Series<'a> {
         self.residual = residual;
     }
 
-    /// The residual as it was before the filters: each value what came at its time.
+    /// The residual as it was before the filters: each value is the input of its time.
     #[must_use]
     pub fn innovations(&self) -> &[f64] {
         if self.unfiltered.is_empty() { &self.residual } else { &self.unfiltered }
@@ -592,7 +594,7 @@ impl<'a> Series<'a> {
     #[must_use]
     pub fn reach(&self) -> usize {
         let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
-        // Of a filter that is slower than that there is not enough left to say anything.
+        // For a slower filter, too few samples are left to determine it.
         found.max().unwrap_or(0).max(self.setting.reach).min(self.len() / 32)
     }
 
@@ -607,7 +609,7 @@ impl<'a> Series<'a> {
         loud.from..(loud.to + self.reach()).min(self.len())
     }
 
-    /// Power gain of all filters, the model's and those found, at each coefficient; None where there is none.
+    /// Power gain of all filters, the model's and those found, at each coefficient; None if there is none.
     #[must_use]
     pub fn filters(&self) -> Option<Vec<f64>> {
         let found = self.explanation.law.terms.iter().filter(|term| term.is_filter());
@@ -623,8 +625,8 @@ impl<'a> Series<'a> {
         Some(self.grid.fill(&logarithms))
     }
 
-    /// By how much the white part's variance is on average above what it is where nothing changes it: the law's level of
-    /// white noise is the average.
+    /// By how much the white part's variance is on average above its variance at times when nothing changes it: the law's level
+    /// of white noise is the average.
     #[must_use]
     pub fn average_variance(&self) -> f64 {
         let raw = self.raw_variances();
@@ -636,7 +638,7 @@ impl<'a> Series<'a> {
         normalised(self.raw_variances())
     }
 
-    /// The same over that where nothing changes it.
+    /// The same over the variance at times when nothing changes it.
     fn raw_variances(&self) -> Vec<f64> {
         let n = self.len();
         let temperature = self.setting.courses.temperature().unwrap_or_default();
@@ -676,8 +678,8 @@ impl<'a> Series<'a> {
         Cow::Owned(scores)
     }
 
-    /// Covariance of factors of courses whose transforms are `columns`, at the present law; None where they cannot be told
-    /// apart.
+    /// Covariance of factors of courses whose transforms are `columns`, at the present law. None if the factors cannot be
+    /// separated.
     #[must_use]
     pub fn covariance(&self, columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
         let product = |i: usize, j: usize| -> f64 {
@@ -691,7 +693,7 @@ impl<'a> Series<'a> {
         normal.cholesky().map(|factor| factor.inverse())
     }
 
-    /// The gain in nats, the factors, their covariance and the law where courses are added to the level.
+    /// The gain in nats, the factors, their covariance and the law if courses are added to the level.
     #[must_use]
     pub fn with_courses(&self, courses: &[Course]) -> Drift {
         let columns: Vec<Vec<f64>> = courses.iter().map(|course| self.setting.courses.coefficients(*course)).collect();
@@ -759,7 +761,7 @@ impl<'a> Series<'a> {
     }
 }
 
-/// What adding courses would give.
+/// The gain of adding courses.
 #[derive(Debug, Clone)]
 pub struct Drift {
     /// Nats.

@@ -1,4 +1,4 @@
-//! Shared noise: what several channels have in common.
+//! Shared noise: the noise that several channels have in common.
 
 use super::series::Series;
 use nalgebra::DMatrix;
@@ -54,7 +54,8 @@ pub struct Shared {
     pub gain: f64,
 }
 
-/// What channels share, where it is worth `price` nats a pair: one source for each group of channels that are linked.
+/// The noise that channels share, if it is worth `price` nats a pair: one source for each group of channels that are
+/// linked.
 ///
 /// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One shared
 /// source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in all.
@@ -98,7 +99,7 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     sources.map(|of| with_part(source(&of, &correlation, white))).filter(|of| of.parts.len() > 1).collect()
 }
 
-/// Without the channels that are linked to others and yet have next to none of the source.
+/// Without the channels that are linked to others and yet have almost none of the source.
 fn with_part(mut of: Shared) -> Shared {
     /// The least part that counts, and the same in standard errors.
     const LEAST: f64 = 0.02;
@@ -112,7 +113,8 @@ fn with_part(mut of: Shared) -> Shared {
     of
 }
 
-/// One source of channels that are linked, each to one of the others at least; n the coefficients that tell.
+/// One source of channels that are linked, each to one of the others at least; n is the number of informative
+/// coefficients.
 fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
     const ROUNDS: usize = 300;
     let count = members.len();
@@ -128,7 +130,7 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
         let Some((i, j)) = links.max_by(|a, b| r(a.0, a.1).abs().total_cmp(&r(b.0, b.1).abs())) else { break };
         parts[i] = strongest(i) * (r(i, j) * parts[j]).signum();
     }
-    // Two channels alone tell their product only: equal shares.
+    // Two channels alone determine only the product of the parts: equal shares are assumed.
     for _ in 0..if count > 2 { ROUNDS } else { 0 } {
         for i in 0..count {
             let others = (0..count).filter(|j| *j != i);
@@ -162,7 +164,7 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
 }
 
 /// The 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in √(2n). Two channels
-/// show the product of their parts alone: either may be anything from that product to 1.
+/// show only the product of their parts: each part may lie anywhere from that product to 1.
 fn interval(part: f64, error: f64, count: usize, n: f64) -> [f64; 2] {
     const NORMAL_95: f64 = 1.959_964;
     let size = part.abs();

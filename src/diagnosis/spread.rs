@@ -1,4 +1,4 @@
-//! Spread: standard errors of what explains a series.
+//! Spread: standard errors of a series' explanation.
 
 use super::course::Course;
 use super::explanation::Scedasticity;
@@ -8,15 +8,16 @@ use super::series::Series;
 /// Standard errors in the series' scale, beside the parts of an explanation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Spread {
-    /// Of each course's factor, and of the logarithm of a warm-up's time constant or of a step's place in samples.
+    /// The errors of each course's factor, and of the logarithm of a warm-up's time constant or of a step's place in
+    /// samples.
     pub courses: Vec<(f64, f64)>,
-    /// Of each sine's frequency in cycles per sample and of its amplitude.
+    /// The errors of each sine's frequency in cycles per sample and of its amplitude.
     pub sines: Vec<(f64, f64)>,
     /// Of each term's numbers.
     pub terms: Vec<Vec<f64>>,
-    /// Of ln of the degrees of freedom.
+    /// The error of ln of the degrees of freedom.
     pub tails: f64,
-    /// Of the slope of ln variance by °C.
+    /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
 }
 
@@ -40,13 +41,13 @@ impl Spread {
                 slopes.push((at, columns.len() - 1));
             }
         }
-        // What one sample more or less of a step of 1 is worth, twice in nats: behind filters less than at its full height.
+        // Twice the gain in nats of moving a step of 1 by one sample: behind filters less than at its full height.
         let gain = series.filters();
         let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k].min(1.0));
         let worth = |(k, s): (usize, &f64)| passed(k) / s;
         let sharpness = series.spectrum.iter().enumerate().skip(1).map(worth).sum::<f64>() / n;
         let covariance = series.covariance(&columns);
-        // Where a step is in samples that are left out is not known.
+        // The place of a step among samples that are left out is not known.
         let excluded = series.excluded();
         let unknown = |at: usize| {
             let place = excluded.partition_point(|of| *of < at);
@@ -79,7 +80,7 @@ impl Spread {
         };
         let per_degree = match &explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {
-                // Nothing separates slow noise, which temperature does not change, from white noise at each instant.
+                // At each instant, slow noise, which temperature does not change, cannot be separated from white noise.
                 const OTHERS: f64 = 0.01;
                 let about = courses.temperature().unwrap_or_default();
                 let mean = about.iter().sum::<f64>() / n;

@@ -1,4 +1,4 @@
-//! Strong effects: what is far louder than all else is named alone, and hides nothing that is beside it.
+//! Strong effects: an effect that is far louder than all others is named alone, and hides no effect beside it.
 
 use super::cliffs::{WHITE, Wrong, diagnosed, list, names};
 use super::round_trip::{RATE_HZ, model, recording};
@@ -9,19 +9,19 @@ use serde_json::{Value, json};
 
 const SAMPLES: usize = 40_000;
 
-/// What is found of an effect that the model lacks.
+/// The findings on an effect that the model lacks.
 fn found(effect: &Value, seed: u64) -> Outcome {
     diagnosed(&recording(&model(Some(effect)), seed, SAMPLES), &model(None))
 }
 
-/// Expects that an effect that the model lacks is named, and nothing else.
+/// Expects that an effect that the model lacks is named, and no other.
 fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
     let found = found(effect, seed);
     let is_right = names(&found) == [effect["effect"].as_str().unwrap()] && found.diagnosis.verdict == Verdict::Effects;
     wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
 }
 
-/// Expects that two effects of one channel that the model lacks are named, and nothing else.
+/// Expects that two effects of one channel that the model lacks are named, and no others.
 fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
     let mut truth = model(Some(one));
     let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
@@ -139,7 +139,7 @@ fn large_spikes_beside_loud_stretches_and_behind_a_filter_are_spikes() {
     wrong.none();
 }
 
-/// Of tails that a long loud stretch makes the shorter ones beside it make as much.
+/// Shorter loud stretches beside a long one make as much of the apparent tails as the long one.
 #[test]
 fn loud_stretches_of_all_lengths_are_no_tails() {
     let mut real = recording(&model(None), 7, SAMPLES);
@@ -164,7 +164,8 @@ fn a_process_of_a_few_samples_is_no_band_and_no_filter() {
     wrong.none();
 }
 
-/// What rounded readings of the temperature do not say of a level that follows it steeply is no process of its own.
+/// If a level follows the temperature steeply, rounded readings do not show all of it. The missing part is not a
+/// separate process.
 #[test]
 fn a_level_that_follows_a_rounded_temperature_steeply_follows_it_alone() {
     let mut wrong = Wrong::default();
@@ -212,7 +213,7 @@ fn strong_quantization_noise_is_no_burst_at_the_ends() {
     wrong.none();
 }
 
-/// What a filter makes of spikes, and of white noise whose variance changes, is not known before the filter is.
+/// The effect of a filter on spikes, and on white noise whose variance changes, is not known before the filter is.
 #[test]
 fn what_lies_in_front_of_a_boxcar_does_not_hide_it() {
     let mut wrong = Wrong::default();
@@ -253,7 +254,7 @@ fn spikes_that_are_near_each_other_are_spikes() {
     wrong.none();
 }
 
-/// Nothing comes in behind most simulators' filters: a spectrum may fall by forty orders of magnitude.
+/// No noise enters behind most simulators' filters: a spectrum may fall by forty orders of magnitude.
 #[test]
 fn a_filter_with_nothing_behind_it_is_alone() {
     let mut wrong = Wrong::default();

@@ -1,4 +1,4 @@
-//! Taken back: what was named before all else was known, and is not worth its price beside that.
+//! Taken back: effects that were named early, and that are not worth their price beside all effects found later.
 
 use super::course::Course;
 use super::evidence::declared::kind_of;
@@ -9,8 +9,8 @@ use super::report::Sense;
 use super::search::{Step, leave_rises_out};
 use super::series::Series;
 
-/// Takes back steps that what is left of the samples does not tell, or that are not worth their number beside all else; the first
-/// `known` courses are the model's.
+/// Takes back steps that the remaining samples do not show, or that are not worth their number beside all other effects. The
+/// first `known` courses are the model's.
 pub(super) fn weak_steps(series: &mut Series<'_>, steps: &mut Vec<Step>, known: usize) {
     let is_own = |at: usize, course: &Course| at >= known && matches!(course, Course::Step(_));
     let own = |series: &Series<'_>| -> Vec<usize> {
@@ -138,7 +138,7 @@ pub(super) fn tails_and_bursts_again(
     }
 }
 
-/// Takes back steps about a far larger one that are not needed once what that does while it rises is left out; the first `known`
+/// Takes back steps about a far larger one that are not needed once the samples of its rise are left out; the first `known`
 /// courses are the model's.
 pub(super) fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
     /// Samples about the larger one, and its size over theirs.
@@ -179,7 +179,7 @@ pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Ve
         let terms = &series.explanation.law.terms;
         let losses = (0..terms.len()).filter_map(|at| {
             let kind = kind_of(terms[at].shape);
-            // Where the model has the term itself nothing was named.
+            // If the model has the term itself, no effect was named.
             steps.iter().any(|step| step.kind == kind && step.has_term()).then_some(())?;
             let mut law = series.explanation.law.clone();
             law.terms.remove(at);
@@ -219,7 +219,8 @@ pub(super) fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
     }
 }
 
-/// Takes what was named as missing for another size of what the model has, where that is not needed beside it.
+/// Takes an effect that was named as missing for another size of the model's effect, if the latter is not needed beside
+/// it.
 pub(super) fn same_as_the_models(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     for at in 0..steps.len() {
         let kind = steps[at].kind;
@@ -242,7 +243,7 @@ pub(super) fn same_as_the_models(series: &mut Series<'_>, prices: &Prices, steps
     }
 }
 
-/// Puts back what the model has, where it does as well beside what was found after it was changed.
+/// Puts back the model's effect, if it does as well beside the effects that were found after it was changed.
 pub(super) fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     let changed = |step: &Step| step.of_model.is_some();
     while let Some((at, as_stated)) =

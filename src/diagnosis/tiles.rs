@@ -28,8 +28,8 @@ pub struct Rectangle {
     pub excess: f64,
     /// Mean ratio.
     pub ratio: f64,
-    /// A bound of the chance that noise alone makes one as heavy anywhere: that of its tiles' sum of squares, times how many
-    /// rectangles there are.
+    /// A bound of the chance that noise alone makes a rectangle as heavy anywhere: the chance of its tiles' sum of squares, times
+    /// the number of rectangles.
     pub p_value: f64,
 }
 

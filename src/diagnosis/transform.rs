@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 /// DCT-II of records of one length, and its inverse, by one real FFT of that length (Makhoul 1980, IEEE Trans. ASSP 28).
 ///
-/// c₀ = √(1/n)·Σ x_j and c_k = √(2/n)·Σ x_j cos(πk(2j + 1)/2n), at the frequency rate·k/2n. White noise stays white; a random
-/// walk's coefficients are uncorrelated exactly, with the variance that its spectrum has there, whatever its first value (the
-/// basis diagonalises second differences with reflecting ends: Strang 1999, SIAM Review 41); other smooth spectra nearly so.
+/// c₀ = √(1/n)·Σ x_j and c_k = √(2/n)·Σ x_j cos(πk(2j + 1)/2n), at the frequency rate·k/2n. White noise stays white. A random
+/// walk's coefficients are uncorrelated exactly, with the variance that its spectrum has there, for any first value (the basis
+/// diagonalises second differences with reflecting ends: Strang 1999, SIAM Review 41). Other smooth spectra are nearly
+/// uncorrelated.
 ///
 /// Validation: against the definition, and by its inverse.
 #[derive(Clone)]

@@ -15,7 +15,7 @@ use crate::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// What is needed besides the explanation.
+/// The data that the translation needs besides the explanation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Units<'a> {
     /// The channel.
@@ -24,7 +24,7 @@ pub(super) struct Units<'a> {
     pub samples: usize,
     /// Mean temperature, °C.
     pub temperature_c: f64,
-    /// The white part's mean variance over that where nothing changes it.
+    /// The white part's mean variance over its variance at times when nothing changes it.
     pub average_variance: f64,
     /// Bands whose level changes.
     pub levels: &'a [Levels],
@@ -33,8 +33,8 @@ pub(super) struct Units<'a> {
 }
 
 impl Units<'_> {
-    /// What is left of a line's amplitude behind all filters, the model's own but those `without` which it is and `further` ones,
-    /// as the simulator has them.
+    /// The part of a line's amplitude that passes all filters: the model's own but those `without` which it is, and `further`
+    /// ones, as the simulator has them.
     fn passed(&self, without: &BTreeSet<usize>, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
         let channel = self.prepared.channel;
         let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
@@ -82,7 +82,7 @@ pub struct Translated {
     pub kind: Kind,
     /// It.
     pub effect: Arc<dyn Effect>,
-    /// 95 % intervals of its parameters, where they are known.
+    /// 95 % intervals of its parameters, if they are known.
     pub ci95: Vec<(&'static str, [f64; 2])>,
 }
 
@@ -128,7 +128,8 @@ fn rise(left_out: &[usize], at: usize) -> (usize, usize) {
 
 /// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
 pub(super) const LEAST_PASSED: f64 = 1e-4;
-/// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the difference.
+/// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the
+/// difference.
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// The effects of an explanation; those that the model has already are left out.
@@ -140,12 +141,12 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
     let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
-        // Where no error is known there is no interval.
+        // If no error is known, there is no interval.
         ci95.retain(|(_, [low, high])| low < high && low.is_finite() && high.is_finite());
         found.push(Translated { kind, effect, ci95 });
     };
     let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
-    // What follows the temperature without play is one effect.
+    // The effects that follow the temperature without play are one effect.
     let mut warm: Option<(TemperatureBias, Intervals)> = None;
     for ((course, factor), (error, second)) in courses {
         let (size, error) = (factor * scale, error * scale);
@@ -188,7 +189,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
                 let (first, last) = rise(&explanation.outliers, *at);
                 let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
                 let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
-                // Nobody knows what it does until it is over.
+                // Its course is unknown until it is over.
                 let rises_s = (0.5 * (last - first) as f64).max(RISE) / rate_hz / NORMAL_95;
                 let at_error = (second / rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
                 let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
@@ -315,7 +316,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     found
 }
 
-/// Nats by which one sample tells which of two variances of this ratio it has, for the one that it tells less of (Kullback and
+/// Nats by which one sample distinguishes two variances of this ratio, for the variance that it distinguishes less (Kullback and
 /// Leibler 1951). The place of a change is known within 5.5 over that in 95 %, as that of a small step is within 11 times the
 /// squared ratio of noise to step (Yao 1987): both are a random walk's with that drift.
 fn divergence(ratio: f64) -> f64 {
@@ -350,7 +351,8 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
 /// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, the output's rate and the internal one in Hz.
 fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
     let [scale, white, rate_hz, internal_hz] = units;
-    /// White noise behind a filter of less than this part of N (ln of the squares) is none: nothing tells it.
+    /// White noise behind a filter below this part of N (ln of the squares) counts as absent: the record does not show
+    /// it.
     const SILENT: f64 = -16.0;
     let behind = term.floor().filter(|floor| floor.ln() > SILENT).map_or(0.0, |floor| white * floor.sqrt());
     // The last number of a filter.
@@ -373,7 +375,8 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
             let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
             let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
             let most = line.most_asymmetric(rate_hz);
-            // What is found at the output's rate acts at the internal one. A standard error off it may be beyond half the rate.
+            // A resonance found at the output's rate acts at the internal one. A standard error off it may be beyond half the
+            // rate.
             let possible = line.most_asymmetric(internal_hz);
             let asymmetry = (at(3) * most).max(-possible).min(possible);
             let mut ci95 = vec![
@@ -405,8 +408,8 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
     })
 }
 
-/// Lines at whole multiples of the lowest of them, within what a record of 1/`resolution_hz` tells apart, are one comb, with
-/// the standard error of its fundamental; the others are tones.
+/// Lines at whole multiples of the lowest of them, within the resolution of a record of 1/`resolution_hz`, are one comb, with the
+/// standard error of its fundamental. The others are tones.
 fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<LineFound>) {
     const HARMONICS: f64 = 12.0;
     let mut left: Vec<LineFound> = lines.to_vec();
@@ -428,7 +431,7 @@ fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<Line
         }
         let highest = harmonics.iter().map(|(order, _)| *order).max().unwrap_or(1);
         let mut amplitudes = vec![0.0; highest];
-        // Each harmonic tells the fundamental by its order and its own error.
+        // Each harmonic determines the fundamental by its order and its own error.
         let (mut sum, mut weights) = (0.0, 0.0);
         for (order, line) in &harmonics {
             amplitudes[order - 1] = line.amplitude;

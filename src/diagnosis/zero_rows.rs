@@ -1,4 +1,4 @@
-//! Zero rows: rows that are no measurement, because whatever wrote the recording put zeros into them.
+//! Zero rows: rows that are not measurements, because the writer of the recording filled them with zeros.
 
 use super::prepare::scale_of;
 use super::recording::Recording;
@@ -43,7 +43,7 @@ pub(super) fn without<'a>(real: &'a Recording, rows: &[usize]) -> Cow<'a, Record
     Cow::Owned(other)
 }
 
-/// Says how many there are, where the first is, and what is done about them; `None` if there is none.
+/// Returns a note with their number, the place of the first, and the action taken; `None` if there is none.
 pub(super) fn note(rows: &[usize], rate_hz: f64) -> Option<String> {
     let first_s = *rows.first()? as f64 / rate_hz;
     let count = rows.len();

@@ -1,5 +1,5 @@
-//! What every effect's tests share: simulated spectra, Allan variances and moments against the closed forms, and values
-//! that do not depend on how a stream is cut.
+//! Checks that the effects' tests share: simulated spectra, Allan variances and moments against the closed forms, and
+//! values that do not depend on how a stream is cut.
 
 use super::{At, Effect, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
 
@@ -10,12 +10,13 @@ const SEEDS: u64 = 100;
 /// Accepted distance in standard errors of the mean over the realisations: with some 20 comparisons per effect and 30
 /// effects, one in 3000 runs would fail by chance if seeds were not fixed.
 const STANDARD_ERRORS: f64 = 5.0;
-/// Accepted relative deviation of spectra (leakage of the window, flicker's ripple) and of the Allan variance of flicker and power laws.
+/// Accepted relative deviation of spectra (leakage of the window, flicker's ripple) and of the Allan variance of
+/// flicker and power laws.
 const APPROXIMATE: f64 = 0.01;
 /// And of what is exact.
 const EXACT: f64 = 1e-6;
 
-/// And of what should be nothing, in sums over numbers of about 1.
+/// The same for a quantity that should be 0, in sums over numbers of about 1.
 const ROUNDING: f64 = 1e-18;
 
 /// A stream for a test.
@@ -36,7 +37,7 @@ fn white(count: usize, seed: u64) -> Vec<f64> {
     (0..count).map(|_| stream.normal()).collect()
 }
 
-/// What the effect makes of normal white noise of variance 1 per sample.
+/// The output of the effect for normal white noise of variance 1 per sample.
 pub(super) fn draw_on_white(effect: &dyn Effect, rate_hz: f64, count: usize, seed: u64) -> Vec<f64> {
     let mut values = white(count, seed);
     effect.sampler(rate_hz, count as f64 / rate_hz, stream(seed)).apply(&mut values);
@@ -59,7 +60,7 @@ pub(super) fn allan_variance(values: &[f64], m: usize) -> f64 {
 pub(super) enum Window {
     /// For spectra that are not flat.
     Hann,
-    /// For white noise that is not the same all the time: every sample counts.
+    /// For white noise that varies over time: every sample counts.
     Rectangular,
 }
 
@@ -121,7 +122,7 @@ pub(super) fn spectrum_agrees(
     }
 }
 
-/// Asserts that the mean Allan variances over the seeds are `expected`, where that is known.
+/// Asserts that the mean Allan variances over the seeds are `expected`, if that is known.
 fn allan_agrees(name: &str, cases: &[Vec<f64>], systematic: f64, expected: impl Fn(u64) -> Option<f64>) {
     // Beyond an eighth of the record one difference is left, whose mean square over 100 seeds is far from normal.
     for m in [1, 2, 4, 16, 64, 256, 2048, 7000].into_iter().filter(|m| *m <= 2048 || cases.len() < SEEDS as usize) {
@@ -165,9 +166,9 @@ fn cuts_do_not_matter(effect: &dyn Effect, rate_hz: f64) {
     }
 }
 
-/// Asserts that spectra (octaves up to Nyquist), lines, Allan variances (m = 1 … 7000) and moments over 100 seeds are the
-/// closed forms' within their sampling error, that deterministic parts are the mean response, and that realisations do not
-/// depend on how they are cut.
+/// Asserts that spectra (octaves up to Nyquist), lines, Allan variances (m = 1 … 7000) and moments over 100 seeds agree with the
+/// closed forms within their sampling error. Also asserts that deterministic parts are the mean response, and that realisations
+/// do not depend on how they are cut.
 pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
     let name = effect.name();
     let record = Record { rate_hz, samples: SAMPLES as u64 };

@@ -1,12 +1,12 @@
 //! Flicker noise (B), the bias instability of IEEE Std 952: a spectrum of B²/(2πf) from below one over the record's
 //! length up to Nyquist, streamed in bounded memory.
 //!
-//! White noise passes one rational filter whose poles and zeros alternate on a logarithmic scale, two octaves from pole
-//! to pole ([`RATIO`]), so that its power falls as 1/f with a ripple of ±0.35 % (a ladder of ratio r ripples by
-//! ±2/sinh(π²/ln r)). Close to Nyquist the samples' spectrum must be 1/f itself, kinked at Nyquist, and not its aliased
-//! form: there the top of the ladder, one lone pole and a pole-zero pair on the negative axis were fitted to the target
-//! (log spectrum, 32-norm, 1e-5 … 0.5 of the rate; largest deviation ±0.98 %). One normal number per sample is enough,
-//! where a sum of independent processes would take one per pole.
+//! White noise passes one rational filter. The poles and zeros of the filter alternate on a logarithmic scale, two
+//! octaves from pole to pole ([`RATIO`]). Its power falls as 1/f with a ripple of ±0.35 % (a ladder of ratio r ripples
+//! by ±2/sinh(π²/ln r)). Close to Nyquist the samples' spectrum must be 1/f itself, kinked at Nyquist, and not its
+//! aliased form. There, the top of the ladder, one lone pole and a pole-zero pair on the negative axis were fitted to
+//! the target (log spectrum, 32-norm, 1e-5 … 0.5 of the rate; largest deviation ±0.98 %). One normal number per sample
+//! is enough; a sum of independent processes would take one per pole.
 //!
 //! The filter runs as a sum of first-order sections and starts in its stationary state. The lowest pole lies at
 //! 1/16 of one over the record's length ([`LOWEST_POLE`]), where its flattening costs less than 0.1 %.
@@ -173,7 +173,7 @@ impl Ladder {
         let log_gain = GAIN.ln() - zeros.iter().map(|zero| 4_f64.ln() - zero.decay).sum::<f64>()
             + poles.iter().map(|pole| 4_f64.ln() - pole.decay).sum::<f64>();
         let gain = (0.5 * log_gain).exp();
-        // Partial fractions; there is one zero less than there are poles, so that nothing of the input passes directly.
+        // Partial fractions. There is one zero less than there are poles, so that no part of the input passes directly.
         let weights = poles
             .iter()
             .enumerate()

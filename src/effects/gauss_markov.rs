@@ -36,7 +36,7 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 };
 
 /// Two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay` per sample, at
-/// `cycles` per sample; `decay` may be as small as one likes.
+/// `cycles` per sample; `decay` may be arbitrarily small.
 pub(super) fn lorentzian(cycles: f64, decay: f64, rate_hz: f64) -> f64 {
     Lorentzian::new(decay, rate_hz).at((PI * cycles).sin())
 }
@@ -62,8 +62,8 @@ impl Lorentzian {
         self.level / (self.least + self.slope * half * half)
     }
 
-    /// The density that e^(−decay·|k|)·sin ω₀|k| has where this one is that of e^(−decay·|k|)·cos ω₀k: the spectrum of its odd part, by sine
-    /// and cosine of half an angle a sample.
+    /// The density that e^(−decay·|k|)·sin ω₀|k| has where this one is that of e^(−decay·|k|)·cos ω₀k: the spectrum of
+    /// its odd part, by sine and cosine of half an angle a sample.
     pub(super) fn odd_at(&self, sine: f64, cosine: f64) -> f64 {
         self.per_hz * self.slope * sine * cosine / (self.least + self.slope * sine * sine)
     }
@@ -97,7 +97,7 @@ impl Effect for GaussMarkov {
     }
 }
 
-/// The next value and what it takes to go on.
+/// The next value and the numbers that continue the process.
 #[derive(Debug)]
 struct GaussMarkovSampler {
     pole: f64,

@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 /// With this probability a sample is the one before it again; all channels of the triad repeat together.
 ///
-/// One channel that names it is enough. White noise keeps its variance and has the power gain of
-/// [`HeldSamples::white_gain`]; on anything else the outcome depends on its spectrum: psd and Allan variance are `None`.
+/// One channel that names it is enough. White noise keeps its variance and has the power gain of [`HeldSamples::white_gain`]. For
+/// any other input, the outcome depends on its spectrum: psd and Allan variance are `None`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeldSamples {
     /// From 0 to below 1.
@@ -29,8 +29,8 @@ pub(super) static KIND: Kind<dyn Effect> =
     Kind { spec: &SPEC, make: |values| Arc::new(HeldSamples { probability: values.number("probability") }) };
 
 impl HeldSamples {
-    /// What becomes of a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives
-    /// (1 − p²)/(1 + p² − 2p cos 2πf·dt).
+    /// The power gain for a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives (1
+    /// − p²)/(1 + p² − 2p cos 2πf·dt).
     #[must_use]
     pub fn white_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let p = self.probability;

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// A tone, a resonance or white noise that is there at times alone; what it is made of goes on meanwhile, so that a tone
+/// A tone, a resonance or white noise that is present only at times. The underlying process goes on meanwhile, so that a tone
 /// keeps its phase.
 ///
 /// At random times with exponential stays (a random telegraph g of 0 and 1, stationary from the start): with p the share of
@@ -20,13 +20,13 @@ use std::sync::Arc;
 /// Source of the telegraph: Machlup 1954, J. Appl. Phys. 25.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Intermittent {
-    /// What comes and goes.
+    /// The effect that comes and goes.
     pub of: Gated,
     /// When.
     pub times: Times,
 }
 
-/// What can come and go.
+/// The effects that can come and go.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_enums, reason = "the documented three effects")]
 pub enum Gated {
@@ -243,7 +243,7 @@ impl Effect for Intermittent {
             _ => None,
         }
     }
-    /// Those of the effect, diluted by the share of the time.
+    /// The moments of the effect, diluted by the share of the time.
     fn moments(&self, record: Record) -> Option<Moments> {
         let share = match &self.times {
             Times::Random { on_s, off_s } => telegraph(*on_s, *off_s).0,
@@ -362,7 +362,7 @@ mod tests {
         }
         // Some 3800 stays, each as long as it takes: 1/√3800 of the mean length.
         assert!((inside / stays / 160.0 - 1.0).abs() < 5.0 / 3800.0_f64.sqrt(), "{inside} in {stays}");
-        // Eight samples per period: those a period apart are equal wherever both are there.
+        // Eight samples per period: samples a period apart are equal if the tone is present at both.
         let same = |i: usize| !(on[i] && on[i + 8]) || (values[i] - values[i + 8]).abs() < 1e-9;
         assert!((0..values.len() - 8).all(same));
         let far = (0..8).find(|phase| on[1_600_000 + phase] && on[*phase]);

@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// A Butterworth filter of everything before it in the chain, motion and noise alike.
+/// A Butterworth filter of the sum of all stages before it in the chain, motion and noise alike.
 ///
 /// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
 /// there for ever. Noise of the electronics behind it is not filtered: `white_behind`.
@@ -70,7 +70,7 @@ impl LowPass {
     }
 }
 
-/// What the bilinear transform makes of a frequency.
+/// The bilinear transform's image of a frequency.
 fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
     (PI * frequency_hz / rate_hz).tan()
 }

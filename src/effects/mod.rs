@@ -1,18 +1,18 @@
 //! Effects: one physical error source per file, each defined once for the simulator, the fit, the plots and the diagnosis.
 //! Pure.
 //!
-//! In: an effect's parameters (docs/formats.md), a rate, a random stream. Out: what is known about it in closed form
-//! (power spectrum, Allan variance, gain, mean response, moments, the functions of time it is linear in) and a sampler that
-//! streams it in bounded memory. Where there is no closed form the answer is `None`, and the method says why.
+//! In: an effect's parameters (docs/formats.md), a rate, a random stream. Out: its closed forms (power spectrum, Allan variance,
+//! gain, mean response, moments, the functions of time it is linear in) and a sampler that streams it in bounded memory. If there
+//! is no closed form, the method returns `None`, and its documentation states why.
 //!
-//! Every effect samples from a stream of its own ([`stream`]), so that adding one never changes another's values.
-//! A sampler works on blocks in place and its values do not depend on how the stream is cut into blocks.
+//! Every effect samples from a separate stream ([`stream`]), so that adding one never changes another's values. A
+//! sampler works on blocks in place and its values do not depend on how the stream is cut into blocks.
 //!
-//! [`Stage`] is the order in which effects act, whatever their order in a file. [`registry`] holds every effect under its
-//! name with its parameters and their ranges: what is refused, the JSON Schema and the tables in `docs/effects.md` follow
-//! from it. Effects on a triad, driven by a motion, are in [`triad`].
+//! [`Stage`] is the order in which effects act, for any order in a file. [`registry`] holds every effect under its name with its
+//! parameters and their ranges. The refusals, the JSON Schema and the tables in `docs/effects.md` follow from it. Effects on a
+//! triad, driven by a motion, are in [`triad`].
 //!
-//! Refused, with parameter, what was found and what is allowed ([`Refusal`]): values outside their range, frequencies from
+//! Refused, with parameter, the value found and the values allowed ([`Refusal`]): values outside their range, frequencies from
 //! half the rate up, intervals that end before they begin.
 //!
 //! Validation: each effect's tests compare simulated spectra, Allan variances and moments over 100 seeds with its closed
@@ -89,10 +89,10 @@ pub use white::White;
 use serde_json::Value;
 use std::sync::Arc;
 
-/// Temperature where none is told, °C: that of a laboratory, and of the reference in most data sheets.
+/// Temperature if none is given, °C: that of a laboratory, and of the reference in most data sheets.
 pub const USUAL_TEMPERATURE_C: f64 = 25.0;
 
-/// The chain of a sensor, in the order in which its parts act; the order of a file's list says nothing.
+/// The chain of a sensor, in the order in which its parts act. The order of a file's list has no meaning.
 ///
 /// Within one stage effects on a triad add up, each from the stage's own input, so that their order does not matter.
 /// A bandwidth acts on motion and noise alike, before the converter clips and before anything is decimated: noise beyond
@@ -106,19 +106,19 @@ pub enum Stage {
     CrossAxis,
     /// Scale factor and its nonlinearity.
     Scale,
-    /// What shifts the level: bias, temperature, warm-up, steps, ramp, g-sensitivity.
+    /// Effects that shift the level: bias, temperature, warm-up, steps, ramp, g-sensitivity.
     Bias,
-    /// What shapes the white part alone, before it is added: heavy tails, changes of variance.
+    /// Effects that shape the white part alone, before it is added: heavy tails, changes of variance.
     WhitePart,
     /// Additive noise: N, B, K and the others.
     Noise,
-    /// The sensor's bandwidth: filters of everything so far.
+    /// The sensor's bandwidth: filters of the sum of all stages so far.
     Bandwidth,
     /// The converter's limits.
     Saturation,
     /// The boxcar over internal samples and the choice of every n-th; not an effect but the model's `sampling`.
     Sampling,
-    /// Rounding of what is sent.
+    /// Rounding of the sent values.
     Resolution,
     /// Samples sent twice.
     Hold,
@@ -200,17 +200,17 @@ impl Temperature<'_> {
     }
 }
 
-/// Moments of single samples of what an effect adds.
+/// Moments of single samples of the effect's output.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Moments {
     /// Mean square about the mean, U².
     pub variance: f64,
-    /// Fourth moment over the squared variance (3 for a normal distribution); `None` where it is infinite.
+    /// Fourth moment over the squared variance (3 for a normal distribution); `None` if it is infinite.
     pub kurtosis: Option<f64>,
 }
 
-/// What an effect of [`Stage::WhitePart`] makes of normal white noise of variance 1.
+/// The effect of [`Stage::WhitePart`] on normal white noise of variance 1.
 pub type WhiteMoments = Moments;
 
 /// A line in a spectrum.
@@ -225,7 +225,7 @@ pub struct Line {
 
 /// One error source of a channel. U is the unit of the channel it acts on.
 ///
-/// Making an effect with other parameters costs nothing: fits ask new ones again and again.
+/// Making an effect with other parameters is cheap: fits make new ones again and again.
 pub trait Effect: std::fmt::Debug + Send + Sync {
     /// Its name, place in the chain and parameters with their ranges.
     fn spec(&self) -> &'static Spec;
@@ -243,7 +243,7 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
         self.spec().name
     }
 
-    /// Where in the chain it acts.
+    /// The stage of the chain at which it acts.
     fn stage(&self) -> Stage {
         self.spec().stage
     }
@@ -254,7 +254,7 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
     }
 
     /// Whether the parameters are in their ranges and make sense at `rate_hz`, the rate at which the effect acts (a
-    /// model's internal rate, if it has one, for what comes before sampling).
+    /// model's internal rate, if it has one, for effects before sampling).
     ///
     /// # Errors
     /// [`Refusal`] with the parameter, what was found and what is allowed.
@@ -263,7 +263,7 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
         self.check_at(rate_hz)
     }
 
-    /// The part of [`Effect::check`] that a table of ranges cannot say.
+    /// The part of [`Effect::check`] that a table of ranges cannot express.
     ///
     /// # Errors
     /// [`Refusal`], likewise.
@@ -272,34 +272,34 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
-    /// Two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of what the effect adds,
-    /// sampled at `rate_hz`: its continuous part ([`Effect::lines`] has the others). 0 for an effect that adds none;
-    /// `None` where it depends on more than the parameters: on the other noise, the temperature's course or the record.
+    /// Two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of the noise that the effect
+    /// adds, sampled at `rate_hz`: its continuous part ([`Effect::lines`] has the others). 0 for an effect that adds none; `None`
+    /// if it depends on more than the parameters: on the other noise, the temperature's course or the record.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
 
-    /// [`Effect::psd`] at many frequencies, 0 where it is `None`.
+    /// [`Effect::psd`] at many frequencies, 0 if it is `None`.
     fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         frequencies_hz.iter().map(|frequency_hz| self.psd(*frequency_hz, rate_hz).unwrap_or(0.0)).collect()
     }
 
-    /// Of an effect that is another one at any time: the one that is the same all the time and has its mean density over
-    /// `record`, exactly or about. `None` for all whose [`Effect::psd`] says it.
+    /// For an effect that varies over time: the stationary effect that has its mean density over `record`, exactly or
+    /// approximately. `None` for all effects whose [`Effect::psd`] gives the density.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         let _ = record;
         None
     }
 
-    /// Lines in the spectrum of what the effect adds.
+    /// Lines in the spectrum of the effect's output.
     fn lines(&self) -> Vec<Line> {
         Vec::new()
     }
 
-    /// Expected overlapping Allan variance in U², at the averaging time `m`/rate (`m` from 1), of what the effect adds to
-    /// `record`. 0 for an effect that adds nothing; `None` where it depends on more than the parameters and the record, and
-    /// where the record is shorter than 2 `m` for an effect that is not the same all the time.
+    /// Expected overlapping Allan variance in U², at the averaging time `m`/rate (`m` from 1), of the effect's contribution to
+    /// `record`. 0 for an effect that adds no noise. `None` if it depends on more than the parameters and the record, and if the
+    /// record is shorter than 2 `m` for an effect that varies over time.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64>;
 
-    /// Power gain |H|² of a filter at `frequency_hz`, running at `rate_hz`; 1 for everything else.
+    /// Power gain |H|² of a filter at `frequency_hz`, running at `rate_hz`; 1 for all other effects.
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let _ = (frequency_hz, rate_hz);
         1.0
@@ -310,32 +310,32 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
         frequencies_hz.iter().map(|frequency_hz| self.power_gain(*frequency_hz, rate_hz)).collect()
     }
 
-    /// A filter without the noise behind it; `None` for everything else.
+    /// A filter without the noise behind it; `None` for all other effects.
     fn noiseless(&self) -> Option<Arc<dyn Effect>> {
         None
     }
 
-    /// What the channel shows on average where it would show `input` (U, constant) without the effect.
+    /// The mean output of the channel, if it would show `input` (U, constant) without the effect.
     fn mean_response(&self, input: f64, at: At) -> f64 {
         let _ = at;
         input
     }
 
-    /// Moments of what it adds to single samples, over `record`; `None` where the effect adds nothing, where they depend
-    /// on more than the parameters, and for noise without a level (flicker, random walk).
+    /// Moments of its contribution to single samples, over `record`. `None` if the effect adds no signal, if they depend on more
+    /// than the parameters, and for noise without a level (flicker, random walk).
     fn moments(&self, record: Record) -> Option<Moments> {
         let _ = record;
         None
     }
 
-    /// For effects of [`Stage::WhitePart`]: the moments over `record` of what becomes of normal white noise of variance 1;
-    /// `None` for all others, and where they depend on the temperature's course.
+    /// For effects of [`Stage::WhitePart`]: the moments over `record` of the output for normal white noise of variance 1; `None`
+    /// for all others, and if they depend on the temperature's course.
     fn white_moments(&self, record: Record) -> Option<WhiteMoments> {
         let _ = record;
         None
     }
 
-    /// How many functions of time and temperature the effect's deterministic part is linear in; 0 where it has none.
+    /// How many functions of time and temperature the effect's deterministic part is linear in; 0 if it has none.
     fn regressors(&self) -> usize {
         0
     }

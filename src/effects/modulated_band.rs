@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 /// Narrow-band noise as that of [`Resonance`], times a factor that follows a profile.
 ///
-/// Spectrum and Allan variance are other ones at any time, and over a record depend on where in it the profile is: `None`.
-/// While the factor is constant they are the resonance's times its square.
+/// Spectrum and Allan variance vary over time, and over a record depend on the profile's position in it: `None`. While the factor
+/// is constant they are the resonance's times its square.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModulatedBand {
-    /// What it is where the factor is 1.
+    /// The resonance at times at which the factor is 1.
     pub band: Resonance,
     /// Time in s after the start, factor on the amplitude; linear in between, constant beyond.
     pub level: Vec<(f64, f64)>,

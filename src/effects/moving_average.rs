@@ -1,4 +1,4 @@
-//! Moving average: the mean of the last samples, as a sensor's own filter makes it.
+//! Moving average: the mean of the last samples, as a sensor's filter computes it.
 
 use super::spec::{Form, Kind, Need, Parameter};
 use super::stream::number as streams;
@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// The mean of the last `window` samples of everything before it in the chain, at the rate at which it acts.
+/// The mean of the last `window` samples of the sum of all stages before it in the chain, at the rate at which it acts.
 ///
 /// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are. Noise of the
 /// electronics behind it is not averaged: `white_behind`.
@@ -87,7 +87,7 @@ impl Effect for MovingAverage {
     }
 }
 
-/// The mean of the last values; the sum is made anew once per window, so that rounding never piles up.
+/// The mean of the last values. The sum is computed again once per window, so that rounding never accumulates.
 #[derive(Debug)]
 pub struct RunningMean {
     window: usize,

@@ -1,10 +1,10 @@
 //! Power law: noise whose density falls as a power of the frequency, between and beyond white, flicker and random walk.
 //!
 //! White noise passes one rational filter whose poles and zeros lie on a logarithmic scale, two octaves from pole to pole
-//! ([`RATIO`]), each zero so far above its pole as the slope asks, so that its power falls as sin(πf·dt)^−α; for slopes of 2
-//! and more one pole at the ladder's foot takes 2 of them. Behind it a symmetric filter of [`TAPS`] taps turns the sine into
-//! its argument: the samples' density is f^−α itself up to half the rate, with a kink there as flicker noise has it. The
-//! filter runs as a sum of first-order sections and starts in its stationary state.
+//! ([`RATIO`]). Each zero lies so far above its pole as the slope asks, so that the power falls as sin(πf·dt)^−α; for slopes of 2
+//! and more one pole at the ladder's foot takes 2 of them. Behind it a symmetric filter of [`TAPS`] taps turns the sine into its
+//! argument: the samples' density is f^−α itself up to half the rate, with a kink there as flicker noise has it. The filter runs
+//! as a sum of first-order sections and starts in its stationary state.
 //!
 //! It holds from 1/T, T the record's length, up to half the rate:
 //! `the_density_is_the_power_law_from_one_over_the_record_to_half_the_rate`: within 2 % for 1000 samples, 5 h at 40 Hz and
@@ -19,16 +19,17 @@ use std::sync::Arc;
 
 /// Noise with two-sided PSD `density`·(f/`at_hz`)^−`alpha` up to half the rate.
 ///
-/// From a slope of 1 on it has no level: its variance grows with the record. Steeper ones than 1 begin at 0, as a random walk
-/// does. Slopes are below 2.5: the part of an Allan variance that comes from below a frequency goes with it to the power of
-/// 3 − α, so that from 3 on there is none, and of slopes close to 3 most comes from far below one over the record's length.
+/// From a slope of 1 on it has no level: its variance grows with the record. Slopes steeper than 1 begin at 0, as a random walk
+/// does. Slopes are below 2.5. The part of an Allan variance that comes from below a frequency goes with it to the power of 3 −
+/// α. From 3 on there is therefore no Allan variance, and for slopes close to 3 most of it comes from far below one over the
+/// record's length.
 ///
 /// Source of the law: Kasdin 1995, Discrete simulation of colored noise (Proc. IEEE 83); of the ladder: as in flicker noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PowerLaw {
     /// The density falls as f^−α.
     pub alpha: f64,
-    /// Where `density` is the density, Hz.
+    /// The frequency at which `density` is the density, Hz.
     pub at_hz: f64,
     /// Two-sided density there, U²/Hz.
     pub density: f64,
@@ -77,7 +78,7 @@ impl Effect for PowerLaw {
     /// For slopes below 1: 2·∫ density up to half the rate.
     fn moments(&self, record: Record) -> Option<Moments> {
         let level = |slope: f64| 2.0 * 0.5_f64.powf(slope) / slope;
-        // What a record holds about its mean: of steeper slopes too much lies below one over its length.
+        // A record determines its mean badly: for steeper slopes too much power lies below one over its length.
         (self.alpha < STEEPEST_WITH_A_LEVEL).then(|| Moments {
             variance: self.at_rate(record.rate_hz) * record.rate_hz * level(1.0 - self.alpha),
             kurtosis: Some(3.0),
@@ -91,7 +92,7 @@ impl Effect for PowerLaw {
 }
 
 /// Slopes below this have a level that the ladder's foot does not change by more than a hundredth in any record of 1000
-/// samples: what is missing below it goes as (16 000)^−(1 − α).
+/// samples: the part missing below it goes as (16 000)^−(1 − α).
 const STEEPEST_WITH_A_LEVEL: f64 = 0.5;
 
 impl PowerLaw {
@@ -145,7 +146,7 @@ fn simpson(integrand: impl Fn(f64) -> f64, from: f64, to: f64, panels: u64) -> f
 
 /// From one pole of the ladder to the next.
 const RATIO: f64 = 4.0;
-/// The highest pole's place in sin πf·dt: what is left out above it changes the density by less than 0.1 %.
+/// The highest pole's place in sin πf·dt: the part left out above it changes the density by less than 0.1 %.
 const HIGHEST_POLE: f64 = 32.0;
 /// Pairs a ladder may have: enough for 1e13 samples at any slope.
 const PAIRS_MAX: usize = 40;
@@ -154,14 +155,14 @@ const REACH: usize = 32;
 /// Taps behind the ladder.
 const TAPS: usize = 2 * REACH + 1;
 
-/// The lowest pole's frequency times the record's length: what is missing below it costs the density at one over the length
-/// less than half a hundredth. For steep slopes it is lower: the Allan variance feels what is far below.
+/// The lowest pole's frequency times the record's length: the part missing below it costs the density at one over the length less
+/// than half a hundredth. For steep slopes it is lower: the Allan variance depends on frequencies far below.
 fn lowest_pole(alpha: f64) -> f64 {
     let below = 1.0 / 16.0;
     if alpha <= 1.0 { below } else { below * 1e-2_f64.powf(2.0 * (alpha - 1.0)) }
 }
 
-/// The filter whose density is (f·dt)^−α: first-order sections, what passes beside them, and the taps behind.
+/// The filter whose density is (f·dt)^−α: first-order sections, the direct path beside them, and the taps behind.
 #[derive(Debug)]
 struct Ladder {
     /// Decay per sample of each pole.
@@ -268,7 +269,7 @@ fn taps(alpha: f64) -> Vec<f64> {
 /// Samples that pass the sections at a time.
 const BLOCK: usize = 256;
 
-/// The sections' states, and the last of what came out of them.
+/// The sections' states, and their last outputs.
 #[derive(Debug)]
 struct PowerSampler {
     scale: f64,
@@ -277,10 +278,10 @@ struct PowerSampler {
     states: Vec<f64>,
     direct: f64,
     taps: Vec<f64>,
-    /// What the taps reach back to, then the present block.
+    /// The input that the taps reach back to, then the present block.
     passed: Vec<f64>,
     input: Vec<f64>,
-    /// What is taken off, so that a slope without a level begins at 0; `None` before the first sample.
+    /// The value that is subtracted, so that a slope without a level begins at 0; `None` before the first sample.
     start: Option<f64>,
     stream: Stream,
 }
@@ -414,7 +415,7 @@ mod tests {
             let exact = flicker.allan_variance(m, Record { rate_hz: 1.0, samples: 1 }).unwrap();
             assert!((unit_allan_variance(1.0, m) / exact - 1.0).abs() < 1e-5, "m = {m}");
         }
-        // A random walk without what folds: (2π)²·m/3 far out.
+        // A random walk without folding: (2π)²·m/3 far out.
         assert!((unit_allan_variance(2.0, 100_000) / (2.0 * PI).powi(2) / 100_000.0 * 3.0 - 1.0).abs() < 1e-4);
     }
 

@@ -4,7 +4,7 @@
 use super::{Moments, Sampler, Temperature};
 use serde_json::{Value, json};
 
-/// The factor at `time_s` of points [s, factor] whose times rise; 1 where there is no point.
+/// The factor at `time_s` of points [s, factor] whose times rise; 1 if there is no point.
 #[must_use]
 pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
     let after = points.partition_point(|point| point.0 <= time_s);
@@ -75,7 +75,7 @@ impl Factor for Course {
     }
 }
 
-/// What another sampler adds, times a factor.
+/// The output of another sampler, times a factor.
 #[derive(Debug)]
 pub(super) struct Weighted<F> {
     inner: Box<dyn Sampler>,

@@ -56,7 +56,7 @@ pub fn names<E: ?Sized>(kinds: &[&Kind<E>]) -> Vec<&'static str> {
     kinds.iter().map(|kind| kind.spec.name).collect()
 }
 
-/// Where `spec` stands in the documented order; those outside the lists (N, B, K) come first.
+/// The position of `spec` in the documented order; specs outside the lists (N, B, K) come first.
 #[must_use]
 pub fn rank(spec: &Spec) -> usize {
     CHANNEL.iter().position(|kind| kind.spec.name == spec.name).map_or(0, |place| place + 1)

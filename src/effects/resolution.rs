@@ -1,4 +1,4 @@
-//! Resolution: what is sent is rounded.
+//! Resolution: sent values are rounded.
 
 use super::spec::{Kind, Range, number};
 use super::stream::number as streams;
@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 /// Each value sent is the nearest multiple of `step`.
 ///
-/// The error is white with variance step²/12, evenly spread, where the values' own noise exceeds about half a step per
-/// sample (at half a step that variance is off by 0.9 %, at one step by 3e-9); where they hardly move, rounding
-/// keeps them at one multiple and the closed forms do not hold.
+/// The error is white with variance step²/12, evenly spread, if the values' own noise exceeds about half a step per
+/// sample. At half a step that variance is off by 0.9 %, at one step by 3e-9. If the values hardly move, rounding keeps
+/// them at one multiple and the closed forms do not hold.
 ///
 /// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -11,8 +11,8 @@ use std::sync::Arc;
 /// Narrow-band noise whose spectrum has a Lorentzian line at ± its frequency.
 ///
 /// A damped oscillation that white noise drives: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin 2πf₀|t|) with w the
-/// full width at half power and a its asymmetry, exact at the samples, stationary from the start. Its frequency and damping
-/// hold at any rate. The line is the same for any a; what is far from it differs. The displacement of a mass on a damped spring
+/// full width at half power and a its asymmetry, exact at the samples, stationary from the start. Its frequency and damping hold
+/// at any rate. The line is the same for any a; the spectrum far from it differs. The displacement of a mass on a damped spring
 /// that a white force drives has a = 1, its velocity a = −1 (Wang and Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); both
 /// quadratures driven alike have 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -152,15 +152,16 @@ impl Effect for Resonance {
         let (sine, cosine) = (TAU * self.frequency_hz / rate_hz).sin_cos();
         let odd = self.odd();
         let (one, other) = (self.sigma * stream.normal(), self.sigma * stream.normal());
-        // The quadratures' covariance is σ²·[1, −o; −o, 1 + 2o²]: that of the first is as it has to be, and what drives them is possible for
-        // every asymmetry that a spectrum allows. What turns and shrinks keeps a part of it, what drives makes up for it.
+        // The quadratures' covariance is σ²·[1, −o; −o, 1 + 2o²]. The covariance of the first is as required, and the driving
+        // noise exists for every asymmetry that a spectrum allows. The rotation and the decay keep a part of the covariance, and
+        // the driving noise restores the rest.
         let (twice_sine, twice_cosine) = (2.0 * sine * cosine, cosine * cosine - sine * sine);
         let kept = (-2.0 * decay).exp();
         let fresh = -(-2.0 * decay).exp_m1();
         let first = fresh - kept * odd * (twice_sine + 2.0 * odd * sine * sine);
         let second = fresh + kept * odd * twice_sine + 2.0 * odd * odd * (fresh + kept * sine * sine);
         let both = -odd * (1.0 - kept * twice_cosine) + kept * odd * odd * twice_sine;
-        // From the larger one on: of the other next to nothing may be left.
+        // From the larger one on: the other may be almost 0.
         let root = |square: f64| square.max(0.0).sqrt();
         let drive = if second >= first {
             let own = root(second);
@@ -246,7 +247,8 @@ mod tests {
 
     #[test]
     fn a_displacement_is_an_autoregressive_process_of_second_order_at_a_high_rate() {
-        // x'' + 2γx' + (ω² + γ²)x = white force: density 4γ(ω² + γ²)σ² over |ω² + γ² − φ² + 2iγφ|² (Wang and Uhlenbeck, equation 39).
+        // x'' + 2γx' + (ω² + γ²)x = white force: density 4γ(ω² + γ²)σ² over |ω² + γ² − φ² + 2iγφ|² (Wang and Uhlenbeck,
+        // equation 39).
         let line = Resonance { asymmetry: 1.0, ..Resonance::new(3.0, 0.4, 2.0) };
         let (gamma, own) = (PI * 0.4, TAU * 3.0);
         for frequency_hz in [0.01, 1.0, 2.9, 3.3, 6.0] {

@@ -11,7 +11,7 @@ pub fn index_at(time_s: f64, rate_hz: f64) -> u64 {
 /// R(0) − R(k), half the mean square of differences over k samples. Takes 2 `m` steps.
 ///
 /// From σ²(m) = ½·E(ȳ₂ − ȳ₁)² with the weights' autocorrelation 2m − 3k up to k = m, k − 2m beyond; exact, and without
-/// cancellation where the process hardly decorrelates within 2 `m`.
+/// cancellation if the process hardly decorrelates within 2 `m`.
 #[must_use]
 pub fn allan_variance(m: u64, structure: impl Fn(u64) -> f64) -> f64 {
     let averaged = m as f64;

@@ -1,4 +1,4 @@
-//! Saturation of a channel: nothing beyond its limits is sent.
+//! Saturation of a channel: no sample is sent beyond its limits.
 
 use super::spec::{Kind, Range, number};
 use super::stream::number as streams;
@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// Values beyond a limit become the limit, motion and noise alike.
 ///
-/// What it does to spectrum and Allan variance depends on how often the rest reaches a limit: `None`.
+/// Its effect on spectrum and Allan variance depends on how often the other noise and the motion reach a limit: `None`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Saturation {
     /// Lowest value, U.

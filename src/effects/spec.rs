@@ -1,6 +1,6 @@
-//! What an effect's entry in a model's file may hold: names, ranges and meanings in one table per effect.
+//! The specification of an effect's entry in a model's file: names, ranges and meanings in one table per effect.
 //!
-//! In: the parameters as JSON. Out: checked values, or a [`Refusal`] with the parameter, what was found and what is
+//! In: the parameters as JSON. Out: checked values, or a [`Refusal`] with the parameter, the value found and the values
 //! allowed. Messages, the JSON Schema and the documentation's tables are made of the same entries.
 
 use super::Stage;
@@ -16,13 +16,13 @@ pub struct Refusal {
     pub effect: &'static str,
     /// The parameter, with the place inside it: `intervals[2]`.
     pub parameter: String,
-    /// What stood there.
+    /// The value that was found.
     pub found: String,
-    /// What may stand there.
+    /// The values that are allowed.
     pub allowed: String,
 }
 
-/// The largest parameter, in its unit: what is made of larger ones is soon no finite number. Nothing that is measured comes near.
+/// The largest parameter, in its unit: results computed from larger ones soon overflow. Measured values are far smaller.
 pub const LARGEST: f64 = 1e30;
 
 /// A range of numbers. The numbers are finite in any case, and none is larger than [`LARGEST`] or smaller than its negative.
@@ -55,7 +55,7 @@ impl Range {
                 Self::Between(low, high) => low < number && number < high,
             }
     }
-    /// In words for someone who gave this number: the limit of all ranges is told where it was passed.
+    /// In words for a caller that gave this number: the limit of all ranges is stated if the number passed it.
     fn words_for(self, number: Option<f64>) -> String {
         match number.filter(|number| number.abs() > LARGEST) {
             Some(_) => format!("{} of {LARGEST:e} at most in size", self.words()),
@@ -116,11 +116,11 @@ pub enum Form {
 pub enum Need {
     /// Always.
     Always,
-    /// No; this is what it is without.
+    /// No; this is the default.
     Default(f64),
-    /// No; without it the effect does without.
+    /// No; without it the effect omits the feature.
     Optional,
-    /// Where the form it belongs to is chosen ([`Spec::forms`]).
+    /// Required in the form to which it belongs, if that is chosen ([`Spec::forms`]).
     InItsForm,
 }
 
@@ -130,11 +130,11 @@ pub enum Need {
 pub struct Parameter {
     /// Its key.
     pub name: &'static str,
-    /// What stands there.
+    /// The values that are allowed.
     pub form: Form,
     /// Whether it has to.
     pub need: Need,
-    /// What it is, with its unit (U: the channel's).
+    /// Its meaning, with its unit (U: the channel's).
     pub meaning: &'static str,
 }
 
@@ -149,15 +149,15 @@ pub(super) const fn number(name: &'static str, range: Range, meaning: &'static s
 pub struct Spec {
     /// Its name in files and messages.
     pub name: &'static str,
-    /// The number of its random stream ([`super::stream::number`]); 0 if it draws nothing.
+    /// The number of its random stream ([`super::stream::number`]); 0 if it does not use random draws.
     pub stream: u16,
-    /// Where in the chain it acts.
+    /// The stage of the chain at which it acts.
     pub stage: Stage,
     /// Its parameters.
     pub parameters: &'static [Parameter],
     /// Sets of parameters of which exactly one is given; empty if there is no choice.
     pub forms: &'static [&'static [&'static str]],
-    /// What it is, in a sentence.
+    /// Its meaning, in a sentence.
     pub meaning: &'static str,
 }
 
@@ -182,7 +182,7 @@ impl<E: ?Sized> Kind<E> {
 }
 
 impl Spec {
-    /// Whether `parameters` are what the table allows.
+    /// Whether the table allows `parameters`.
     pub(super) fn check(&self, parameters: &[(&'static str, Value)]) -> Result<(), Refusal> {
         self.check_map(&parameters.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
     }
@@ -312,7 +312,7 @@ impl Spec {
     }
 }
 
-/// Where inside the parameter, what was found, what is allowed.
+/// The place inside the parameter, the value found, and the values allowed.
 type Wrong = (String, String, String);
 
 impl Parameter {
@@ -466,7 +466,7 @@ impl Values<'_> {
     pub(super) fn effect_name(&self) -> &'static str {
         self.spec.name
     }
-    /// The number, or what it is without.
+    /// The number, or its default.
     pub(super) fn number(&self, name: &str) -> f64 {
         self.optional(name).unwrap_or_else(|| {
             let need = self.spec.parameters.iter().find(|parameter| parameter.name == name).map(|found| found.need);

@@ -1,9 +1,9 @@
-//! Spectrum: noise of a given density, for what has no name.
+//! Spectrum: noise of a given density, for effects without a name.
 //!
-//! White noise passes a symmetric filter whose gain is the root of the density, sampled in frequency and its response windowed
-//! (Hann). It has as many taps as the closest points need, [`TAPS_MAX`] at most: what is narrower than 1/500 of the rate comes
-//! out smoothed. The filter runs by overlap-save in blocks of its own, whatever the blocks that are asked for, and everything
-//! it reaches back to is drawn first, so that the noise is stationary from the start.
+//! White noise passes a symmetric filter whose gain is the root of the density. The gain is sampled in frequency and its response
+//! windowed (Hann). The filter has as many taps as the closest points need, [`TAPS_MAX`] at most: features narrower than 1/500 of
+//! the rate are smoothed. The filter runs by overlap-save in blocks of its own length, for any blocks that are requested. All
+//! input that it reaches back to is drawn first, so that the noise is stationary from the start.
 
 use super::spec::{Form, Kind, Need, Parameter};
 use super::stream::number as streams;
@@ -30,7 +30,7 @@ pub struct SpectralNoise {
 pub const TAPS_MAX: usize = 4096;
 /// And at least.
 const TAPS_MIN: usize = 64;
-/// Taps per period of what the closest points are apart.
+/// Taps per period of the distance between the closest points.
 const TAPS_PER_DISTANCE: f64 = 16.0;
 
 static SPEC: Spec = Spec {
@@ -166,7 +166,7 @@ fn taps(count: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// An inverse transform; its lengths are its own, and what is imaginary at 0 and half the rate is none.
+/// An inverse transform; its lengths are its own, and the imaginary parts at 0 and half the rate are 0.
 fn transform_back(inverse: &dyn ComplexToReal<f64>, from: &mut [Complex<f64>], to: &mut [f64]) {
     if let (Some(first), true) = (from.first_mut(), inverse.len() > 0) {
         first.im = 0.0;
@@ -184,7 +184,7 @@ struct FilteredSampler {
     inverse: Arc<dyn ComplexToReal<f64>>,
     /// The taps' transform over its length.
     gains: Vec<Complex<f64>>,
-    /// What the filter reaches back to.
+    /// The number of past samples that the filter uses.
     reach: usize,
     /// The input, its first `reach` numbers being the last ones of the block before.
     input: Vec<f64>,
@@ -291,7 +291,7 @@ mod tests {
         let of = SpectralNoise { level, ..noise(&[(1.0, 4.0), (3.0, 0.5)]) };
         assert_eq!((of.psd(1.0, 40.0), of.allan_variance(3, Record { rate_hz: 40.0, samples: 100 })), (None, None));
         check::agrees_with_its_closed_forms(&of, 40.0);
-        // With a factor of 0 nothing is left.
+        // With a factor of 0 no noise is left.
         let values = check::draw(&of, 40.0, check::SAMPLES, 3);
         assert!(values[12_000..].iter().all(|value| *value == 0.0) && values[7_999] != 0.0);
     }

@@ -11,10 +11,10 @@ use std::sync::Arc;
 /// Each sample has one with probability `rate_hz`/rate, of random sign, its size evenly spread over half to one and a half
 /// times `amplitude` (mean and median are `amplitude`). The spectrum is white.
 ///
-/// With `cluster` above 1 they come on neighbouring samples: at every sample a cluster begins with the same probability s, and
-/// one that goes on does so with probability q = 1 − 1/`cluster`, so that numbers in a cluster are geometric with that mean (but
-/// for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with
-/// π = `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
+/// With `cluster` above 1 they come on neighbouring samples. At every sample a cluster begins with the same probability s, and a
+/// cluster continues with probability q = 1 − 1/`cluster`. The number of spikes in a cluster is therefore geometric with that
+/// mean (but for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with π =
+/// `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spikes {
     /// How many there are per second on average.

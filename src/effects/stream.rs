@@ -22,7 +22,7 @@ use rand_distr::{Distribution, StandardNormal};
 /// Separates these streams from any other use of the same seed; a new scheme gets a new number.
 const DOMAIN: &[u8; 18] = b"vn100d-simulator-1";
 
-/// The effects' numbers. New kinds get new numbers at the end; 0 is for effects that draw nothing.
+/// The effects' numbers. New kinds get new numbers at the end; 0 is for effects that do not use random draws.
 #[expect(missing_docs, reason = "the effects' names")]
 pub mod number {
     pub const NONE: u16 = 0;
@@ -107,7 +107,7 @@ impl Stream {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
     }
 
-    /// A stream of its own whose key is drawn from this one, for what draws beside it.
+    /// A separate stream whose key is drawn from this one, for a sampler that draws beside it.
     pub(super) fn branch(&mut self) -> Self {
         let mut key = [0_u8; 32];
         for eight in key.chunks_exact_mut(8) {

@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that lag.
 /// It is causal and begins at 0.
 ///
-/// Its Allan variance is that of the temperature's course times `per_c`², which no parameter says: `None`.
+/// Its Allan variance is that of the temperature's course times `per_c`², and the course is not a parameter: `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TemperatureBias {
     /// U/°C.
@@ -27,11 +27,11 @@ pub struct TemperatureBias {
     pub per_c2: f64,
     /// Full width of the play between temperature and level, °C.
     pub play_c: f64,
-    /// What a temperature that changes adds, U per °C/s.
+    /// The addition for a changing temperature, U per °C/s.
     pub per_c_per_s: f64,
 }
 
-/// Time constant of the lag behind which [`TemperatureBias::per_c_per_s`] sees dT/dt, s: short beside what warms a sensor,
+/// Time constant of the lag behind which [`TemperatureBias::per_c_per_s`] sees dT/dt, s: short beside the warming of a sensor,
 /// long beside the noise and the steps of a thermometer.
 pub const RATE_LAG_S: f64 = 10.0;
 
@@ -106,7 +106,7 @@ impl Effect for TemperatureBias {
     fn mean_response(&self, input: f64, at: At) -> f64 {
         input + self.level(at.temperature_c)
     }
-    /// T − `reference_c`, and its square where there is curvature. Play and dT/dt are no functions of the instant.
+    /// T − `reference_c`, and its square if there is curvature. Play and dT/dt are not functions of the instant.
     fn regressors(&self) -> usize {
         if self.per_c2 == 0.0 { 1 } else { 2 }
     }
@@ -168,7 +168,7 @@ mod tests {
         assert!((values[0] - 1.1).abs() < 1e-14);
     }
 
-    /// What the effect adds to a course of temperatures at `rate_hz`.
+    /// The effect's output for a course of temperatures at `rate_hz`.
     fn follow(effect: TemperatureBias, rate_hz: f64, temperatures: &[f64]) -> Vec<f64> {
         let mut values = vec![0.0; temperatures.len()];
         effect.sampler(rate_hz, 1.0, check::stream(1)).act(&mut values, Temperature::Series(temperatures));
@@ -181,12 +181,12 @@ mod tests {
         let temperatures: Vec<f64> = up.clone().chain(up.rev()).collect();
         let effect = TemperatureBias { play_c: 3.0, ..TemperatureBias::linear(0.5, 20.0) };
         let values = follow(effect, 1.0, &temperatures);
-        // Nothing moves before half the play is used up; from then on half the play behind.
+        // The level does not move before half the play is used up; from then on it follows half the play behind.
         assert!(values[..=15].iter().all(|value| *value == 0.0));
         assert!((values[100] - 0.5 * (10.0 - 1.5)).abs() < 1e-12);
         assert!((values[201 + 100] - 0.5 * (10.0 + 1.5)).abs() < 1e-12);
         assert!((values[301] - values[100] - 0.5 * 3.0).abs() < 1e-12);
-        // The same course again and again is the same loop, whatever its speed.
+        // The same course repeated gives the same loop, at any speed.
         let slow: Vec<f64> = temperatures.iter().flat_map(|celsius| [*celsius; 3]).collect();
         let again = follow(effect, 1.0, &slow);
         assert!(values.iter().zip(again.chunks(3)).all(|(one, three)| three == [*one; 3]));

@@ -1,4 +1,4 @@
-//! Tones: a sine, and a comb of one fundamental and its harmonics, with phases that nobody knows.
+//! Tones: a sine, and a comb of one fundamental and its harmonics, with random phases.
 
 use super::spec::{Form, Kind, Need, Parameter, Range, number};
 use super::stream::number as streams;

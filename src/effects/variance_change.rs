@@ -10,8 +10,8 @@ use std::sync::Arc;
 
 /// A factor on the amplitude of the white part; the other noise is left alone.
 ///
-/// What it adds to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's mean
-/// square over a record, by which the white density grows.
+/// Its contribution to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's
+/// mean square over a record, by which the white density grows.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_enums, reason = "the documented three forms")]
 pub enum VarianceChange {

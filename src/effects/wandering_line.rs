@@ -8,8 +8,8 @@ use serde_json::Value;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn from all alike; d and u are Gauss–Markov processes of rms
-/// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 whatever s.
+/// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn uniformly; d and u are Gauss–Markov processes of rms
+/// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 for any s.
 ///
 /// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), V = 2β(t/T_f − 1 + e^(−t/T_f)) the phase's variance about its
 /// mean course, β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan 9. The phase is integrated exactly
@@ -71,7 +71,7 @@ impl WanderingLine {
         (TAU * self.frequency_sigma_hz * self.frequency_tc_s).powi(2)
     }
 
-    /// Minus the logarithm of what the wander leaves of the autocovariance after `lag_s`.
+    /// Minus the logarithm of the factor that the wander applies to the autocovariance after `lag_s`.
     fn forgotten(&self, lag_s: f64) -> f64 {
         let x = lag_s / self.frequency_tc_s;
         let s2 = self.amplitude_sigma * self.amplitude_sigma;
@@ -112,7 +112,7 @@ impl Effect for WanderingLine {
     /// frequency that wanders slowly (β above 8, a frequency held for more than some 0.45 turns): the terms alternate, and
     /// doubles cannot hold their sum.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
-        /// What a term counts at least, over the first.
+        /// The least size of a term that counts, relative to the first.
         const LEAST: f64 = 1e-14;
         let (beta, s2) = (self.beta(), self.amplitude_sigma * self.amplitude_sigma);
         if beta > SUMMED_UP_TO {
@@ -157,7 +157,7 @@ impl Effect for WanderingLine {
         };
         Some(0.5 * self.amplitude * self.amplitude * sampled::allan_variance(m, structure))
     }
-    /// Where the frequency wanders slowly: a band as wide as the distribution of the frequency, at half its height.
+    /// If the frequency wanders slowly: a band as wide as the distribution of the frequency, at half its height.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         const HALF_HEIGHT: f64 = 2.354_820_045;
         self.psd(self.frequency_hz, record.rate_hz).is_none().then(|| {
@@ -177,7 +177,8 @@ impl Effect for WanderingLine {
         // Cycles per sample of d = 1 rms, held.
         let turn = self.frequency_sigma_hz * self.frequency_tc_s;
         let drive = wanders[1].sqrt();
-        // Covariance of what d and its integral gather in a sample, (1 − e^−x)²; the integral's own variance is integral_variance(x).
+        // Covariance of what d and its integral gather in a sample, (1 − e^−x)²; the integral's own variance is
+        // integral_variance(x).
         let shared = wanders[0] * wanders[0] / drive;
         let own = (integral_variance(x) - shared * shared).max(0.0).sqrt();
         let start = [stream.normal(), stream.normal()];
@@ -196,8 +197,8 @@ impl Effect for WanderingLine {
     }
 }
 
-/// 2x − 3 + 4e^−x − e^−2x: the variance that the integral of a Gauss–Markov process of variance 1 gathers over x of its correlation
-/// times, its state at the start being known, in squares of that time.
+/// 2x − 3 + 4e^−x − e^−2x: the variance that the integral of a Gauss–Markov process of variance 1 gathers over x of its
+/// correlation times, its state at the start being known, in squares of that time.
 fn integral_variance(x: f64) -> f64 {
     if x > 0.5 {
         return 2.0 * x - 3.0 + 4.0 * (-x).exp() - (-2.0 * x).exp();
@@ -219,7 +220,8 @@ struct WanderingSampler {
     step: f64,
     pole: [f64; 2],
     drive: [f64; 2],
-    /// Cycles that the frequency's state turns in a sample, and those that its drive and a number of their own add.
+    /// Cycles that the frequency's state turns in a sample, and the cycles that its drive and an independent number
+    /// add.
     carried: f64,
     gathered: [f64; 2],
     amplitude_sigma: f64,

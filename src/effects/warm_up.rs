@@ -65,7 +65,7 @@ impl Effect for WarmUp {
     }
 }
 
-/// The next sample's index, and what the bias is made of.
+/// The next sample's index, and the bias's parameters.
 #[derive(Debug)]
 struct WarmUpSampler {
     amplitude: f64,

@@ -1,7 +1,7 @@
-//! Fault: what shall go wrong and when, as a script says it. Pure.
+//! Fault: the faults of a sensor and its line, and their times, as a script describes them. Pure.
 //!
-//! One fault per line, `#` begins a comment. In a file each line begins with the sensor's time since it was started:
-//! `10s unplug 10s`. On standard input the time is left out, and the fault happens at once.
+//! One fault per line, `#` begins a comment. In a file each line begins with the sensor's time since its start: `10s
+//! unplug 10s`. On standard input the time is omitted, and the fault occurs at once.
 
 use super::sensor::TICK_NS;
 use crate::protocol::link::{BAUD_RATES, INTERNAL_RATE_HZ};
@@ -10,17 +10,17 @@ use crate::protocol::{AsciiType, BinaryHeader};
 use crate::units::{format_duration, parse_duration};
 use std::time::Duration;
 
-/// Something that goes wrong with a sensor or its line.
+/// A fault of a sensor or its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
-    /// The terminal is gone and its link removed; after this time there is a new terminal with the link to it.
+    /// The terminal disappears and its link is removed; after this time there is a new terminal with the link to it.
     Unplug(Duration),
     /// The terminal hangs up and the link dangles; after this time it points to a new terminal.
     Eof(Duration),
     /// The sensor restarts: silent for its boot time, then its clock is at 0 and its registers are those of its flash.
     Reset,
-    /// The sensor neither hears nor sends for this time; its clock goes on.
+    /// The sensor neither receives nor sends for this time; its clock continues.
     Silence(Duration),
     /// This many random bytes between frames.
     Garbage(u64),
@@ -32,15 +32,15 @@ pub enum Fault {
     Duplicate(u64),
     /// This many times, a frame is sent after the one that follows it.
     Reorder(u64),
-    /// The sensor sends at this rate in Hz from now on, without having been told to.
+    /// The sensor sends at this rate in Hz from now on, without a command.
     Rate(u32),
-    /// The sensor sends this message instead of what it was told to.
+    /// The sensor sends this message instead of the configured one.
     Format(Format),
-    /// The sensor speaks at this baud rate from now on; what is at another rate is garbled.
+    /// The sensor uses this baud rate from now on; data at another rate is garbled.
     Baud(u32),
     /// Bytes are kept for this time, then sent in one burst.
     Hold(Duration),
-    /// Another unit is there from now on: this serial number, registers as delivered, a clock that begins at 0.
+    /// Another unit is connected from now on: this serial number, registers as delivered, a clock that begins at 0.
     Unit(String),
     /// The sensor's clock jumps to this many microseconds, and its 32-bit sync counter to the same number.
     Clock(u64),
@@ -79,7 +79,7 @@ impl std::fmt::Display for Fault {
     }
 }
 
-/// A line of a script that is not understood.
+/// A line of a script that cannot be parsed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{script}, line {line}: expected {expected}, found {found}")]
 pub struct FaultError {
@@ -87,13 +87,13 @@ pub struct FaultError {
     pub script: String,
     /// Its line, from 1.
     pub line: usize,
-    /// What could stand there.
+    /// The expected text.
     pub expected: String,
-    /// What stands there.
+    /// The text found.
     pub found: String,
 }
 
-/// What was expected and what was found, within a line.
+/// The expected and the found text within a line.
 type Refusal = (String, String);
 
 const FAULTS: &str = "one of unplug, eof, reset, silence, garbage, checksum, drop, duplicate, reorder, rate, format, baud, hold, unit, clock";
@@ -165,7 +165,7 @@ fn fault(words: &[&str]) -> Result<Fault, Refusal> {
     })
 }
 
-/// A fault without its time, as a line of standard input; `None` for a line with nothing but a comment.
+/// Parses a fault without its time, as a line of standard input; `None` for a line with nothing but a comment.
 ///
 /// # Errors
 /// [`FaultError`], which names the line.
@@ -190,10 +190,10 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Reads a script; its lines may stand in any order, and those of one time happen in the order of the lines.
+    /// Reads a script. Its lines may be in any order; faults at the same time occur in the order of the lines.
     ///
     /// # Errors
-    /// [`FaultError`] for the first line that is not understood.
+    /// [`FaultError`] for the first line that cannot be parsed.
     pub fn parse(text: &str, script: &str) -> Result<Self, FaultError> {
         let mut coming = Vec::new();
         for (index, line) in text.lines().enumerate() {

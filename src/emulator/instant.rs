@@ -1,14 +1,15 @@
-//! One instant of a virtual sensor: channel values → the quantities of a message.
+//! One instant of a virtual sensor: converts channel values to the quantities of a message.
 //!
-//! Compensated and uncompensated values are the same (a virtual sensor estimates no bias). What follows from the channels
-//! is computed: quaternion, direction cosines, accelerations without gravity and in north, east, down, delta theta and
-//! velocity (rate × interval). Heave and the uncertainty of the angles are not modelled and are 0.
+//! Compensated and uncompensated values are the same (a virtual sensor estimates no bias). The quantities that follow
+//! from the channels are computed: quaternion, direction cosines, accelerations without gravity and in north, east,
+//! down, delta theta and velocity (rate × interval). Heave and the uncertainty of the angles are not modelled and are
+//! 0.
 
 use crate::protocol::{Measurement, MeasurementKind, Quantity};
 use crate::sample::Channel;
 use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 
-/// One value per channel, in the order of [`Channel::ALL`] and the units the sensor sends.
+/// One value per channel, in the order of [`Channel::ALL`] and in the units that the sensor sends.
 pub type Values = [f64; Channel::COUNT];
 
 type Vector = [f64; 3];

@@ -1,10 +1,11 @@
-//! Line: what becomes of each frame between the sensor and the terminal. Pure.
+//! Line: determines what happens to each frame between the sensor and the terminal. Pure.
 
 use crate::protocol::binary::SYNC;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Random bytes that go out before one frame at most: more would delay the stream by more than a frame at 115200 baud.
+/// The maximum number of random bytes before one frame: more would delay the stream by more than a frame at 115200
+/// baud.
 const GARBAGE_AT_ONCE: u64 = 512;
 
 /// A frame of measurements that the sensor made.
@@ -20,34 +21,34 @@ pub struct Frame {
     pub bytes: usize,
 }
 
-/// What became of a frame.
+/// The fate of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fate {
-    /// It is in the terminal, whole and in its order.
+    /// It is in the terminal, complete and in its order.
     Sent,
-    /// It is in the terminal, whole, after having been kept.
+    /// It is in the terminal, complete, after a delay.
     Held,
     /// It is in the terminal twice.
     Duplicated,
-    /// It is in the terminal, whole, after the frame that followed it.
+    /// It is in the terminal, complete, after the frame that followed it.
     Reordered,
     /// It is in the terminal with a bit flipped.
     Garbled,
     /// It is in the terminal at another baud rate than the terminal's.
     WrongBaud,
-    /// It was left out.
+    /// It was omitted.
     Dropped,
     /// The sensor was silent.
     Silent,
     /// There was no terminal.
     Unplugged,
-    /// The terminal took nothing, or only a part: nobody reads it.
+    /// The terminal accepted nothing, or only a part: it is not being read.
     Overrun,
 }
 
 impl Fate {
-    /// The word in the log.
+    /// The word for it in the log.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -68,26 +69,26 @@ impl Fate {
 /// Bytes that go to the terminal, or a frame that does not.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Piece {
-    /// What is sent; empty for a frame that is not.
+    /// The bytes to send; empty for a frame that is not sent.
     pub bytes: Vec<u8>,
-    /// The frame that it is, and its fate once the terminal has it. `None` for replies and noise.
+    /// The frame, and its fate once it is in the terminal. `None` for replies and noise.
     pub frame: Option<(Frame, Fate)>,
 }
 
-/// What is wrong with a line at the moment.
+/// The present faults of a line.
 #[derive(Debug)]
 pub struct Line {
     /// Random bytes still to come.
     pub garbage: u64,
     /// Frames still to be garbled.
     pub checksum: u64,
-    /// Frames still to be left out.
+    /// Frames still to be omitted.
     pub drop: u64,
     /// Frames still to be sent twice.
     pub duplicate: u64,
     /// Pairs still to be swapped.
     pub reorder: u64,
-    /// Nothing is sent or heard before this tick.
+    /// Nothing is sent or received before this tick.
     pub silent_until: u64,
     /// Bytes are kept until this tick.
     pub hold_until: u64,
@@ -97,7 +98,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// A sound line; `seed` decides about bits and noise of its faults.
+    /// A line without faults; `seed` determines the bits and the noise of its faults.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
@@ -120,13 +121,13 @@ impl Line {
         tick < self.silent_until
     }
 
-    /// Sends a frame; `there` where the line has a terminal.
+    /// Sends a frame; `there` if the line has a terminal.
     pub fn frame(&mut self, tick: u64, device_time_ns: u64, bytes: &[u8], there: bool, out: &mut Vec<Piece>) {
         let frame = Frame { number: self.made, tick, device_time_ns, bytes: bytes.len() };
         self.made += 1;
         let lost = |fate| Piece { bytes: Vec::new(), frame: Some((frame, fate)) };
         if !there {
-            // What was kept back has missed its terminal as well.
+            // A frame that was kept back has missed its terminal as well.
             out.extend(self.kept_back.take().map(|piece| Piece {
                 bytes: Vec::new(),
                 frame: piece.frame.map(|(frame, _)| (frame, Fate::Unplugged)),
@@ -170,8 +171,8 @@ fn take(count: &mut u64) -> bool {
     some
 }
 
-/// Flips one bit such that the frame keeps its beginning and its length, as only its checksum can tell: in a binary frame
-/// a bit of the second half, in a line the lowest bit of a digit.
+/// Flips one bit such that the frame keeps its beginning and its length, so that only its checksum shows the error. In
+/// a binary frame it is a bit of the second half, in a line the lowest bit of a digit.
 fn flip(bytes: &mut [u8], random: &mut ChaCha8Rng) {
     if bytes.first() == Some(&SYNC) {
         let index = random.random_range(bytes.len() / 2..bytes.len());
@@ -189,7 +190,7 @@ fn flip(bytes: &mut [u8], random: &mut ChaCha8Rng) {
 mod tests {
     use super::*;
 
-    /// Sends frames `a`, `b`, `c`… and returns what went out and what became of each.
+    /// Sends frames `a`, `b`, `c`… and returns the bytes sent and the fate of each.
     fn send(line: &mut Line, count: u8, there: bool) -> (Vec<u8>, Vec<(u64, Fate)>) {
         let (mut bytes, mut fates) = (Vec::new(), Vec::new());
         for index in 0..count {

@@ -1,10 +1,10 @@
-//! Emulator: a VN-100 that can be talked to, on a pseudo-terminal.
+//! Emulator: a VN-100 that accepts commands, on a pseudo-terminal.
 //!
-//! [`sensor`] is the sensor itself, pure: bytes and ticks in, bytes out. [`registers`] is what it remembers, [`instant`]
-//! turns channel values into whatever its messages carry. The encoder is the protocol room's, tested against published
-//! vectors and recordings, so that decoder and emulator cannot share an error. [`replay`] is a recording in the
-//! stream's place, [`source`] is either it or simulated noise; [`terminal`] is the shell around either. What goes wrong is said by [`faults`] and done by [`line`] and
-//! [`uart`]; [`outbox`] knows what became of each frame.
+//! [`sensor`] is the sensor itself, pure: bytes and ticks in, bytes out. [`registers`] is its memory, and [`instant`]
+//! converts channel values to the content of its messages. The encoder is the protocol room's, tested against published
+//! vectors and recordings, so that decoder and emulator cannot share an error. [`replay`] replaces the stream by a
+//! recording; [`source`] is either a recording or simulated noise. [`terminal`] is the shell around either. [`faults`]
+//! describes faults, and [`line`] and [`uart`] apply them; [`outbox`] tracks the fate of each frame.
 
 pub mod faults;
 pub mod instant;

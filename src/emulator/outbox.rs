@@ -1,13 +1,13 @@
-//! Outbox: bytes on their way into the terminal, and which frame ends where. Pure.
+//! Outbox: bytes that are to be written to the terminal, and where each frame ends. Pure.
 
 use super::line::{Fate, Frame, Piece};
 use std::collections::VecDeque;
 
-/// What waits for the terminal to take it.
+/// The bytes that wait for the terminal.
 #[derive(Debug, Default)]
 pub struct Outbox {
     bytes: Vec<u8>,
-    /// How many of them the terminal has.
+    /// The number of bytes already in the terminal.
     sent: usize,
     /// Frames by their end in `bytes`.
     frames: VecDeque<(usize, Frame, Fate)>,
@@ -16,19 +16,19 @@ pub struct Outbox {
 }
 
 impl Outbox {
-    /// What the terminal does not have yet.
+    /// The bytes that the terminal does not have yet.
     #[must_use]
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.sent..]
     }
 
-    /// Nothing waits.
+    /// Whether nothing waits.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sent == self.bytes.len()
     }
 
-    /// Adds what is to be sent; a frame that is not sent is settled at once.
+    /// Adds a piece to be sent; a frame that is not sent is settled at once.
     pub fn put(&mut self, piece: Piece) {
         self.bytes.extend_from_slice(&piece.bytes);
         if let Some((frame, fate)) = piece.frame {
@@ -40,7 +40,7 @@ impl Outbox {
         }
     }
 
-    /// The terminal took this many bytes.
+    /// Records that the terminal accepted this many bytes.
     pub fn took(&mut self, count: usize) {
         self.sent += count;
         while let Some((_, frame, fate)) = self.frames.pop_front_if(|(end, ..)| *end <= self.sent) {
@@ -52,14 +52,14 @@ impl Outbox {
         }
     }
 
-    /// What waits is lost; its frames have this fate.
+    /// Discards the waiting bytes; their frames get this fate.
     pub fn lose(&mut self, fate: Fate) {
         self.settled.extend(self.frames.drain(..).map(|(_, frame, _)| (frame, fate)));
         self.bytes.clear();
         self.sent = 0;
     }
 
-    /// Frames whose fate is known since the last call.
+    /// Frames whose fate became known since the last call.
     pub fn settled(&mut self) -> std::vec::Drain<'_, (Frame, Fate)> {
         self.settled.drain(..)
     }

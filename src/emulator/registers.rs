@@ -1,10 +1,10 @@
 //! The virtual sensor's registers: RAM, flash, and the rules by which a write is refused.
 //!
-//! Enters: register numbers and values as they stand in commands. Leaves: values as they stand in replies, or the
-//! [`DeviceError`] a sensor would report. Refuses: unknown registers (08), writes to read-only ones (09), too few (05) or too
-//! many (06) values, values out of range (07), and outputs that the baud rate does not carry (0C).
+//! In: register numbers and values in the form of commands. Out: values in the form of replies, or the [`DeviceError`]
+//! that a sensor would report. Refuses: unknown registers (08), writes to read-only ones (09), too few (05) or too many
+//! (06) values, values out of range (07), and outputs that exceed the baud rate (0C).
 //!
-//! Source: user manual UM001 rev 2.45, chapters 5–7; defaults of firmware 3.1 where recordings show them.
+//! Source: user manual UM001 rev 2.45, chapters 5–7; defaults of firmware 3.1 if recordings show them.
 
 use super::faults::Format;
 use crate::protocol::link::{self, ASCII_RATES_HZ, BAUD_RATES, BITS_PER_BYTE, DEFAULT_BAUD, INTERNAL_RATE_HZ};
@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 const USER_TAG_BYTES: usize = 20;
 /// Serial ports of the sensor: 1 is RS-232, 2 is TTL.
 const PORTS: usize = 2;
-/// Registers that hold numbers and change nothing in the emulator: number, values as delivered, whether writable.
+/// Registers that hold numbers without effect in the emulator: number, values as delivered, whether writable.
 const PLAIN: [(u16, &str, bool); 17] = [
     (21, "1,0,1.8,0,0,-9.79375", true),
     (23, "1,0,0,0,1,0,0,0,1,0,0,0", true),
@@ -43,7 +43,7 @@ const PLAIN: [(u16, &str, bool); 17] = [
     (116, "5.0,0.05,20.0,0.05,0.08,0.0,0.0", true),
 ];
 
-/// What register values say to the emulator.
+/// The settings that the register values contain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Register 5, per port.
@@ -82,8 +82,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Whether all that is sent on every port fits through its baud rate. A real sensor refuses VNYMR at 100 Hz and
-    /// 115200 baud (106 %) and takes 95.5 %; where exactly it stops is not documented, here at 100 %.
+    /// Whether the total output of every port fits its baud rate. A real sensor refuses VNYMR at 100 Hz and 115200 baud
+    /// (106 %) and accepts 95.5 %. The exact limit is not documented; here it is 100 %.
     fn fits(&self) -> bool {
         (1..=2_u8).zip(0..PORTS).all(|(port, index)| {
             let mut bytes_per_s = 0.0;
@@ -100,7 +100,7 @@ impl Settings {
     }
 }
 
-/// What a write changed that goes beyond the register.
+/// The effect of a write beyond the register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
     /// Nothing.
@@ -122,7 +122,7 @@ pub struct RegisterFile {
     port: u8,
 }
 
-/// Numbers a comma apart that a sensor takes: finite decimals.
+/// Whether the values are comma-separated numbers that a sensor accepts: finite decimals.
 fn are_numbers(values: &str) -> bool {
     values.split(',').all(|field| field.trim().parse::<f64>().is_ok_and(f64::is_finite))
 }
@@ -136,7 +136,7 @@ fn expect_count(found: usize, expected: usize) -> Result<(), DeviceError> {
 }
 
 impl RegisterFile {
-    /// The registers of a sensor as delivered, seen from serial port `port` (1 or 2).
+    /// The registers of a sensor as delivered, accessed through serial port `port` (1 or 2).
     #[must_use]
     pub fn new(options: &super::SensorOptions) -> Self {
         let settings = Settings { user_tag: options.user_tag.clone(), ..Settings::default() };
@@ -158,12 +158,12 @@ impl RegisterFile {
         }
     }
 
-    /// What is in force.
+    /// The settings in force.
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.ram
     }
-    /// The serial port it is spoken to through, 1 or 2.
+    /// The serial port in use, 1 or 2.
     #[must_use]
     pub fn port(&self) -> u8 {
         self.port
@@ -188,11 +188,11 @@ impl RegisterFile {
         self.flash = self.ram.clone();
         self.flash_writes += 1;
     }
-    /// Loads what is saved, as a reset does.
+    /// Loads the saved values, as a reset does.
     pub fn load(&mut self) {
         self.ram = self.flash.clone();
     }
-    /// Factory settings, in flash as well.
+    /// Restores the factory settings, in flash as well.
     pub fn restore_factory(&mut self) {
         self.ram = Settings { user_tag: self.ram.user_tag.clone(), ..Settings::default() };
         self.save();
@@ -203,11 +203,11 @@ impl RegisterFile {
         self.ram.ascii[index] = None;
     }
 
-    /// Writes a register in RAM and flash without any rule, fixed ones too and without counting: how the sensor was before
-    /// anybody spoke to it.
+    /// Writes a register in RAM and flash without any rule, including fixed ones, and without counting: the initial
+    /// state of the sensor.
     ///
     /// # Errors
-    /// [`DeviceError`] where the register or its values do not exist.
+    /// [`DeviceError`] if the register or its values do not exist.
     pub fn preset(&mut self, register: u16, values: &str) -> Result<(), DeviceError> {
         if let Some(fixed) = self.fixed.get_mut(&register) {
             values.clone_into(fixed);
@@ -225,20 +225,20 @@ impl RegisterFile {
         Ok(())
     }
 
-    /// Another unit: this serial number, everything else as delivered.
+    /// Replaces the unit: this serial number, everything else as delivered.
     pub fn replace(&mut self, serial_number: &str) {
         self.fixed.insert(SERIAL_NUMBER, serial_number.to_owned());
         self.ram = Settings { user_tag: self.ram.user_tag.clone(), ..Settings::default() };
         self.flash = self.ram.clone();
     }
 
-    /// The port in use speaks at this baud rate from now on, in RAM.
+    /// Sets the baud rate of the port in use, in RAM.
     pub fn set_baud(&mut self, baud: u32) {
         let index = self.port_index();
         self.ram.baud[index] = baud;
     }
 
-    /// Everything that the port in use sends has this rate from now on, in RAM; `rate_hz` divides 800.
+    /// Sets the rate of all output of the port in use, in RAM; `rate_hz` divides 800.
     pub fn set_rate(&mut self, rate_hz: u32) {
         let (port, index) = (self.port, self.port_index());
         for output in self.ram.outputs.iter_mut().filter(|output| output.is_sent_on(port)) {
@@ -249,7 +249,7 @@ impl RegisterFile {
         }
     }
 
-    /// The port in use sends this and nothing else from now on, in RAM.
+    /// Makes this the only output of the port in use, in RAM.
     pub fn set_format(&mut self, format: Format) {
         let (port, index) = (self.port, self.port_index());
         let before = self.ram.outputs.iter().find(|output| output.is_sent_on(port)).copied();
@@ -276,7 +276,7 @@ impl RegisterFile {
         }
     }
 
-    /// The values of a register, as a reply carries them. `argument` is what followed the register number.
+    /// The values of a register in the form of a reply. `argument` is the text after the register number.
     ///
     /// # Errors
     /// 08 for a register that does not exist, 06 for a surplus argument, 07 for a port that does not exist.
@@ -307,7 +307,7 @@ impl RegisterFile {
     /// Writes a register in RAM.
     ///
     /// # Errors
-    /// The error the sensor reports; nothing is changed then.
+    /// The error that the sensor reports; then nothing is changed.
     pub fn write(&mut self, register: u16, values: &str) -> Result<Change, DeviceError> {
         let read_only = PLAIN.iter().any(|(number, _, writable)| *number == register && !writable);
         if read_only || self.fixed.contains_key(&register) || AsciiType::from_register(register).is_some() {
@@ -365,7 +365,7 @@ impl RegisterFile {
                 return Ok(Change::Synchronization);
             }
             BINARY_OUTPUT_1..=BINARY_OUTPUT_3 => {
-                // whatever is wrong with a binary output, a sensor says 07
+                // whatever the error in a binary output, a sensor reports 07
                 let output = BinaryOutput::parse(register, values).map_err(|_| invalid)?;
                 let divides = output.rate_divisor > 0 || output.async_mode == 0;
                 if output.async_mode > 3 || !divides {
@@ -414,7 +414,7 @@ impl RegisterFile {
             ASYNC_TYPE => {
                 let id = u8::try_from(value).map_err(|_| invalid)?;
                 let ascii = AsciiType::from_id(id);
-                // VNDCM is gone in firmware 3.1
+                // VNDCM does not exist in firmware 3.1
                 let absent = ascii == Some(AsciiType::Dcm) && self.firmware >= (3, 1);
                 if absent || (ascii.is_none() && id != 0) {
                     return Err(invalid);
@@ -431,7 +431,7 @@ impl RegisterFile {
         Ok(Change::Value)
     }
 
-    /// Ticks of 1/800 s between two ASCII messages of the port in use; `None` where none is sent.
+    /// Ticks of 1/800 s between two ASCII messages of the port in use; `None` if none is sent.
     #[must_use]
     pub fn ascii_period_ticks(&self) -> Option<u64> {
         let rate = self.ram.ascii_rate_hz[self.port_index()];
@@ -535,7 +535,7 @@ mod tests {
         assert_eq!(file.write(75, "1,1,01,0739"), Err(DeviceError::InsufficientBaudRate));
         assert_eq!(file.write(6, "0"), Ok(Change::Value));
         assert_eq!(file.write(75, "1,1,01,0739"), Ok(Change::Value));
-        // a second output does not fit any more; on the other port it is not in the way
+        // a second output does not fit any more; on the other port it does not interfere
         assert_eq!(file.write(76, "1,20,01,0609,"), Err(DeviceError::InvalidParameter));
         assert_eq!(file.write(76, "1,8,01,0739"), Err(DeviceError::InsufficientBaudRate));
         assert_eq!(file.write(76, "2,40,01,0609"), Ok(Change::Value));

@@ -1,15 +1,15 @@
-//! Replay: recorded raw lines in place of a simulated stream, unchanged. Pure but for the iterator that feeds it.
+//! Replay: sends recorded raw lines instead of a simulated stream, unchanged. Pure but for the iterator that feeds it.
 //!
-//! The recording begins once the host has stopped talking: from then on it listens, and no line is lost on it.
+//! The recording begins once the host has stopped sending commands: from then on the host listens, and no line is lost.
 
 /// Silence of the host after which the recording begins, ns of real time.
 const QUIET_NS: u64 = 100_000_000;
-/// A host that never talks gets the recording after this time, ns.
+/// A host that sends no command gets the recording after this time, ns.
 const UNASKED_NS: u64 = 10_000_000_000;
 /// Internal ticks per second.
 const TICKS_PER_SECOND: f64 = 800.0;
 
-/// A recording on its way.
+/// A recording that is being replayed.
 pub struct Replay {
     lines: Box<dyn Iterator<Item = Vec<u8>> + Send>,
     /// The line that is sent next.
@@ -30,12 +30,12 @@ impl Replay {
         Self { lines, next, asked_ns: None, first_ns: None, start: None, speed: speed.max(1.0) }
     }
 
-    /// The host said something.
+    /// Notes that the host sent something.
     pub fn heard(&mut self, now_ns: u64) {
         self.asked_ns = Some(now_ns);
     }
 
-    /// The tick at which the next line is due, if the recording has begun and is not over.
+    /// The tick at which the next line is due, if the recording has begun and has not ended.
     pub fn next_tick(&mut self, tick: u64, rate_hz: f64, now_ns: u64) -> Option<u64> {
         self.next.as_ref()?;
         let first_ns = *self.first_ns.get_or_insert(now_ns);

@@ -1,11 +1,11 @@
 //! The virtual sensor: a VN-100's behaviour as a pure function of bytes, ticks and values.
 //!
-//! Enters: command bytes in any split ([`VirtualSensor::on_bytes`]), and one instant of channel values for each tick that it
-//! asks for ([`VirtualSensor::next_output_tick`], [`VirtualSensor::emit`]). Leaves: the bytes it sends, and [`Notice`]s of
-//! what else happened. Time is a tick of 1/800 s that the caller counts; the sensor's own clock starts with it, or at 0
-//! after a reset.
+//! In: command bytes in any division ([`VirtualSensor::on_bytes`]), and one instant of channel values for each tick
+//! that it requests ([`VirtualSensor::next_output_tick`], [`VirtualSensor::emit`]). Out: the bytes it sends, and
+//! [`Notice`]s of other events. Time is a tick of 1/800 s that the caller counts; the sensor's own clock starts with
+//! it, or at 0 after a reset.
 //!
-//! It takes both checksum forms and the bypass, and answers with the one that register 30 selects. What it does not do:
+//! It accepts both checksum forms and the bypass, and answers with the one that register 30 selects. Not supported:
 //! bootloader and command prompt (error 04), SPI, the on-board filters.
 
 use super::instant::{Values, measure};
@@ -22,10 +22,10 @@ use std::ops::Range;
 pub const TICK_NS: u64 = NANOS_PER_SECOND / INTERNAL_RATE_HZ as u64;
 /// Characters that the sensor's input buffer holds (user manual UM001 rev 2.45, section 3.8).
 const INPUT_BYTES: usize = 256;
-/// How long writing the flash takes: about 500 ms (section 5.1.3).
+/// The duration of writing the flash: about 500 ms (section 5.1.3).
 const FLASH_TICKS: u64 = INTERNAL_RATE_HZ as u64 / 2;
 
-/// What the sensor is.
+/// The properties of the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SensorOptions {
     /// Register 0, at most 20 characters.
@@ -38,11 +38,11 @@ pub struct SensorOptions {
     pub serial_number: String,
     /// Register 4; below 3.1 there are VNDCM and VNTAR.
     pub firmware: String,
-    /// The serial port it is spoken to through, 1 or 2.
+    /// The serial port in use, 1 or 2.
     pub port: u8,
-    /// How long its clock ran before tick 0, in ticks.
+    /// The time that its clock ran before tick 0, in ticks.
     pub uptime_ticks: u64,
-    /// How long it is silent after a reset, in ticks: 1.25 s (ArduPilot#22488).
+    /// The silence after a reset, in ticks: 1.25 s (ArduPilot#22488).
     pub boot_ticks: u64,
 }
 
@@ -61,14 +61,14 @@ impl Default for SensorOptions {
     }
 }
 
-/// Something that happened beside the bytes that were sent.
+/// An event apart from the bytes sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
     /// The port in use has another baud rate from now on; the reply still went out at the old one.
     BaudChanged(u32),
     /// The sensor restarts at this tick: silent until its firmware runs, then its clock begins at 0.
     Reset {
-        /// When the reset came.
+        /// The time of the reset.
         tick: u64,
     },
     /// The flash was written.
@@ -91,17 +91,17 @@ enum Queued {
 pub struct VirtualSensor {
     registers: RegisterFile,
     boot_ticks: u64,
-    /// The tick at which its clock read 0, before tick 0 where negative.
+    /// The tick at which its clock read 0; negative if before tick 0.
     clock_start: i64,
-    /// What TimeStartup is ahead of that clock, ns.
+    /// The offset of TimeStartup from that clock, ns.
     clock_offset_ns: u64,
-    /// It hears and sends nothing before this tick.
+    /// It receives and sends nothing before this tick.
     silent_until: u64,
-    /// The latest tick that was spoken of.
+    /// The latest tick passed by the caller.
     now: u64,
     /// Ticks up to this one have been emitted.
     emitted: Option<u64>,
-    /// The output has been what it is since this tick: nothing is sent for earlier ones.
+    /// The output has been unchanged since this tick: nothing is sent for earlier ones.
     output_since: u64,
     paused: bool,
     replaying: bool,
@@ -109,16 +109,16 @@ pub struct VirtualSensor {
     /// Whether `input` is inside a line.
     in_line: bool,
     queue: VecDeque<(u64, Queued)>,
-    /// SyncOut counter at `sync_since`, and the tick from which it counts on.
+    /// SyncOut counter at `sync_since`, the tick from which it counts.
     sync_out_count: u32,
     sync_since: u64,
     notices: Vec<Notice>,
-    /// Where the messages of the last instant lie in what was sent.
+    /// The positions of the messages of the last instant in the bytes sent.
     frames: Vec<Range<usize>>,
 }
 
 impl VirtualSensor {
-    /// A sensor that runs, with the settings it was delivered with.
+    /// A running sensor with its settings as delivered.
     #[must_use]
     pub fn new(options: &SensorOptions) -> Self {
         Self {
@@ -148,7 +148,7 @@ impl VirtualSensor {
         &self.registers
     }
 
-    /// Its registers, to be set before anybody speaks to it ([`RegisterFile::preset`]).
+    /// Its registers, to be set before the first command ([`RegisterFile::preset`]).
     pub fn registers_mut(&mut self) -> &mut RegisterFile {
         &mut self.registers
     }
@@ -159,8 +159,8 @@ impl VirtualSensor {
         self.registers.settings().baud[self.registers.port_index()]
     }
 
-    /// Replays a recording: commands are answered and configuration is acknowledged as ever, but the sensor sends no
-    /// message of its own; the caller sends recorded ones while [`VirtualSensor::may_send`].
+    /// Replays a recording. Commands are answered and configuration is acknowledged as usual, but the sensor sends no
+    /// message by itself; the caller sends recorded ones while [`VirtualSensor::may_send`].
     pub fn set_replaying(&mut self, replaying: bool) {
         self.replaying = replaying;
     }
@@ -171,7 +171,7 @@ impl VirtualSensor {
         tick >= self.silent_until && !self.paused
     }
 
-    /// What happened since the last call.
+    /// The events since the last call.
     pub fn take_notices(&mut self) -> Vec<Notice> {
         std::mem::take(&mut self.notices)
     }
@@ -182,21 +182,21 @@ impl VirtualSensor {
         (self.clock_ticks(tick) * TICK_NS).wrapping_add(self.clock_offset_ns)
     }
 
-    /// Makes TimeStartup `us` microseconds at `tick`, and the sync counter the lower 32 bits of that number. When messages
-    /// are sent does not change.
+    /// Sets TimeStartup to `us` microseconds at `tick`, and the sync counter to the lower 32 bits of that number. The
+    /// times of messages do not change.
     pub fn set_clock(&mut self, tick: u64, us: u64) {
         self.now = self.now.max(tick);
         self.clock_offset_ns = us.wrapping_mul(1000).wrapping_sub(self.clock_ticks(tick) * TICK_NS);
         self.set_sync_out_count((us & u64::from(u32::MAX)) as u32);
     }
 
-    /// Another unit takes its place at `tick`: its registers are as delivered, its clock begins at 0.
+    /// Replaces the unit at `tick`: its registers are as delivered, and its clock begins at 0.
     pub fn replace(&mut self, tick: u64, serial_number: &str) {
         self.registers.replace(serial_number);
         self.reset(tick);
     }
 
-    /// Restarts at `tick` without having been told to: a brown-out, a watchdog.
+    /// Restarts at `tick` without a command: a brown-out, a watchdog.
     pub fn reset(&mut self, tick: u64) {
         self.now = self.now.max(tick);
         self.registers.load();
@@ -236,15 +236,16 @@ impl VirtualSensor {
         self.sync_out_count.wrapping_add((pulses & u64::from(u32::MAX)) as u32)
     }
 
-    /// Makes the counter go on from `count` at the current tick.
+    /// Makes the counter continue from `count` at the current tick.
     fn set_sync_out_count(&mut self, count: u32) {
         (self.sync_out_count, self.sync_since) = (count, self.now);
     }
 
-    /// Takes command bytes that arrive at `tick` and appends the replies that go out at once. Others wait for
-    /// [`VirtualSensor::next_output_tick`]: values need an instant, writing the flash takes time.
+    /// Takes command bytes that arrive at `tick` and appends the replies that are sent at once. Others wait for
+    /// [`VirtualSensor::next_output_tick`]: values need an instant, and writing the flash takes time.
     ///
-    /// Emit what is due before `tick` first: a command that changes the output discards what an earlier tick still owes.
+    /// Emit the output due before `tick` first: a command that changes the output discards earlier output that was not
+    /// emitted.
     pub fn on_bytes(&mut self, tick: u64, bytes: &[u8], out: &mut Vec<u8>) {
         self.now = self.now.max(tick);
         for byte in bytes {
@@ -401,7 +402,7 @@ impl VirtualSensor {
         let checksum = self.checksum();
         let change = self.registers.write(register, values)?;
         self.output_since = self.now;
-        // the reply has the form (and goes out at the rate) that held when the command came
+        // the reply has the form (and is sent at the rate) in force when the command arrived
         self.answer_as(echo, checksum, out);
         match change {
             Change::Value => {}
@@ -432,7 +433,7 @@ impl VirtualSensor {
         self.queue.push_back((behind, reply));
     }
 
-    /// Reports an error as register 30's ErrorMode says.
+    /// Reports an error according to register 30's ErrorMode.
     fn report(&mut self, error: DeviceError, out: &mut Vec<u8>) {
         let mode = self.registers.settings().communication.error_mode;
         if mode >= 1 {
@@ -443,8 +444,8 @@ impl VirtualSensor {
         }
     }
 
-    /// The next tick at which the sensor sends something, later than every tick emitted so far; `None` while it has
-    /// nothing to send until it is spoken to.
+    /// The next tick at which the sensor sends something, later than every tick emitted so far; `None` if it has
+    /// nothing to send until the next command.
     #[must_use]
     pub fn next_output_tick(&self) -> Option<u64> {
         let from = self.emitted.map_or(0, |emitted| emitted + 1).max(self.silent_until);
@@ -466,8 +467,8 @@ impl VirtualSensor {
         ascii.into_iter().chain(binary).map(next).chain(reply).min()
     }
 
-    /// Appends what the sensor sends at `tick`, given the values of that instant. Call it for each
-    /// [`VirtualSensor::next_output_tick`] whose time has come; a tick that was emitted already sends nothing.
+    /// Appends the sensor's output at `tick`, given the values of that instant. Call it for each
+    /// [`VirtualSensor::next_output_tick`] whose time has come; a tick that was emitted already produces nothing.
     pub fn emit(&mut self, tick: u64, values: &Values, out: &mut Vec<u8>) {
         self.frames.clear();
         if self.emitted.is_some_and(|emitted| tick <= emitted) || tick < self.silent_until {
@@ -506,7 +507,8 @@ impl VirtualSensor {
         }
     }
 
-    /// Where in the output the messages of the last [`VirtualSensor::emit`] lie; what is before and between are replies.
+    /// The positions of the messages of the last [`VirtualSensor::emit`] in the output; the bytes before and between
+    /// are replies.
     #[must_use]
     pub fn frames(&self) -> &[Range<usize>] {
         &self.frames
@@ -541,7 +543,7 @@ impl VirtualSensor {
         self.frames.push(start..out.len());
     }
 
-    /// The binary output that is sent on the port in use with the lowest register number: what a logger configured.
+    /// The binary output of the port in use with the lowest register number: the one that a logger configured.
     #[must_use]
     pub fn binary_output(&self) -> Option<(u16, crate::protocol::register::BinaryOutput)> {
         let port = self.registers.port();
@@ -549,7 +551,7 @@ impl VirtualSensor {
     }
 }
 
-/// The register number that a command names, and what follows it.
+/// The register number in a command, and the text after it.
 fn register_number(rest: Option<&str>) -> Result<(u16, Option<&str>), DeviceError> {
     let rest = rest.ok_or(DeviceError::NotEnoughParameters)?;
     let (number, values) = rest.split_once(',').map_or((rest, None), |(number, values)| (number, Some(values)));

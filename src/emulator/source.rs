@@ -1,4 +1,4 @@
-//! Source: where the values of each instant come from. Pure but for the recording's iterator.
+//! Source: provides the values of each instant. Pure but for the recording's iterator.
 
 use super::Values;
 use super::replay::Replay;
@@ -11,7 +11,7 @@ use crate::simulator::{SensorModel, Simulator, SimulatorError};
 /// Length of the records for which the simulated spectra hold at the low end, s.
 const RECORD_LENGTH_S: f64 = 86_400.0;
 
-/// What the sensor sends.
+/// The output of the sensor.
 pub enum Source {
     /// Simulated noise.
     Model(Box<Noise>),
@@ -19,25 +19,25 @@ pub enum Source {
     Replay(Replay),
 }
 
-/// The noise of a model, at whatever rate the sensor is told to send.
+/// The noise of a model, at whatever rate the sensor is configured to send.
 pub struct Noise {
     model: SensorModel,
     seed: u64,
     running: Option<Running>,
 }
 
-/// A simulation under way, for one configuration of the output.
+/// A running simulation, for one configuration of the output.
 struct Running {
     stream: Stream,
     simulator: Simulator,
     /// The tick of its first values.
     origin: u64,
-    /// How many instants were simulated, and the last of them.
+    /// The number of simulated instants, and the last of them.
     instants: u64,
     values: Values,
 }
 
-/// What the sensor is told to send.
+/// The configured output of the sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Stream {
     binary: Option<(u16, BinaryOutput)>,
@@ -60,8 +60,8 @@ impl Stream {
 }
 
 impl Source {
-    /// Noise of this model. The simulation begins with the first message after each change of what is sent, so that a
-    /// stream's noise depends on the seed and not on when it was asked for.
+    /// Noise of this model. The simulation begins with the first message after each change of the output, so that a
+    /// stream's noise depends on the seed and not on the time of the request.
     #[must_use]
     pub fn model(model: SensorModel, seed: u64) -> Self {
         Self::Model(Box::new(Noise { model, seed, running: None }))

@@ -1,8 +1,9 @@
 //! Terminal: the virtual sensor on a real pseudo-terminal. A shell: it moves bytes and waits.
 //!
-//! In real time the sensor sends whether somebody reads or not, as a real one does: if its terminal is full and
-//! nobody reads, what comes is lost on the line. Its faults ([`super::faults`]) are done here, as far as they concern terminal and link. Accelerated, the terminal holds the sensor back instead, and the sensor holds the shared
-//! clock ([`ScaledClock::hold_at`]), so that no sample is lost to the acceleration.
+//! In real time the sensor sends whether the terminal is read or not, as a real one does: if the terminal is full and
+//! not read, further data is lost on the line. The faults ([`super::faults`]) of terminal and link are applied here.
+//! With accelerated time the terminal blocks the sensor instead, and the sensor holds the shared clock
+//! ([`ScaledClock::hold_at`]), so that no sample is lost to the acceleration.
 
 use super::faults::{Fault, FaultError, Schedule, ticks};
 use super::line::{Fate, Frame, Line, Piece};
@@ -27,42 +28,42 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-/// How long the loop sleeps at most: how soon a command is answered when nothing is sent.
+/// The longest sleep of the loop: the delay of an answer when nothing is sent.
 const NAP: Duration = Duration::from_millis(20);
 /// How far the held clock may run ahead of the loop while nothing is to be sent: less than any time-out of the host.
 const IDLE_TICKS: u64 = 80;
-/// Output that waits for the terminal: at most this much is prepared ahead.
+/// The maximum output prepared ahead for the terminal.
 const PENDING_BYTES: usize = 8192;
-/// What a burst that was held back may wait for the terminal.
+/// The maximum size of a delayed burst that waits for the terminal.
 const BURST_BYTES: usize = 1 << 20;
-/// What the kernel keeps of a serial line before its own worker hands it on to the reader (`TTYB_DEFAULT_MEM_LIMIT`). A
-/// pseudo-terminal keeps only 8 KiB, so the rest waits here.
+/// The size of the kernel's buffer of a serial line before its own worker passes it to the reader
+/// (`TTYB_DEFAULT_MEM_LIMIT`). A pseudo-terminal has only 8 KiB, so the rest waits here.
 const DRIVER_BYTES: usize = 640 << 10;
-/// A terminal with this many bytes to read is full: its line discipline holds 4095, and takes no more a little before.
+/// A terminal with this many unread bytes is full: its line discipline holds 4095, and stops accepting shortly before.
 const FULL_BYTES: u64 = 3900;
-/// How long a terminal is full and takes nothing before what comes is lost.
+/// How long a terminal must be full and accept nothing before further data is lost.
 const OVERRUN_AFTER: Duration = Duration::from_millis(20);
 /// Seed of the faults' bits and noise.
 const FAULT_SEED: u64 = 0x5eed;
 
-/// Why the emulator failed.
+/// The reasons why the emulator failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EmulatorError {
-    /// The system gave no pseudo-terminal.
+    /// The system provided no pseudo-terminal.
     #[error("the system gives no pseudo-terminal ({source}): is /dev/pts mounted?")]
     Terminal {
-        /// Its words.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// The link cannot be made.
+    /// The link cannot be created.
     #[error(
         "the link {path} cannot be made ({source}): choose a path in a folder that may be written, whose file is absent or a link"
     )]
     Link {
         /// The link.
         path: String,
-        /// The system's words.
+        /// The error message of the system.
         source: std::io::Error,
     },
     /// The log cannot be written.
@@ -70,38 +71,38 @@ pub enum EmulatorError {
     Log {
         /// The file.
         path: String,
-        /// The system's words.
+        /// The error message of the system.
         source: std::io::Error,
     },
-    /// The model cannot run at the rate the sensor was told to send.
+    /// The model cannot run at the rate that the sensor was configured to.
     #[error(transparent)]
     Simulator(#[from] SimulatorError),
-    /// A fault that was asked for is none.
+    /// A requested fault is invalid.
     #[error(transparent)]
     Fault(#[from] FaultError),
 }
 
-/// How the terminal behaves.
+/// Options of the terminal.
 #[derive(Debug, Default)]
 pub struct TerminalOptions {
-    /// Make this a link to the terminal.
+    /// Create a link to the terminal at this path.
     pub link: Option<PathBuf>,
     /// End after this much time of the sensor.
     pub duration: Option<Duration>,
-    /// Write down every frame that was made and what became of it.
+    /// Log every frame and its fate to this file.
     pub log: Option<PathBuf>,
     /// Garble both directions while the terminal is set to another baud rate than the sensor.
     pub strict_baud: bool,
-    /// What shall go wrong, by the sensor's time.
+    /// The faults, by the sensor's time.
     pub faults: Schedule,
-    /// What shall go wrong at once, as it is said.
+    /// Faults that occur at once, as they are received.
     pub live_faults: Option<mpsc::Receiver<Result<Fault, FaultError>>>,
 }
 
 /// The two ends of a pseudo-terminal.
 struct Pair {
     master: OwnedFd,
-    /// Kept open: otherwise every reader that closes would end the line. Also tells the baud rate that the host set.
+    /// Kept open: otherwise every reader that closes would end the line. Also shows the baud rate that the host set.
     slave: OwnedFd,
     path: PathBuf,
 }
@@ -110,18 +111,20 @@ struct Pair {
 pub struct Terminal {
     /// `None` while it is unplugged.
     pair: Option<Pair>,
-    /// The terminal that it comes back on, and the tick. It exists before the old one goes, so that its name is another.
+    /// The terminal on which it comes back, and the tick. It exists before the old one is closed, so that its name
+    /// differs.
     back: Option<(u64, Pair)>,
-    /// The side of a terminal that hung up that keeps its number: a link that dangles must not lead to somebody else's.
+    /// The side of a hung-up terminal, kept open to reserve its number: a link that dangles must not lead to another
+    /// terminal.
     hung_up: Option<OwnedFd>,
     options: TerminalOptions,
     line: Line,
     outbox: Outbox,
     /// Kept until the end of a hold.
     held: Vec<Piece>,
-    /// What was held is on its way.
+    /// Whether the delayed data is being sent.
     burst: bool,
-    /// Since when nobody reads what the terminal has.
+    /// The time since which the terminal's data has not been read.
     full_since: Option<Instant>,
     log: Option<std::fs::File>,
     /// Lines of the log that are still to be written.
@@ -129,7 +132,7 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Opens a terminal, raw, and makes the link.
+    /// Opens a terminal, raw, and creates the link.
     ///
     /// # Errors
     /// [`EmulatorError`].
@@ -159,7 +162,7 @@ impl Terminal {
         Ok(terminal)
     }
 
-    /// The terminal's name, such as /dev/pts/7; empty while there is none.
+    /// The terminal's name, such as /dev/pts/7; empty while there is no terminal.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.pair.as_ref().map_or(Path::new(""), |pair| &pair.path)
@@ -173,7 +176,7 @@ impl Terminal {
     /// Runs until `stop` is set or the duration is over.
     ///
     /// # Errors
-    /// [`EmulatorError`] where terminal or log fail, or a fault is none.
+    /// [`EmulatorError`] if terminal or log fail, or a fault is invalid.
     pub fn run(
         &mut self,
         mut sensor: VirtualSensor,
@@ -188,7 +191,7 @@ impl Terminal {
         let mut emitted = Vec::new();
         while !stop.load(Ordering::Relaxed) {
             self.hear(&mut sensor, &mut source, tick, clock)?;
-            // What the sensor says: everything that is due, as far as the terminal takes it.
+            // The sensor's output: everything that is due, as far as the terminal accepts it.
             let due = (clock.schedule_mono_ns() - origin_ns) / TICK_NS;
             while let Some(fault) = self.said()? {
                 self.fault(fault, tick.max(due), &mut sensor, clock)?;
@@ -204,7 +207,7 @@ impl Terminal {
                 };
                 let next = next.filter(|next| *next <= due);
                 if self.happen(next.unwrap_or(due), &mut sensor, clock)? {
-                    // It may have changed what comes next.
+                    // The fault may have changed what is sent next.
                     continue;
                 }
                 let Some(next) = next else {
@@ -251,7 +254,7 @@ impl Terminal {
                 tick = tick.max(due);
             }
             if held {
-                // Time goes on to what is sent next and no further, however long this thread had to wait for its turn.
+                // Time advances to the next output and no further, however long this thread had to wait for its turn.
                 let next = match &mut source {
                     Source::Model(_) => sensor.next_output_tick(),
                     Source::Replay(_) => None,
@@ -268,7 +271,8 @@ impl Terminal {
                 && free_again.elapsed() > Duration::from_secs(1)
             {
                 free_again = Instant::now();
-                // A host that was killed leaves its claim (TIOCEXCL) on the terminal, which a real port forgets.
+                // A host that was killed leaves its exclusive claim (TIOCEXCL) on the terminal, which a real port
+                // releases.
                 let _ = rustix::termios::ioctl_tiocnxcl(&pair.slave);
             }
             self.wait(clock, origin_ns, &sensor, &source, tick)?;
@@ -277,7 +281,7 @@ impl Terminal {
         self.note(clock)
     }
 
-    /// What the host says.
+    /// Handles the bytes from the host.
     fn hear(
         &mut self,
         sensor: &mut VirtualSensor,
@@ -308,16 +312,16 @@ impl Terminal {
         Ok(())
     }
 
-    /// The next fault that was said to happen at once.
+    /// The next fault that is to occur at once.
     fn said(&mut self) -> Result<Option<Fault>, EmulatorError> {
         match self.options.live_faults.as_ref().map(mpsc::Receiver::try_recv) {
             Some(Ok(fault)) => Ok(Some(fault?)),
-            // Whoever spoke has stopped speaking.
+            // The source of faults has ended.
             Some(Err(_)) | None => Ok(None),
         }
     }
 
-    /// Lets the first thing happen that is due at `limit` or before; `false` where nothing is.
+    /// Applies the first fault that is due at `limit` or before; returns `false` if there is none.
     fn happen(&mut self, limit: u64, sensor: &mut VirtualSensor, clock: &ScaledClock) -> Result<bool, EmulatorError> {
         if let Some((tick, pair)) = self.back.take_if(|(tick, _)| *tick <= limit) {
             self.event(clock, tick, &format!("back on {}", pair.path.display()));
@@ -364,7 +368,7 @@ impl Terminal {
             Fault::Format(format) => sensor.registers_mut().set_format(format),
             Fault::Baud(baud) => {
                 sensor.registers_mut().set_baud(baud);
-                // A line on which every baud rate is understood would not notice.
+                // On a line that accepts every baud rate this would have no effect.
                 self.options.strict_baud = true;
             }
             Fault::Hold(time) => self.line.hold_until = tick + ticks(time),
@@ -374,7 +378,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// The terminal goes; a new one comes at the tick `back`.
+    /// Removes the terminal; a new one appears at the tick `back`.
     fn gone(&mut self, back: u64) -> Result<(), EmulatorError> {
         let pair = match self.back.take() {
             Some((_, pair)) => pair,
@@ -389,7 +393,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// Sends something that is no frame.
+    /// Sends bytes that are no frame.
     fn reply(&mut self, sensor: &VirtualSensor, tick: u64, bytes: &[u8]) {
         if bytes.is_empty() || self.pair.is_none() || self.line.is_silent(tick) {
             return;
@@ -397,7 +401,7 @@ impl Terminal {
         self.deliver(sensor, tick, Piece { bytes: bytes.to_vec(), frame: None });
     }
 
-    /// Sends a frame, or what the faults make of it.
+    /// Sends a frame, with its faults applied.
     fn frame(&mut self, sensor: &VirtualSensor, tick: u64, bytes: &[u8]) {
         let mut pieces = Vec::new();
         self.line.frame(tick, sensor.device_time_ns(tick), bytes, self.pair.is_some(), &mut pieces);
@@ -420,14 +424,14 @@ impl Terminal {
         }
     }
 
-    /// The baud rate of the terminal, where it is not the sensor's and that matters.
+    /// The baud rate of the terminal, if it differs from the sensor's and that matters.
     fn wrong_baud(&self, sensor: &VirtualSensor) -> Option<u32> {
         let pair = self.pair.as_ref().filter(|_| self.options.strict_baud)?;
         let set = rustix::termios::tcgetattr(&pair.slave).ok()?.output_speed();
         (set != sensor.baud() && set > 0).then_some(set)
     }
 
-    /// Sleeps until the host says something, the terminal takes more, or the next output is due.
+    /// Sleeps until the host sends something, the terminal accepts more, or the next output is due.
     fn wait(
         &self,
         clock: &ScaledClock,
@@ -458,8 +462,8 @@ impl Terminal {
         }
     }
 
-    /// Whether what waits is lost, as on a real line: nobody reads what the terminal has. If the terminal is not full, it is the
-    /// kernel that is late, and that loses nothing until its own buffer is full.
+    /// Whether the waiting data is lost, as on a real line: the terminal's data is not read. If the terminal is not
+    /// full, the kernel is late, and that loses nothing until its own buffer is full.
     fn overruns(&mut self) -> bool {
         let waiting = self.outbox.waiting().len();
         let (most, driver) = if self.burst { (BURST_BYTES, BURST_BYTES) } else { (PENDING_BYTES / 2, DRIVER_BYTES) };
@@ -476,14 +480,14 @@ impl Terminal {
         waiting > driver || since.elapsed() > OVERRUN_AFTER
     }
 
-    /// Gives the terminal what it takes.
+    /// Writes as much as the terminal accepts.
     fn write(&mut self) -> Result<(), EmulatorError> {
         let Some(pair) = &self.pair else { return Ok(()) };
         while !self.outbox.is_empty() {
             match rustix::io::write(&pair.master, self.outbox.waiting()) {
                 Ok(count) => {
                     self.outbox.took(count);
-                    // Somebody reads.
+                    // The terminal is being read.
                     self.full_since = None;
                 }
                 Err(Errno::INTR) => {}
@@ -497,7 +501,7 @@ impl Terminal {
 
     fn event(&mut self, clock: &ScaledClock, tick: u64, text: &str) {
         if self.log.is_some() {
-            // Frames that are settled already come before it.
+            // Frames that are settled already precede it.
             self.describe_frames(clock);
             let _ = writeln!(self.lines, "! {tick} {} {text}", clock.schedule_mono_ns());
         }
@@ -511,7 +515,7 @@ impl Terminal {
         }
     }
 
-    /// Writes down what became of frames since the last time: whoever kills the emulator can read it.
+    /// Logs the fate of frames since the last time, so that the log is complete if the emulator is killed.
     fn note(&mut self, clock: &ScaledClock) -> Result<(), EmulatorError> {
         if self.log.is_none() {
             self.outbox.settled();
@@ -531,7 +535,7 @@ impl Terminal {
         if let Some(link) = &self.options.link
             && link.is_symlink()
         {
-            // Nothing to be done about a link that stays.
+            // A link that cannot be removed stays.
             let _ = std::fs::remove_file(link);
         }
     }
@@ -543,7 +547,7 @@ fn failed(error: Errno) -> EmulatorError {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // A link that another emulator has taken over is not ours to remove.
+        // A link that another emulator has replaced must not be removed.
         if let (Some(link), Some(pair)) = (&self.options.link, &self.pair)
             && std::fs::read_link(link).is_ok_and(|target| target == pair.path)
         {
@@ -552,7 +556,7 @@ impl Drop for Terminal {
     }
 }
 
-/// The rate of register 7 in Hz: what recorded lines are sent at.
+/// The rate of register 7 in Hz, at which recorded lines are sent.
 fn ascii_rate_hz(sensor: &VirtualSensor) -> f64 {
     let text = sensor.registers().read(ASYNC_RATE, None).unwrap_or_default();
     text.parse().ok().filter(|rate: &f64| *rate > 0.0).unwrap_or(40.0)
@@ -565,7 +569,7 @@ fn open_pair() -> Result<Pair, Errno> {
     let name = rustix::pty::ptsname(&master, Vec::new())?;
     let path = PathBuf::from(name.to_string_lossy().into_owned());
     let slave = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, rustix::fs::Mode::empty())?;
-    // A fresh terminal echoes and edits lines; a serial sensor does neither.
+    // A new terminal echoes and edits lines; a serial sensor does neither.
     let mut termios = rustix::termios::tcgetattr(&slave)?;
     termios.make_raw();
     rustix::termios::tcsetattr(&slave, OptionalActions::Now, &termios)?;

@@ -7,7 +7,7 @@ use crate::protocol::{
 };
 use crate::sample::Channel;
 
-/// The first line of the manual's chapter on registers, as a desk would give it.
+/// The first line of the manual's chapter on registers, for a sensor at rest on a desk.
 fn values() -> Values {
     let mut values = [0.0; Channel::COUNT];
     for (channel, value) in [
@@ -38,28 +38,28 @@ fn sensor() -> VirtualSensor {
     VirtualSensor::new(&SensorOptions::default())
 }
 
-/// A sensor that sends nothing of its own.
+/// A sensor that sends nothing by itself.
 fn quiet_sensor() -> VirtualSensor {
     let mut sensor = sensor();
     assert_eq!(ask(&mut sensor, 0, "$VNWRG,06,0*6C\r\n"), "$VNWRG,06,0*6C\r\n");
     sensor
 }
 
-/// What the sensor answers at once.
+/// The immediate reply of the sensor.
 fn ask(sensor: &mut VirtualSensor, tick: u64, command: &str) -> String {
     let mut out = Vec::new();
     sensor.on_bytes(tick, command.as_bytes(), &mut out);
     String::from_utf8(out).unwrap()
 }
 
-/// The body of what the sensor answers to a command without checksum.
+/// The body of the sensor's reply to a command without checksum.
 fn bare(sensor: &mut VirtualSensor, tick: u64, body: &str) -> String {
     let reply = ask(sensor, tick, &format!("${body}*XX\r\n"));
     let body = reply.strip_prefix('$').and_then(|line| line.rsplit_once('*'));
     body.map_or(String::new(), |(body, _)| body.to_owned())
 }
 
-/// All that the sensor sends up to and including `until`, with the ticks it asked for.
+/// Everything that the sensor sends up to and including `until`, with the ticks it requested.
 fn run(sensor: &mut VirtualSensor, until: u64) -> (Vec<u64>, Vec<u8>) {
     let (mut ticks, mut out) = (Vec::new(), Vec::new());
     while let Some(tick) = sensor.next_output_tick().filter(|tick| *tick <= until) {
@@ -92,7 +92,7 @@ fn it_streams_as_delivered_byte_for_byte() {
 fn reads_are_answered_with_the_checksum_of_register_30() {
     let mut sensor = sensor();
     assert_eq!(ask(&mut sensor, 1, "$VNRRG,01*72\r\n"), "$VNRRG,01,VN-100T-CR*32\r\n");
-    // the SDK sends CRC-16 whatever register 30 says
+    // the SDK sends CRC-16 regardless of register 30
     assert_eq!(ask(&mut sensor, 1, "$VNRRG,01*E15F\r\n"), "$VNRRG,01,VN-100T-CR*32\r\n");
     assert_eq!(ask(&mut sensor, 1, "$VNRRG,7*XX\r\n"), "$VNRRG,07,40*5C\r\n");
     assert_eq!(ask(&mut sensor, 1, "$VNRRG,07*XXXX\n"), "$VNRRG,07,40*5C\r\n");
@@ -194,7 +194,7 @@ fn a_binary_output_is_configured_and_carries_device_time() {
         assert_eq!(found[0].get(quantity), Some(&expected[..]), "{quantity:?}");
     }
     assert_eq!(found[0].scalar(Quantity::Pressure), Some(f64::from(99.761_f32)));
-    // on the other port it is not heard
+    // on the other port it has no effect
     assert_eq!(bare(&mut sensor, 101, "VNWRG,75,2,20,01,0609"), "VNWRG,75,2,20,01,0609");
     assert_eq!(sensor.next_output_tick(), None);
 }
@@ -307,7 +307,7 @@ fn a_reset_answers_first_then_is_silent_then_begins_at_zero() {
     assert_eq!(sensor.take_notices(), [Notice::BaudChanged(230_400)]);
     assert_eq!(ask(&mut sensor, 4010, "$VNRST*4D\r\n$VNRRG,01*72\r\n"), "$VNRST*4D\r\n");
     assert_eq!(sensor.take_notices(), [Notice::BaudChanged(115_200), Notice::Reset { tick: 4010 }]);
-    // 1.25 s of silence: it neither hears nor sends
+    // 1.25 s of silence: it neither receives nor sends
     assert_eq!(ask(&mut sensor, 5009, "$VNRRG,01*72\r\n"), "");
     assert_eq!((sensor.next_output_tick(), sensor.may_send(5009)), (Some(5010), false));
     let (ticks, bytes) = run(&mut sensor, 5050);
@@ -327,7 +327,7 @@ fn saved_settings_survive_a_reset_and_every_flash_write_is_counted() {
     assert_eq!(ask(&mut sensor, 51, "$VNWNV*57\r\n$VNRRG,07*74\r\n"), "");
     assert_eq!(sensor.registers().flash_writes(), 1);
     assert_eq!(sensor.take_notices(), [Notice::FlashWritten]);
-    // it answers half a second later, and later commands behind it; the stream goes on
+    // it answers half a second later, and later commands after that; the stream continues
     let mut out = Vec::new();
     while let Some(tick) = sensor.next_output_tick().filter(|tick| *tick < 451) {
         sensor.emit(tick, &values(), &mut out);

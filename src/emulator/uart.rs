@@ -1,16 +1,16 @@
-//! Uart: what a receiver at one baud rate makes of bytes sent at another. Pure.
+//! Uart: the bytes that a receiver at one baud rate reads from bytes sent at another. Pure.
 
 /// Bits of one byte on the line: start, eight data bits from the lowest, stop.
 const BITS: usize = 10;
 
-/// The bytes that a receiver at `heard_baud` finds in `bytes` sent without pause at `sent_baud`, with the line at rest
-/// before and behind them. A byte whose stop bit is missing is read as 0, as a terminal gives it.
+/// The bytes that a receiver at `heard_baud` reads from `bytes` sent without pause at `sent_baud`, with an idle line
+/// before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
 #[must_use]
 pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
     if sent_baud == heard_baud || bytes.is_empty() {
         return bytes.to_vec();
     }
-    // The first bit is the line at rest.
+    // The first bit is the idle line.
     let bits = 1 + bytes.len() * BITS;
     let level = |bit: usize| match bit.checked_sub(1).map(|bit| (bytes.get(bit / BITS), bit % BITS)) {
         None | Some((None, _) | (_, 9)) => true,
@@ -23,7 +23,7 @@ pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
     let mut out = Vec::new();
     let mut time = 0.0_f64;
     loop {
-        // A byte begins where the line falls; one that is low already has to rise first.
+        // A byte begins at a falling edge; if the line is low already, it must rise first.
         let mut bit = time as usize;
         while bit < bits && !level(bit) {
             bit += 1;

@@ -1,23 +1,25 @@
 //! Parameters of filters that take one white noise and one random walk of the bias for a triad of axes.
 //!
-//! All of them are written in one way. The number is that of the largest axis, and a comment has each axis. A walk or white noise
-//! that the record does not identify is written as its 95 % upper limit, with `<` in the comment: a filter whose bias cannot walk
-//! does not follow one that does. What differs is the convention, which each [`Layout`] states with its source.
+//! All of them are written in one way. The number is that of the largest axis, and a comment has each axis. A walk or
+//! white noise that the record does not identify is written as its 95 % upper limit, with `<` in the comment: a filter
+//! whose bias cannot walk does not follow one that does. The formats differ in their conventions, which each [`Layout`]
+//! states with its source.
 
 use super::form::{Entry, Form, Noise};
 use super::{ImuNoise, Known, largest};
 use crate::sample::Triad;
 use std::fmt::Write as _;
 
-/// Why the numbers that others publish are larger; a comment in every file for a filter, and beside the summary of all programs.
+/// The reason why published numbers of others are larger; a comment in every file for a filter, and beside the summary
+/// of all programs.
 pub(super) const INFLATED: &str = "These are the sensor's own at rest. Published values are often ten times as large, since they \
     also cover what a filter does not model (vibration, temperature, scale factors, discretisation, correlated noise) and keep it \
     consistent: enlarge them until its innovations are as large as it expects (NIS), and not because Allan values looked small.";
 
-/// At which rate a program draws its noise.
+/// The rate at which a program draws its noise.
 #[derive(Clone, Copy)]
 pub(super) enum Step {
-    /// Not at all: it takes densities, N in U/√Hz and K in U/√s.
+    /// No rate: it takes densities, N in U/√Hz and K in U/√s.
     Continuous,
     /// Once per sample: N√rate in U, and K√rate in U/s.
     Sample,
@@ -25,9 +27,9 @@ pub(super) enum Step {
     Filter(f64),
 }
 
-/// How a program wants its numbers.
+/// The format in which a program reads its numbers.
 pub(super) struct Layout {
-    /// What it takes them for and which code reads them, as a comment.
+    /// The program's interpretation of the numbers and the code that reads them, as a comment.
     pub convention: &'static str,
     /// That code.
     pub source: &'static str,
@@ -36,11 +38,11 @@ pub(super) struct Layout {
     pub squared: bool,
     /// The line above all keys, empty if there is none.
     pub head: &'static str,
-    /// What stands before a key and behind it.
+    /// The text before a key and behind it.
     pub around: [&'static str; 2],
     /// The keys: accelerometer white and walk, gyroscope white and walk.
     pub keys: [[&'static str; 2]; 2],
-    /// The key of the samples' rate, where there is one.
+    /// The key of the samples' rate, if there is one.
     pub rate: Option<&'static str>,
 }
 
@@ -67,8 +69,9 @@ pub(super) const OPENVINS: Layout = Layout {
 /// `VINS-Fusion` and `VINS-Mono`: standard deviations of one sample.
 ///
 /// # Source
-/// HKUST-Aerial-Robotics/VINS-Fusion, `config/euroc/euroc_stereo_imu_config.yaml`; `vins_estimator/src/factor/integration_base.h`,
-/// `midPointIntegration`: a step adds `V noise Vᵀ` with 0.5 dt for each of the two samples at its ends and dt for the walks.
+/// HKUST-Aerial-Robotics/VINS-Fusion, `config/euroc/euroc_stereo_imu_config.yaml`;
+/// `vins_estimator/src/factor/integration_base.h`, `midPointIntegration`: a step adds `V noise Vᵀ` with 0.5 dt for each
+/// of the two samples at its ends and dt for the walks.
 pub(super) const VINS_FUSION: Layout = Layout {
     convention: "For the configuration of VINS-Fusion and VINS-Mono. Standard deviations at this record's rate, N sqrt(rate) and K \
                  sqrt(rate), not densities: vins_estimator/src/factor/integration_base.h multiplies them with dt at every step. Each \
@@ -86,8 +89,8 @@ pub(super) const VINS_FUSION: Layout = Layout {
 /// `ORB-SLAM3`: continuous densities.
 ///
 /// # Source
-/// UZ-SLAMLab/ORB_SLAM3, `Examples/Monocular-Inertial/EuRoC.yaml`; `src/Tracking.cc`: `IMU::Calib(Tbc, Ng*sf, Na*sf, Ngw/sf, Naw/sf)`
-/// with `sf = sqrt(mImuFreq)`; `src/Settings.cc`, `readIMU`: all of them are floats.
+/// UZ-SLAMLab/ORB_SLAM3, `Examples/Monocular-Inertial/EuRoC.yaml`; `src/Tracking.cc`: `IMU::Calib(Tbc, Ng*sf, Na*sf,
+/// Ngw/sf, Naw/sf)` with `sf = sqrt(mImuFreq)`; `src/Settings.cc`, `readIMU`: all of them are floats.
 pub(super) const ORB_SLAM3: Layout = Layout {
     convention: "For the settings of ORB-SLAM3. Continuous-time densities: src/Tracking.cc multiplies the noises with \
                  sqrt(IMU.Frequency) and divides the walks by it, so that IMU.Frequency has to be the true rate.",
@@ -139,8 +142,9 @@ pub(super) const FAST_LIO: Layout = Layout {
 /// EKF2 of `PX4`: standard deviations at a step of the filter, 10 ms.
 ///
 /// # Source
-/// PX4/PX4-Autopilot, `src/modules/ekf2/EKF/covariance.cpp`, `predictCovariance`: a step adds `sq(dt * gyro_noise)` to the angle and
-/// `sq(dt * gyro_bias_p_noise)` to the bias, the accelerometer's likewise; `EKF2_PREDICT_US`, 10000 by default, is dt.
+/// PX4/PX4-Autopilot, `src/modules/ekf2/EKF/covariance.cpp`, `predictCovariance`: a step adds `sq(dt * gyro_noise)` to
+/// the angle and `sq(dt * gyro_bias_p_noise)` to the bias, the accelerometer's likewise; `EKF2_PREDICT_US`, 10000 by
+/// default, is dt.
 pub(super) const PX4: Layout = Layout {
     convention: "For EKF2 of PX4 (commands of its shell). Standard deviations at one step of the filter, N/sqrt(dt) and K/sqrt(dt), \
                  whatever the sensor's rate: EKF/covariance.cpp adds (dt times them)^2 per step, and samples are joined to steps \
@@ -157,9 +161,9 @@ pub(super) const PX4: Layout = Layout {
 /// EKF3 of `ArduPilot`: standard deviations at a step of the filter, 12 ms.
 ///
 /// # Source
-/// ArduPilot/ardupilot, `libraries/AP_NavEKF3/AP_NavEKF3_core.cpp`, `CovariancePrediction`: a step adds `sq(dt*_gyrNoise)` to the angle
-/// and `sq(sq(dt)*_gyroBiasProcessNoise)` to the bias times dt, the accelerometer's likewise; `AP_NavEKF3_core.h`: `EKF_TARGET_DT`
-/// is 0.012 s, which dt is where the vehicle's loop is at least as fast.
+/// ArduPilot/ardupilot, `libraries/AP_NavEKF3/AP_NavEKF3_core.cpp`, `CovariancePrediction`: a step adds
+/// `sq(dt*_gyrNoise)` to the angle and `sq(sq(dt)*_gyroBiasProcessNoise)` to the bias times dt, the accelerometer's
+/// likewise; `AP_NavEKF3_core.h`: `EKF_TARGET_DT` is 0.012 s, which is dt if the vehicle's loop is at least as fast.
 pub(super) const ARDUPILOT: Layout = Layout {
     convention: "For EKF3 of ArduPilot (a parameter file). Standard deviations at one step of the filter, N/sqrt(dt) and K/sqrt(dt), \
                  whatever the sensor's rate: AP_NavEKF3_core.cpp adds (dt times them)^2 per step, and samples are joined to steps \
@@ -173,7 +177,7 @@ pub(super) const ARDUPILOT: Layout = Layout {
     rate: None,
 };
 
-/// The numbers for a program of that layout.
+/// The numbers for a program with that layout.
 pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
     let (factor, step) = match layout.step {
         Step::Continuous => (1.0, String::new()),
@@ -206,7 +210,7 @@ pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
     Form { takes, source: layout.source, each_axis: false, entries }
 }
 
-/// The text for a program of that layout.
+/// The text for a program with that layout.
 pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
     text += &super::comment("# ", layout.convention);
@@ -241,7 +245,7 @@ pub(super) fn sensor(triad: Triad) -> &'static str {
     if triad == Triad::Gyro { "gyroscope" } else { "accelerometer" }
 }
 
-/// What of the text before a key is only there to set it in.
+/// The part of the text before a key that is only indentation.
 fn indent(before: &str) -> &str {
     if before.trim().is_empty() { before } else { "" }
 }

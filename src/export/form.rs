@@ -1,4 +1,5 @@
-//! Forms: the numbers of a program in its own convention. A program's file and the summary ([`super::paste`]) both draw from these.
+//! Forms: the numbers of a program in its own convention. A program's file and the summary ([`super::paste`]) both use
+//! them.
 
 use super::{Axis, Known};
 use crate::sample::Triad;
@@ -16,10 +17,10 @@ pub enum Noise {
 }
 
 impl Noise {
-    /// Both.
+    /// Both kinds.
     pub const ALL: [Self; 2] = [Self::White, Self::Walk];
 
-    /// In words.
+    /// The name in words.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
@@ -37,24 +38,24 @@ impl Noise {
     }
 }
 
-/// How a program takes its numbers.
+/// The form in which a program takes its numbers.
 pub(super) struct Form {
-    /// In words.
+    /// A description of the input.
     pub takes: String,
-    /// The code or document that says so.
+    /// The code or document that states it.
     pub source: &'static str,
-    /// Whether it has a number for each axis, which `takes` then says; else the largest stands for all three.
+    /// Whether it has a number for each axis, as `takes` then states; else the largest stands for all three.
     pub each_axis: bool,
     /// Its numbers.
     pub entries: Vec<Entry>,
 }
 
-/// A number under its key, as far as it is known, of each axis.
+/// A number with its key, as far as it is known, for each axis.
 pub(super) struct Entry {
     pub key: &'static str,
     pub triad: Triad,
     pub noise: Noise,
-    /// In ASCII, as files have it.
+    /// In ASCII, as in files.
     pub unit: String,
     pub axes: [Known; 3],
 }

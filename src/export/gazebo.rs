@@ -2,8 +2,9 @@
 //!
 //! # Source
 //! SDFormat specification, element `noise` (types, `mean`, `stddev`, `precision` of the type `gaussian_quantized`,
-//! `dynamic_bias_stddev`, `dynamic_bias_correlation_time`), and the Gaussian noise model that reads it, after the ROS plugin of the same equations: a bias of
-//! σ_b² τ/2 (1 − e^(−2Δt/τ)) per step, so that σ_b is K where τ is long, and σ √(2/Tc) for a Gauss–Markov process.
+//! `dynamic_bias_stddev`, `dynamic_bias_correlation_time`), and the Gaussian noise model that reads it, after the ROS
+//! plugin of the same equations: a bias of σ_b² τ/2 (1 − e^(−2Δt/τ)) per step, so that σ_b is K where τ is long, and σ
+//! √(2/Tc) for a Gauss–Markov process.
 
 use super::form::{Entry, Form, Noise};
 use super::{Axis, ImuNoise, Known, Part};
@@ -14,7 +15,7 @@ use std::fmt::Write as _;
 /// Correlation time that stands for a random walk, s: two hundred times five hours.
 const WALK_S: f64 = 3.6e6;
 
-/// Standard deviations at the sensor's rate, and those of the bias' steps; each axis.
+/// Standard deviations at the sensor's rate, and those of the bias' steps, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     for (triad, axes, unit, factor) in [
@@ -25,7 +26,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
     ] {
         let Some(axes) = axes else { continue };
         let white = axes.map(|axis| axis.n.scaled(noise.rate_hz.sqrt() * factor));
-        // The bias of an axis without white noise has no place.
+        // There is no place for the bias of an axis without white noise.
         let walk =
             axes.map(|axis| if axis.n == Known::Nothing { Known::Nothing } else { bias(&axis).0.scaled(factor) });
         for (key, noise, unit, axes) in [

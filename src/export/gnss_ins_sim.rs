@@ -1,9 +1,10 @@
 //! The `imu_err` dictionary of gnss-ins-sim.
 //!
 //! # Source
-//! Aceinna/gnss-ins-sim, README, step 1.1: `gyro_b` (constant biases; `accel_b` in m/s²) and `gyro_b_stability` in deg/hr, `gyro_arw` in deg/rt-hr,
-//! `accel_vrw` in m/s/rt-hr, `accel_b_stability` in m/s², correlation times in s, `mag_std` in µT. A correlation time of
-//! `inf` is called a random walk there, but draws independent values: it is not used here.
+//! Aceinna/gnss-ins-sim, README, step 1.1: `gyro_b` (constant biases; `accel_b` in m/s²) and `gyro_b_stability` in
+//! deg/hr, `gyro_arw` in deg/rt-hr, `accel_vrw` in m/s/rt-hr, `accel_b_stability` in m/s², correlation times in s,
+//! `mag_std` in µT. A correlation time of `inf` is called a random walk there, but draws independent values: it is not
+//! used here.
 
 use super::form::{Entry, Form, Noise};
 use super::{Axis, ImuNoise, Known, Part};
@@ -14,7 +15,7 @@ use std::fmt::Write as _;
 /// rad/s to deg/hr.
 const DEG_HR: f64 = SECONDS_PER_HOUR / RAD_PER_DEG;
 
-/// Densities per root hour, and Gauss-Markov biases; each axis.
+/// Densities per root hour, and Gauss-Markov biases, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     let mut add = |triad, noise, key, unit: &str, axes: [Known; 3]| {

@@ -1,9 +1,9 @@
 //! Noise of IMU observations in Isaac Lab.
 //!
 //! # Source
-//! isaac-sim/IsaacLab, `source/isaaclab/isaaclab/utils/noise/noise_cfg.py` (`GaussianNoiseCfg`: `mean`, `std`) and `noise_model.py`
-//! (`gaussian_noise`: an independent draw per observation; `NoiseModelWithAdditiveBias`: a bias drawn at each reset, which then
-//! stays). Isaac Sim's own IMU sensor has no noise.
+//! isaac-sim/IsaacLab, `source/isaaclab/isaaclab/utils/noise/noise_cfg.py` (`GaussianNoiseCfg`: `mean`, `std`) and
+//! `noise_model.py` (`gaussian_noise`: an independent draw per observation; `NoiseModelWithAdditiveBias`: a bias drawn
+//! at each reset, which then stays). Isaac Sim's own IMU sensor has no noise.
 
 use super::form::{Entry, Form, Noise};
 use super::{ImuNoise, each, largest};
@@ -43,7 +43,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
         noise.rate_hz
     );
     for Entry { key, unit, axes, .. } in form(noise).entries {
-        // The observations may come at another rate than the record's samples.
+        // The rate of the observations may differ from that of the record's samples.
         let density = axes.map(|known| known.scaled(noise.rate_hz.sqrt().recip()));
         let _ = writeln!(text, "# N of x, y, z in {unit}/sqrt(Hz): {}", each(density));
         let _ = match largest(density).bound() {

@@ -10,7 +10,7 @@ use super::{ImuNoise, each, largest};
 use crate::sample::Triad;
 use std::fmt::Write as _;
 
-/// The keys and what they mean are those that `OpenVINS` took over.
+/// The keys and their meanings are those that `OpenVINS` adopted.
 pub(super) const LAYOUT: Layout =
     Layout { source: "ethz-asl/kalibr, wiki page IMU Noise Model", head: "", around: ["", ": "], ..OPENVINS };
 

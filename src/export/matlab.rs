@@ -23,7 +23,7 @@ const PARTS: [(Triad, &str, &str, f64); 3] = [
 /// The temperature from which `imuSensor` counts, °C.
 const REFERENCE_C: f64 = 25.0;
 
-/// Densities of what was measured, each axis.
+/// Densities of the measured quantities, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     for ((triad, _, unit, factor), axes) in PARTS.into_iter().zip([&noise.accel, &noise.gyro, &noise.mag]) {
@@ -74,7 +74,7 @@ fn sensor(axes: &[Axis; 3], entries: &[&Entry], factor: f64) -> Value {
         let least = axes.iter().filter_map(|axis| of(&axis.fixed)).reduce(f64::min);
         least.map(|least| json!(least * factor))
     };
-    // What another temperature than 25 °C is the reference of is a bias at 25 °C.
+    // If the reference temperature is not 25 °C, there is a bias at 25 °C.
     let at_25_c = |fixed: &Fixed| {
         let shift = fixed.temperature.map(|(per_c, reference_c)| per_c * (REFERENCE_C - reference_c));
         let parts = fixed.bias.into_iter().chain(shift.filter(|shift| *shift != 0.0));

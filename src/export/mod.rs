@@ -1,12 +1,12 @@
-//! Exports: samples in the forms that other programs read ([`samples`]), and noise parameters in the forms that simulators
-//! and filters read, one target per file; filters that take one white noise and one walk share `filter`.
+//! Exports: samples in the formats that other programs read ([`samples`]), and noise parameters in the formats that
+//! simulators and filters read, one target per file. Filters that take one white noise and one walk share `filter`.
 //!
-//! Every maker takes [`ImuNoise`] and gives its numbers in the program's convention (`form`), which the summary of all programs
-//! ([`paste`]) shows too, and text, which speaks of triads that the source has and of no other. A comment says what
-//! a target cannot express. A parameter that the data does not support is never written as if it were measured. A filter gets its
-//! 95 % upper limit, marked by a comment: a number for a filter is never too small. A simulator gets no walk then: a number for
-//! a simulator is never larger than what was measured, but for N, without which there would be no noise at all.
-//! Units are those of each target's public documentation or code, named in its file.
+//! Every maker takes [`ImuNoise`] and returns its numbers in the program's convention (`form`), which the summary of
+//! all programs ([`paste`]) shows too. It also returns text, which covers only the triads that the source has. A
+//! comment states what a target cannot express. A parameter that the data does not support is never written as if it
+//! were measured. A filter gets its 95 % upper limit, marked by a comment: a number for a filter is never too small. A
+//! simulator then gets no walk: a number for a simulator is never larger than the measured one, except N, without which
+//! there would be no noise at all. Units are those of each target's public documentation or code, named in its file.
 
 mod filter;
 mod form;
@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Where parameters can go.
+/// The targets of parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
@@ -68,7 +68,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// All.
+    /// All targets.
     pub const ALL: [Self; 14] = [
         Self::Kalibr,
         Self::Openvins,
@@ -86,7 +86,7 @@ impl Target {
         Self::Matlab,
     ];
 
-    /// The name on the command line and in queries, and what the text is, for a person.
+    /// The name on the command line and in queries, and a description of the text for the user.
     const fn words(self) -> (&'static str, &'static str) {
         match self {
             Self::Kalibr => ("kalibr", "Kalibr's imu.yaml"),
@@ -112,13 +112,13 @@ impl Target {
         self.words().0
     }
 
-    /// A few words on the text that it writes.
+    /// A short description of the text that it writes.
     #[must_use]
     pub const fn about(self) -> &'static str {
         self.words().1
     }
 
-    /// The target of that name.
+    /// The target with that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|target| target.name() == name)
@@ -146,20 +146,20 @@ impl Target {
         }
     }
 
-    /// Why the parameters of a report should not be written: the channels that it would hold and that are not usable, with their
-    /// reasons. None where all of them are.
+    /// The reason why the parameters of a report should not be written: the channels that the text would contain and
+    /// that are not usable, with their reasons. `None` if all of them are usable.
     #[must_use]
     pub fn refusal(self, report: &NoiseReport) -> Option<String> {
         report.refusal(|channel| self.holds(channel))
     }
 
-    /// The text of a report's parameters; a comment tells those that are not usable.
+    /// The text of a report's parameters; a comment names those that are not usable.
     #[must_use]
     pub fn write_report(self, report: &NoiseReport) -> String {
         self.write(&ImuNoise { caution: self.refusal(report), ..ImuNoise::of(report) })
     }
 
-    /// The text.
+    /// The text with the parameters.
     #[must_use]
     pub fn write(self, noise: &ImuNoise) -> String {
         match self {
@@ -201,7 +201,7 @@ impl Target {
     }
 }
 
-/// One parameter as far as it is known.
+/// The knowledge of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Known {
     /// Measured.
@@ -221,7 +221,7 @@ impl Known {
         }
     }
 
-    /// What was measured, and no limit.
+    /// The measured value, without a limit.
     fn measured(self) -> Self {
         if let Self::Value(_) = self { self } else { Self::Nothing }
     }
@@ -266,11 +266,11 @@ pub struct Axis {
     pub k: Known,
     /// Gauss–Markov process: standard deviation and correlation time in s.
     pub gauss_markov: Option<(f64, f64)>,
-    /// What is no noise.
+    /// The properties that are not noise.
     pub fixed: Fixed,
 }
 
-/// What an axis does to its values besides noise, in the channel's unit U; None where the source has none.
+/// The effects of an axis on its values besides noise, in the channel's unit U; `None` if the source has none.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write axes out")]
 pub struct Fixed {
@@ -278,11 +278,11 @@ pub struct Fixed {
     pub bias: Option<f64>,
     /// The step that values are multiples of, U.
     pub resolution: Option<f64>,
-    /// Slope, U/°C, and the temperature at which it adds nothing, °C.
+    /// Slope, U/°C, and the temperature at which it has no effect, °C.
     pub temperature: Option<(f64, f64)>,
-    /// Nothing is beyond plus or minus this, U.
+    /// The range: no value is beyond plus or minus this, U.
     pub range: Option<f64>,
-    /// Of a gyroscope's own axis' acceleration, (rad/s)/(m/s²).
+    /// The sensitivity of a gyroscope to the acceleration of its own axis, (rad/s)/(m/s²).
     pub acceleration: Option<f64>,
 }
 
@@ -297,7 +297,7 @@ enum Part {
 }
 
 impl Axis {
-    /// Nothing known.
+    /// An axis of which nothing is known.
     pub const UNKNOWN: Self = Self {
         n: Known::Nothing,
         b: Known::Nothing,
@@ -313,23 +313,23 @@ impl Axis {
     }
 }
 
-/// What all makers write from.
+/// The input of all makers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImuNoise {
-    /// Where the parameters come from: one line for a comment.
+    /// The source of the parameters: one line for a comment.
     pub origin: String,
-    /// Why the numbers should not be used; none where they may be.
+    /// The reason why the numbers should not be used; `None` if they may be.
     pub caution: Option<String>,
-    /// Channels whose values lie behind a filter that shapes white noise, with the filter in words: one sample of these deviates
+    /// Channels behind a filter that shapes white noise, with a description of the filter: one sample of these deviates
     /// less than N√rate.
     pub behind: BTreeMap<Channel, String>,
-    /// What of it no target can hold, each by its name and whose it is.
+    /// The parts that no target can express, each by its name and its channel or triad.
     pub others: Vec<(String, String)>,
     /// Rate of the samples, Hz.
     pub rate_hz: f64,
     /// Length of the record, s.
     pub duration_s: f64,
-    /// Accelerometer x, y, z in m/s²; none where the source has no axis of it.
+    /// Accelerometer x, y, z in m/s²; none if the source has no axis of it.
     pub accel: Option<[Axis; 3]>,
     /// Gyroscope x, y, z in rad/s.
     pub gyro: Option<[Axis; 3]>,
@@ -338,7 +338,7 @@ pub struct ImuNoise {
 }
 
 impl ImuNoise {
-    /// The parameters of a report, without a word on whether they may be used ([`Target::write_report`]).
+    /// The parameters of a report, without a statement whether they may be used ([`Target::write_report`]).
     fn of(report: &NoiseReport) -> Self {
         let axes = |triad: Triad| {
             let known = |channel: Channel| report.channels.get(&channel);
@@ -363,9 +363,10 @@ impl ImuNoise {
         }
     }
 
-    /// The parameters of a sensor model. Of an axis' effects one Gauss–Markov process, `resolution` and `temperature_bias` count,
-    /// of a triad's its bias, its range, and the diagonal of `g_sensitivity` where nothing is beside it; all others are named as
-    /// left out. A magnetometer's level is the field where it lay, and no bias.
+    /// The parameters of a sensor model. Of an axis' effects one Gauss–Markov process, `resolution` and
+    /// `temperature_bias` are used. Of a triad's effects its bias, its range, and the diagonal of `g_sensitivity` are
+    /// used, the latter if there is nothing beside it. All others are reported as omitted. A magnetometer's level is
+    /// the local field, not a bias.
     #[must_use]
     pub fn of_model(model: &SensorModel) -> Self {
         let (mut others, mut behind) = (Vec::new(), BTreeMap::new());
@@ -380,7 +381,7 @@ impl ImuNoise {
                 if let filter @ ("low_pass" | "moving_average") = effect.name() {
                     behind.insert(channel, format!("a {}", filter.replace('_', " ")));
                 }
-                // The first of a kind; two of them no target takes.
+                // The first of a kind; no target accepts two of them.
                 let held = match effect.name() {
                     "gauss_markov" => first(&mut gauss_markov, number("sigma").zip(number("tc_s"))),
                     "resolution" => first(&mut fixed.resolution, number("step")),
@@ -405,8 +406,8 @@ impl ImuNoise {
                 Some(limit) if value == 0.0 => Known::Below(limit),
                 _ => Known::Value(value),
             };
-            // What is faster than half the output's rate folds into it; slow noise is left as it is. N is what is seen, with what
-            // lies behind a filter or beside the white noise, but for rounding, which has a place of its own.
+            // Noise faster than half the output's rate folds into it; slow noise is unchanged. N is the visible noise,
+            // including noise behind a filter or beside the white noise, except rounding, which has a separate place.
             let folded = model.sampling.map_or(1.0, |sampling| sampling.density_factor(model.rate_hz));
             let n = match known(of.n, "N") {
                 Known::Value(_) => {
@@ -437,7 +438,7 @@ impl ImuNoise {
         if let Some(sampling) = model.sampling {
             let (own_hz, window) = (sampling.internal_rate_hz, sampling.filter_window);
             origin = format!("{origin}, N with what folds from {own_hz} Hz through means of {window}");
-            // Means that overlap.
+            // The means overlap.
             if window as f64 * model.rate_hz > own_hz * (1.0 + 1e-3) {
                 let inertial = [Triad::Accel, Triad::Gyro].into_iter().flat_map(Triad::channels);
                 let there = inertial.filter(|channel| model.channels.contains_key(channel));
@@ -447,12 +448,12 @@ impl ImuNoise {
         let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
         let caution = model.provenance.as_ref().and_then(|of| Some(of.get("not_usable")?.as_str()?.to_owned()));
         let [accel, gyro, mag] = triads;
-        // Where no record is behind it: a day, over which its walks would be seen.
+        // Without a record: a day, over which its walks would be visible.
         let duration_s = told.unwrap_or(86_400.0);
         Self { origin, caution, behind, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
     }
 
-    /// The channels behind filters, as the end of a sentence; empty where there are none.
+    /// The channels behind filters, as the end of a sentence; empty if there are none.
     fn filters(&self) -> String {
         let mut filters: Vec<(&str, Vec<&str>)> = Vec::new();
         for (channel, words) in &self.behind {
@@ -464,7 +465,8 @@ impl ImuNoise {
         filters.iter().map(|(words, whose)| format!("; {} behind {words}", whose.join(" "))).collect()
     }
 
-    /// What a number at the sensor's rate is the noise of: of one sample, unless a filter in front of it makes that smaller.
+    /// The meaning of a number at the sensor's rate: the noise of one sample, unless a filter in front of it makes that
+    /// smaller.
     fn of_one_sample(&self, of: &[Triad]) -> String {
         if self.behind.keys().any(|channel| channel.triad().is_some_and(|triad| of.contains(&triad))) {
             format!(
@@ -476,7 +478,7 @@ impl ImuNoise {
         }
     }
 
-    /// The origin, and what of it a target that holds these parts leaves out.
+    /// The origin, and the parts of it that a target which holds these parts omits.
     fn origin_for(&self, held: &[Part]) -> String {
         let mut left: Vec<(&str, Vec<&str>)> = Vec::new();
         let mut leave = |name, whose| match left.iter_mut().find(|(other, _)| *other == name) {
@@ -509,7 +511,7 @@ impl ImuNoise {
     }
 }
 
-/// Whether this is the first there is.
+/// Stores the value if it is the first; returns whether it is.
 fn first<T>(place: &mut Option<T>, found: Option<T>) -> bool {
     let fits = place.is_none() && found.is_some();
     if fits {
@@ -518,7 +520,7 @@ fn first<T>(place: &mut Option<T>, found: Option<T>) -> bool {
     fits
 }
 
-/// Whether an effect of a triad can be told axis by axis; if so, it is.
+/// Whether an effect of a triad can be expressed axis by axis; if so, it is stored.
 fn of_triad(axes: &mut [Axis; 3], name: &str, parameters: &[(&'static str, Value)]) -> bool {
     let of = |key: &str| parameters.iter().find(|(name, _)| *name == key).map(|(_, value)| value);
     let number = |key: &str| of(key).and_then(Value::as_f64);
@@ -530,7 +532,7 @@ fn of_triad(axes: &mut [Axis; 3], name: &str, parameters: &[(&'static str, Value
             }
             true
         }
-        // Several limits are the tightest one.
+        // Of several limits the tightest is used.
         "saturation" => number("range").is_some_and(|range| {
             axes.iter_mut()
                 .for_each(|axis| axis.fixed.range = Some(axis.fixed.range.map_or(range, |old| old.min(range))));
@@ -580,7 +582,7 @@ fn each(axes: [Known; 3]) -> String {
     axes.map(Known::words).join(", ")
 }
 
-/// What to add to a comment where a number stands for a limit; empty where all are measured.
+/// The addition to a comment if a number is a limit; empty if all are measured.
 fn limits(axes: [Known; 3]) -> String {
     let limited = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, known)| matches!(known, Known::Below(_)));
     let letters: Vec<&str> = limited.map(|(letter, _)| letter).collect();

@@ -1,4 +1,5 @@
-//! Which number to paste where: what each program takes, in its own convention, beside the parameters themselves.
+//! The numbers to paste and their places: the input of each program, in its own convention, beside the parameters
+//! themselves.
 
 use super::form::{Entry, Form, Noise};
 use super::{ImuNoise, Known, Target, filter, largest};
@@ -70,17 +71,17 @@ pub struct Number {
     pub reason: Option<String>,
 }
 
-/// Triads that stand in the table.
+/// Triads in the table.
 const TRIADS: [(Triad, [&str; 2]); 2] = [
     (Triad::Gyro, ["gyroscope white noise", "gyroscope walk"]),
     (Triad::Accel, ["accelerometer white noise", "accelerometer walk"]),
 ];
 
 impl Paste {
-    /// What stands in the table for a number that a channel that is not usable would give.
+    /// The entry of the table for a channel that is not usable.
     pub const UNUSABLE: &str = "not usable";
 
-    /// Of a report.
+    /// The summary of a report.
     #[must_use]
     pub fn of(report: &NoiseReport) -> Self {
         let noise = ImuNoise::of(report);
@@ -91,8 +92,8 @@ impl Paste {
         }
     }
 
-    /// The header of a table for a person, and its rows: a program's name, what it takes, and of gyroscope and accelerometer white
-    /// noise and walk, the largest of the axes. No rows where the record has neither.
+    /// The header of a table for the user, and its rows: a program's name, its input, and white noise and walk of
+    /// gyroscope and accelerometer, the largest of the axes. There are no rows if the record has neither.
     #[must_use]
     pub fn table(&self, number: impl Fn(f64) -> String) -> (Vec<&'static str>, Vec<Vec<String>>) {
         let there =
@@ -172,7 +173,7 @@ fn refusal(report: &NoiseReport, channels: &[Channel]) -> Option<String> {
     report.refusal(|channel| channels.contains(&channel))
 }
 
-/// A unit as documents have it.
+/// A unit in the form for documents.
 fn for_people(ascii: &str) -> String {
     const SIGNS: [(&str, &str); 7] = [
         ("sqrt(Hz)", "√Hz"),

@@ -1,15 +1,15 @@
 //! Covariances for `robot_localization`.
 //!
 //! # Source
-//! cra-ros-pkg/robot_localization, `src/ros_filter.cpp`, `imuCallback`, `prepareTwist`, `prepareAcceleration`: rates and accelerations are
-//! measurements with the covariance that `sensor_msgs/Imu` brings along, row-major 3×3, of one sample; −1 in its first element
-//! has the quantity ignored. No bias is estimated.
+//! cra-ros-pkg/robot_localization, `src/ros_filter.cpp`, `imuCallback`, `prepareTwist`, `prepareAcceleration`: rates
+//! and accelerations are measurements with the covariance in `sensor_msgs/Imu`, row-major 3×3, of one sample; −1 in its
+//! first element has the quantity ignored. No bias is estimated.
 
 use super::form::Form;
 use super::{ImuNoise, filter, ros};
 use crate::sample::Triad;
 
-/// Variances at the sensor's rate, each axis.
+/// Variances at the sensor's rate, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     ros::inertial(noise, "cra-ros-pkg/robot_localization, src/ros_filter.cpp")
 }

@@ -10,7 +10,7 @@ use crate::sample::Triad;
 use crate::units::TESLA_PER_GAUSS;
 use std::fmt::Write as _;
 
-/// Variances at the sensor's rate, each axis.
+/// Variances at the sensor's rate, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut form = inertial(noise, "ROS REP 145; sensor_msgs/Imu, sensor_msgs/MagneticField");
     if let Some(mag) = &noise.mag {
@@ -35,7 +35,7 @@ pub(super) fn inertial(noise: &ImuNoise, source: &'static str) -> Form {
     }
 }
 
-/// Of all three axes, or not given.
+/// The covariance of all three axes, or none.
 fn covariance(triad: Triad, key: &'static str, unit: &str, axes: &[Axis; 3], factor: f64) -> Entry {
     let axes = axes.map(|axis| axis.n.map(|n| n * n * factor));
     let axes = if axes.contains(&Known::Nothing) { [Known::Nothing; 3] } else { axes };

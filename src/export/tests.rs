@@ -305,7 +305,7 @@ fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
     assert!(report.refusal(|_| true).is_some());
 }
 
-/// `--force` writes every number below a comment that says why it should not be there.
+/// `--force` writes every number below a comment that states why it should not be there.
 #[test]
 fn every_text_that_is_forced_says_why_above_its_first_number() {
     let mut report = of_six_axes();
@@ -321,7 +321,7 @@ fn every_text_that_is_forced_says_why_above_its_first_number() {
     }
 }
 
-/// What the summary shows is what the files hold.
+/// The summary shows the numbers in the files.
 #[test]
 fn the_summary_has_the_numbers_of_the_files() {
     let report = of_six_axes();
@@ -340,7 +340,7 @@ fn the_summary_has_the_numbers_of_the_files() {
         for number in &program.values {
             assert!(number.reason.is_none(), "{number:?}");
             let Some(value) = number.value else {
-                // A simulator gets no walk that was not seen.
+                // A simulator gets no walk that was not measured.
                 assert!(number.noise == Noise::Walk && number.of != "gyro_z", "{program:?}");
                 continue;
             };
@@ -365,7 +365,7 @@ fn the_summary_has_the_numbers_of_the_files() {
     assert_eq!(rows[0][2..], ["3.0e-4 rad/s/√Hz", "2.0e-6 rad/s²/√Hz", "6.0e-4 m/s²/√Hz", "< 1.0e-6 m/s³/√Hz"]);
 }
 
-/// A channel that is not usable gives no number, but its reason; it takes no other triad's.
+/// A channel that is not usable has its reason in place of a number, and no other triad's.
 #[test]
 fn the_summary_withholds_what_is_not_usable() {
     let mut report = of_six_axes();
@@ -379,14 +379,15 @@ fn the_summary_withholds_what_is_not_usable() {
     let (_, rows) = paste.table(|value| format!("{value:.1e}"));
     assert_eq!(rows[0][2..4], ["not usable", "not usable"]);
     assert_eq!(rows[0][4], "6.0e-4 m/s²/√Hz");
-    // A record that says nothing is no number either.
+    // A record without information gives no number either.
     let mut nothing = of_six_axes();
     nothing.rate_hz = f64::NAN;
     let text = serde_json::to_string(&paste::Paste::of(&nothing)).unwrap();
     assert!(no_number(&text.replace("at NaN Hz", "")).is_none(), "{text}");
 }
 
-/// Behind a filter one sample deviates by less than N√rate: no text calls it that, and each names the filter.
+/// Behind a filter one sample deviates by less than N√rate: no text states it as that of one sample, and each names the
+/// filter.
 #[test]
 fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
     let mut report = of_six_axes();
@@ -418,7 +419,7 @@ fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
     assert!(text.contains("gyro_x behind a moving average") && !text.contains("of one sample"), "{text}");
 }
 
-/// A report does not know its sensor: no text gives it a name.
+/// A report does not know its sensor: no text names one.
 #[test]
 fn no_text_names_a_sensor_that_nobody_named() {
     for target in Target::ALL {
@@ -427,7 +428,7 @@ fn no_text_names_a_sensor_that_nobody_named() {
     }
 }
 
-/// Each program with what its code makes of the numbers: a second of white noise N and of a walk K has to come out as N² and K².
+/// Evaluates each program's numbers as its code does: a second of white noise N and of a walk K must give N² and K².
 #[test]
 fn every_filter_adds_the_variance_of_the_noise_in_a_second() {
     let axis = Axis { n: Known::Value(2e-3), k: Known::Value(3e-4), ..Axis::UNKNOWN };

@@ -1,4 +1,4 @@
-//! Apart: a picture becomes PNG in a process of its own, because that takes many times the memory of its SVG.
+//! Apart: converts a picture to PNG in a separate process, because that takes many times the memory of its SVG.
 
 use crate::plot::raster::{self, SCALE};
 use crate::process::{Child, Frame, FrameError, Heard, write_frame};
@@ -6,34 +6,34 @@ use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
 use std::time::Duration;
 
-/// Private memory of the process: a picture of 1680 pixels across takes a tenth.
+/// The limit of the process's private memory: a picture of 1680 pixels across takes a tenth.
 const MEMORY_BYTES: u64 = 128 << 20;
-/// How long it may take.
+/// The time limit.
 const TIME: Duration = Duration::from_secs(8);
-/// Bytes of a picture at most.
+/// The maximum size of a picture in bytes.
 const PNG_BYTES_MAX: u64 = 32 << 20;
-/// Bytes of SVG at most.
+/// The maximum size of SVG in bytes.
 const SVG_BYTES_MAX: u64 = 8 << 20;
 
-/// What the process says.
+/// The messages of the process.
 #[derive(Debug, Serialize, Deserialize)]
 enum Word {
     /// The frame's body is the PNG.
     Png,
-    /// There is none.
+    /// There is no PNG, for this reason.
     Refused(String),
 }
 
 /// The picture as PNG, made by a child.
 ///
 /// # Errors
-/// Why there is none, for people.
+/// The reason why there is no PNG, for the user.
 pub fn png(svg: &str) -> Result<Vec<u8>, String> {
     let failed = |error: std::io::Error| format!("a process for the picture cannot be started: {error}");
     let mut child =
         Child::<Word>::start(MEMORY_BYTES, TIME.as_secs(), &["png".as_ref()], PNG_BYTES_MAX).map_err(failed)?;
     if let Some(mut stdin) = child.stdin() {
-        // A child that does not read has ended, and says why below.
+        // A child that does not read has ended, and reports the reason below.
         let _ = stdin.write_all(svg.as_bytes());
     }
     match child.hear(TIME).map_err(failed)? {
@@ -44,7 +44,7 @@ pub fn png(svg: &str) -> Result<Vec<u8>, String> {
     }
 }
 
-/// Makes a PNG of the SVG from `from`, in the process that [`png`] has started, and says it to `out`.
+/// Converts the SVG from `from` to PNG, in the process that [`png`] has started, and writes it to `out`.
 ///
 /// # Errors
 /// [`FrameError`], if the SVG cannot be read or the parent does not listen.

@@ -1,4 +1,4 @@
-//! Facts: what a capture's page says beside its pictures, from the database, as the interfaces' documents.
+//! Facts: the contents of a capture's page apart from its pictures, from the database, as the interfaces' documents.
 
 use super::{Documents, Picture, samples};
 use crate::datasheet::{Datasheet, FilterWindows, compare_report};
@@ -8,9 +8,9 @@ use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, Stor
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Samples without a gap below which there is no window of a spectrum.
+/// A spectrum needs at least this many samples without a gap.
 const SPECTRUM_MIN: u64 = 256;
-/// The datasheet that sensors are compared with, and how the models that it is of begin.
+/// The datasheet that sensors are compared with, and the prefix of the models that it covers.
 const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 
 /// JSON documents of a capture.
@@ -19,11 +19,11 @@ const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 pub struct Facts {
     /// Its row.
     pub row: CaptureRow,
-    /// The row with its accounting, as `GET /v1/captures/{id}` answers it.
+    /// The row with its accounting, as `GET /v1/captures/{id}` returns it.
     pub capture: String,
     /// Its gaps (the first thousand), a list.
     pub gaps: String,
-    /// How many samples are missing by cause, an object.
+    /// The number of missing samples by cause, an object.
     pub causes: String,
     /// Its events (the first thousand), a list.
     pub events: String,
@@ -35,7 +35,7 @@ impl Facts {
     /// Reads them.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn read(reader: &Reader, id: i64) -> Result<Self, StoreError> {
         let row = reader.capture(id)?;
         let gaps: Page<GapRow> = reader.gaps(id, &PageRequest::first())?;
@@ -52,7 +52,7 @@ impl Facts {
         })
     }
 
-    /// The report with the datasheet beside it, unless it is known to be of another maker's sensor.
+    /// The report with the datasheet beside it, unless the sensor is known to be another maker's.
     #[must_use]
     pub fn compared(&self, mut report: NoiseReport) -> NoiseReport {
         let model = self.row.sensor["model"].as_str().unwrap_or_default();
@@ -66,7 +66,7 @@ impl Facts {
         report
     }
 
-    /// The pictures that can be drawn of it and of the analyses that are there.
+    /// The pictures that can be drawn from it and from the available analyses.
     #[must_use]
     pub fn pictures(&self, there: &Documents, noise: Option<&NoiseReport>) -> Vec<Picture> {
         let row = &self.row;
@@ -89,10 +89,10 @@ impl Facts {
     }
 }
 
-/// Samples missing by cause, a JSON object; of nothing an empty one.
+/// Samples missing by cause, a JSON object; empty without a capture.
 ///
 /// # Errors
-/// What the database says.
+/// The error that the database reports.
 pub fn causes(reader: &Reader, capture: Option<i64>) -> Result<String, StoreError> {
     let causes = match capture {
         Some(id) => reader.missing_by_cause(id)?,
@@ -101,7 +101,7 @@ pub fn causes(reader: &Reader, capture: Option<i64>) -> Result<String, StoreErro
     Ok(json(&causes).to_string())
 }
 
-/// What the store's own rows cannot fail at: they are numbers and texts.
+/// The store's own rows cannot fail here: they are numbers and texts.
 fn json(rows: &impl serde::Serialize) -> Value {
     serde_json::to_value(rows).unwrap_or_default()
 }

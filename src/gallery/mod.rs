@@ -1,7 +1,7 @@
-//! Gallery: the pictures of a capture, by name, each made from the store when it is asked for.
+//! Gallery: the pictures of a capture, by name, each made from the store on request.
 //!
-//! In: a picture's name, a reader of the store, and the documents of the analyses that it is drawn of. Out: SVG ([`crate::plot`]).
-//! Memory is that of one chunk of samples and of what is drawn, however long the capture is.
+//! In: a picture's name, a reader of the store, and the documents of the required analyses. Out: SVG ([`crate::plot`]).
+//! Memory is that of one chunk of samples and of the drawn points, however long the capture is.
 
 pub mod apart;
 mod facts;
@@ -14,7 +14,7 @@ use crate::sample::{Channel, Triad};
 use crate::store::{Moment, Reader, StoreError};
 use serde_json::Value;
 
-/// Triads that have pictures of their own.
+/// Triads that have pictures.
 const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 
 /// One picture of a capture.
@@ -23,7 +23,7 @@ const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 pub enum Picture {
     /// `timeseries-<channel>`: samples over time.
     Timeseries(Channel),
-    /// `histogram-<channel>`: how often which value comes.
+    /// `histogram-<channel>`: the frequency of values.
     Histogram(Channel),
     /// `allan-<triad>`: Allan deviation.
     Allan(Triad),
@@ -31,14 +31,14 @@ pub enum Picture {
     AllanOfOne(Channel),
     /// `hourly-<channel>`: Allan deviation hour by hour.
     Hourly(Channel),
-    /// `psd-<triad>`: power spectra with the lines that were found in them.
+    /// `psd-<triad>`: power spectra with the detected lines.
     Psd(Triad),
-    /// `gaps`: where samples are missing.
+    /// `gaps`: the times of missing samples.
     Gaps,
 }
 
 impl Picture {
-    /// All of a capture with these channels.
+    /// All pictures of a capture with these channels.
     #[must_use]
     pub fn all(channels: &[Channel]) -> Vec<Self> {
         let there = |triad: &Triad| triad.channels().iter().any(|channel| channels.contains(channel));
@@ -54,7 +54,7 @@ impl Picture {
         all
     }
 
-    /// The picture of that name.
+    /// The picture with that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let triad = |of: &str| TRIADS.into_iter().find(|triad| triad.name() == of);
@@ -84,7 +84,7 @@ impl Picture {
         }
     }
 
-    /// The channels that it needs.
+    /// The channels that it requires.
     #[must_use]
     pub fn channels(self) -> Vec<Channel> {
         match self {
@@ -97,19 +97,19 @@ impl Picture {
         }
     }
 
-    /// The analyses that it is drawn of.
+    /// The analyses that it requires.
     #[must_use]
     pub fn needs(self) -> Needs {
         match self {
             Self::Timeseries(_) | Self::Gaps => Needs::default(),
             Self::Histogram(_) => Needs { statistics: true, ..Needs::default() },
             Self::Allan(_) | Self::AllanOfOne(_) => Needs { allan: true, noise: true, ..Needs::default() },
-            // Without the names of lines a spectrum is a spectrum all the same.
+            // A spectrum can also be drawn without the names of lines.
             Self::Hourly(_) | Self::Psd(_) => Needs { noise: true, ..Needs::default() },
         }
     }
 
-    /// Its height in units of which it is 560 wide.
+    /// Its height in units in which its width is 560.
     #[must_use]
     pub fn height(self) -> u32 {
         match self {
@@ -122,7 +122,7 @@ impl Picture {
         }
     }
 
-    /// What a person who does not see it is told.
+    /// A description of the picture for users who cannot see it.
     #[must_use]
     pub fn told(self) -> String {
         match self {
@@ -146,7 +146,7 @@ impl Picture {
     }
 }
 
-/// Which analyses a picture is drawn of.
+/// The analyses that a picture requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "the three analyses")]
 pub struct Needs {
@@ -154,11 +154,11 @@ pub struct Needs {
     pub statistics: bool,
     /// `vn100d-allan-1`.
     pub allan: bool,
-    /// `vn100d-noise-1`, where there is one.
+    /// `vn100d-noise-1`, if there is one.
     pub noise: bool,
 }
 
-/// Documents of a capture's analyses, as JSON; None where there is none.
+/// Documents of a capture's analyses, as JSON; `None` if there is none.
 #[derive(Debug, Clone, Default)]
 #[expect(clippy::exhaustive_structs, reason = "the three analyses")]
 pub struct Documents {
@@ -170,7 +170,7 @@ pub struct Documents {
     pub noise: Option<String>,
 }
 
-/// The part of a capture that a time series is drawn of: all of it where both ends are None.
+/// The part of a capture for a time series: all of it if both ends are `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "two ends")]
 pub struct Window {
@@ -180,22 +180,22 @@ pub struct Window {
     pub to: Option<Moment>,
 }
 
-/// Why there is no picture.
+/// The reasons why there is no picture.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GalleryError {
-    /// What the database says.
+    /// The error that the database reports.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A document that is none of this program's.
+    /// An invalid document.
     #[error("an analysis cannot be read: {0}")]
     Document(#[from] serde_json::Error),
 }
 
-/// The picture as SVG; empty where there is nothing to draw, or a document is missing that it is drawn of.
+/// The picture as SVG; empty if there is nothing to draw, or a required document is missing.
 ///
 /// # Errors
-/// [`GalleryError`]: what the database says, or a document that is no document.
+/// [`GalleryError`]: the error that the database reports, or an invalid document.
 pub fn svg(
     reader: &Reader,
     capture: &str,
@@ -223,7 +223,7 @@ pub fn svg(
     })
 }
 
-/// Of `vn100d-allan-1` and, where it is there, `vn100d-noise-1`; empty where the document lacks the channels.
+/// The picture from `vn100d-allan-1` and, if it exists, `vn100d-noise-1`; empty if the document lacks the channels.
 fn deviation(picture: Picture, allan: &str, noise: Option<&str>) -> Result<String, serde_json::Error> {
     let of = Deviations::read(allan, noise)?;
     let channels = picture.channels();
@@ -235,7 +235,7 @@ fn deviation(picture: Picture, allan: &str, noise: Option<&str>) -> Result<Strin
     Ok(of.svg(&title, &names))
 }
 
-/// Of a channel in `vn100d-statistics-1`; empty where the document lacks it.
+/// The picture of a channel in `vn100d-statistics-1`; empty if the document lacks it.
 fn histogram(channel: Channel, statistics: &str) -> Result<String, serde_json::Error> {
     let document: Value = serde_json::from_str(statistics)?;
     match document["channels"].get(channel.name()) {

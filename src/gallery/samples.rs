@@ -1,4 +1,4 @@
-//! Pictures that are drawn of the samples and gaps themselves.
+//! Pictures drawn from the samples and gaps themselves.
 
 use super::Window;
 use crate::export::samples::Bucket;
@@ -7,26 +7,26 @@ use crate::plot::{Course, Density, Gap, Gaps, NamedLine};
 use crate::sample::{Channel, Triad};
 use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError};
 
-/// Stretches that a course is drawn of: about as many as a picture has columns.
+/// The number of stretches in a course: about as many as a picture has columns.
 const STRETCHES: u64 = 1000;
 /// Samples read at once.
 const CHUNK: usize = 16_384;
-/// Bins that lie closer than this part of their frequency are one point of a spectrum.
+/// Bins that are closer than this part of their frequency are one point of a spectrum.
 const APART: f64 = 0.02;
-/// Gaps that are drawn at most: the longest lists are of minutes of trouble.
+/// The maximum number of gaps drawn: the longest lists are of minutes of trouble.
 const GAPS_MAX: usize = 2000;
 
-/// The picture of where samples are missing.
+/// The picture of the times of missing samples.
 pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError> {
     let mut range = SampleRange::read(reader, capture, None, None)?;
     let (gaps, [_, last_s]) = (all_gaps(reader, &range, [f64::MIN, f64::MAX])?, range.ends_s(reader)?);
-    // What came last may be a gap.
+    // The last entry may be a gap.
     let length_s = gaps.iter().map(|gap| gap.within_s[1]).fold(last_s, f64::max);
     let causes = reader.missing_by_cause(range.capture.id)?;
     Ok(Gaps { length_s, samples: range.samples(), count: range.capture.gaps, causes, gaps }.svg())
 }
 
-/// Gaps that reach into this time, s since the first sample; of very many the first.
+/// Gaps that overlap this time, s since the first sample; of very many the first.
 fn all_gaps(reader: &Reader, range: &SampleRange, within_s: [f64; 2]) -> Result<Vec<Gap>, StoreError> {
     let mut all: Vec<Gap> = Vec::new();
     let mut cursor = None;
@@ -81,7 +81,7 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
     Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
 }
 
-/// How many samples each segment has; of very many the first.
+/// The number of samples of each segment; of very many segments the first.
 pub(super) fn stretches(reader: &Reader, capture: i64) -> Result<Vec<u64>, StoreError> {
     Ok(reader.segments(capture, &PageRequest::first())?.rows.iter().map(|segment| segment.samples).collect())
 }
@@ -120,7 +120,7 @@ pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[Nam
     for (channel, welch) in channels.iter().zip(&spectra) {
         let Some((hz, density)) = welch.density(APART) else { continue };
         frequency_hz = hz;
-        // Two-sided, as N is: white noise stands at it.
+        // Two-sided, as N is: white noise has the value N.
         let two_sided = density.into_iter().map(|one_sided| one_sided / std::f64::consts::SQRT_2);
         drawn.push((channel.name(), two_sided.collect()));
     }

@@ -1,8 +1,9 @@
-//! Apart: a job in a process of its own, with limits of its own, that may be killed at any time.
+//! Apart: a job in a separate process with its own limits, which may be killed at any time.
 //!
-//! The child reads the database and says over a pipe what it comes to; the parent, which alone writes, keeps it. A child that
-//! ends without a result has failed at that attempt: its job is tried again from its last checkpoint, or failed with the
-//! reason. A daemon that ends takes its child with it, and the job goes on at the next start, which counts as no attempt.
+//! The child reads the database and reports its progress over a pipe; the parent, which alone writes, stores it. A
+//! child that ends without a result has failed at that attempt: its job is tried again from its last checkpoint, or
+//! failed with the reason. A daemon that ends terminates its child, and the job continues at the next start, which does
+//! not count as an attempt.
 
 use super::JobError;
 use super::runner::{CHUNK, InStore, Keeper, Outcome, work};
@@ -14,17 +15,17 @@ use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// How often the parent looks whether the job is still wanted.
+/// The interval at which the parent checks whether the job is still wanted.
 const LOOK: Duration = Duration::from_millis(200);
 /// A result or a checkpoint larger than this is a fault of the program.
 const BODY_MAX: u64 = 256 << 20;
-/// Private memory that a job may write to: more than a diagnosis of five hours of nine channels takes.
+/// The limit of private writable memory of a job: more than a diagnosis of five hours of nine channels needs.
 pub const JOB_MEMORY_BYTES: u64 = 640 << 20;
-/// Processor time of one process of a job, while other jobs wait: a thousand times that of a diagnosis of five hours of nine
-/// channels. A job that has made a checkpoint by then goes on from it in another process.
+/// The limit of processor time of one process of a job, while other jobs wait: a thousand times that of a diagnosis of
+/// five hours of nine channels. A job that has made a checkpoint by then continues from it in another process.
 pub const JOB_PROCESSOR_S: u64 = 6 * 3600;
 
-/// What a child says of its job; a checkpoint's state and a result's text are the frame's body.
+/// The messages of a child about its job; a checkpoint's state and a result's text are the frame's body.
 #[derive(Debug, Serialize, Deserialize)]
 enum Word {
     Checkpoint {
@@ -33,16 +34,16 @@ enum Word {
     },
     Progress(f64),
     Done,
-    /// It cannot be done. `sqlite` is the database's extended code, if it was the database that refused.
+    /// The job cannot be done. `sqlite` is the database's extended code, if the database returned the error.
     Failed {
         reason: String,
         sqlite: Option<i32>,
     },
-    /// It could not be begun: the database could not be opened.
+    /// The job could not be begun: the database could not be opened.
     Unopened(String),
 }
 
-/// Works on a claimed job in a process of its own until it is done, cancelled, or `keep_on` answers false.
+/// Works on a claimed job in a separate process until it is done, cancelled, or `keep_on` returns `false`.
 pub(super) fn run(
     store: &Store,
     reader: &Reader,
@@ -96,12 +97,12 @@ pub(super) fn run(
     }
 }
 
-/// Keeps what a job comes to by saying it to the parent.
+/// Keeps a job's progress by sending it to the parent.
 struct InPipe<W>(W);
 
 impl<W: Write> InPipe<W> {
     fn say(&mut self, word: &Word, body: &[u8]) -> Result<(), JobError> {
-        // A parent that does not listen has ended; the job goes on at its next start.
+        // A parent that does not listen has ended; the job continues at its next start.
         write_frame(&mut self.0, word, body).map_err(|_| JobError::Stopped)
     }
 }
@@ -115,8 +116,8 @@ impl<W: Write + Send> Keeper for InPipe<W> {
     }
 }
 
-/// Works on a job in this process, which [`run`] has started, and says to `out` what it comes to. `file` is the file that the
-/// parent writes under the path ([`Store::file`]): another one in its place is not read.
+/// Works on a job in this process, which [`run`] has started, and writes its progress to `out`. `file` is the file that
+/// the parent writes under the path ([`Store::file`]): a file that replaced it is not read.
 ///
 /// # Errors
 /// [`FrameError`], if the parent does not listen.

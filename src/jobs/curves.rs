@@ -1,9 +1,9 @@
-//! Deviation curves of whole stretches in memory: what `allan` jobs of the other estimators are made of.
+//! Deviation curves of whole stretches in memory, for `allan` jobs with the other estimators.
 //!
-//! These estimators do not add chunk by chunk: a channel's stretches are gathered, integrated, and every averaging time
-//! costs one walk over them. Channels are taken in groups, one pass over the samples per group, so that memory stays below
-//! [`MEMORY`] and one channel more; [`MOST`] bounds that one. A checkpoint keeps the curves that are done; the samples of
-//! the others are read again.
+//! These estimators cannot be summed chunk by chunk: a channel's stretches are gathered and integrated, and every
+//! averaging time costs one walk over them. Channels are processed in groups, one pass over the samples per group, so
+//! that memory stays below [`MEMORY`] plus one channel; [`MOST`] bounds that one. A checkpoint contains the finished
+//! curves; the samples of the others are read again.
 
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
@@ -14,18 +14,18 @@ use crate::sample::Channel;
 use crate::store::Chunk;
 use std::collections::VecDeque;
 
-/// Samples up to which a channel is held in memory: 32 MB, and as much again for its phases.
+/// The maximum number of samples of a channel that is held in memory: 32 MB, and as much again for its phases.
 pub(super) const MOST: u64 = 4_000_000;
-/// Averaging times of all channels together that one result may hold: some 5 MB of JSON.
+/// The maximum number of averaging times of all channels together in one result: some 5 MB of JSON.
 const MOST_POINTS: usize = 40_000;
-/// Steps over samples that every averaging time of a channel may cost: some seconds.
+/// The maximum number of steps over samples for each averaging time of a channel: some seconds.
 const MOST_STEPS: u64 = 2_000_000_000;
-/// Bytes that the samples of one pass may take.
+/// The maximum memory of the samples of one pass in bytes.
 const MEMORY: usize = 64 << 20;
 /// Version of the checkpoint.
 const VERSION: u8 = 1;
 
-/// The curves in the making.
+/// The curves under computation.
 #[derive(Debug)]
 pub(super) struct Curves {
     plan: Plan,
@@ -33,7 +33,7 @@ pub(super) struct Curves {
     estimator: Estimator,
     /// Channels of one pass.
     group: usize,
-    /// Curves of the channels that are done, in the plan's order.
+    /// Curves of the finished channels, in the plan's order.
     done: Vec<AllanCurve>,
     /// Stretches of the channels of this pass.
     current: VecDeque<Vec<Vec<f64>>>,
@@ -42,7 +42,7 @@ pub(super) struct Curves {
 }
 
 impl Curves {
-    /// Nothing taken in yet.
+    /// The state before any sample.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
         let estimator = parameters.estimator;
         let grid = TauGrid::new(parameters.taus, plan.longest)?;
@@ -53,7 +53,7 @@ impl Curves {
         Ok(curves)
     }
 
-    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains; `None` if it is damaged.
     pub(super) fn restore(
         plan: Plan,
         parameters: &JobParameters,
@@ -81,7 +81,7 @@ impl Curves {
         &self.plan
     }
 
-    /// The channels of this pass that are not done.
+    /// The channels of this pass that are not finished.
     pub(super) fn pass_channels(&self) -> &[Channel] {
         let from = self.done.len().min(self.plan.channels.len());
         let to = (from + self.group).min(self.plan.channels.len());
@@ -93,7 +93,7 @@ impl Curves {
         self.current = self.pass_channels().iter().map(|_| vec![Vec::new()]).collect();
     }
 
-    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    /// Takes in the next samples of this pass; the columns are those of [`Self::pass_channels`].
     pub(super) fn take(&mut self, chunk: &Chunk) {
         let runs = self.plan.runs(chunk);
         for (stretches, column) in self.current.iter_mut().zip(&chunk.columns) {
@@ -119,7 +119,7 @@ impl Curves {
         }
     }
 
-    /// Computes the curve of one channel whose samples are all there; false where none is left of this pass.
+    /// Computes the curve of one channel whose samples are complete; returns `false` if none is left in this pass.
     pub(super) fn work(&mut self) -> bool {
         let Some(channel) = self.pass_channels().first().copied() else { return false };
         let Some(stretches) = self.current.pop_front() else { return false };
@@ -129,7 +129,7 @@ impl Curves {
         true
     }
 
-    /// Ends a pass; answers whether another one is needed.
+    /// Ends a pass; returns whether another one is needed.
     pub(super) fn end_pass(&mut self) -> bool {
         let more = self.done.len() < self.plan.channels.len();
         if more {
@@ -138,7 +138,7 @@ impl Curves {
         more
     }
 
-    /// How far the whole is when this pass has come to `next_seq`, 0–1: reading counts as a tenth.
+    /// The overall progress when this pass has reached `next_seq`, 0–1: reading counts as a tenth.
     pub(super) fn progress(&self, next_seq: u64) -> f64 {
         let read = 0.1 * self.current.len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
         (self.done.len() as f64 + read) / self.plan.channels.len().max(1) as f64
@@ -159,7 +159,8 @@ impl Curves {
     }
 }
 
-/// Whether an `allan` job keeps within the memory and time that a job may take. Who waits for the answer may take more.
+/// Checks whether an `allan` job stays within the memory and time of a job. A caller that waits for the result may use
+/// more.
 pub(super) fn check(parameters: &JobParameters, plan: &Plan) -> Result<(), JobError> {
     let estimator = parameters.estimator;
     if estimator != Estimator::Oadev && plan.end_seq > MOST {

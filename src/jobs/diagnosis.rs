@@ -1,7 +1,7 @@
-//! Diagnosis: a capture against a simulator, as a job.
+//! Diagnosis: compares a capture with a simulator, as a job.
 //!
-//! Unlike the other kinds it holds all samples at once and has nothing to go on from: where the program ends it begins anew.
-//! It asks after each channel whether it is still wanted.
+//! Unlike the other kinds it holds all samples at once and has no checkpoints: if the program ends, it begins again.
+//! After each channel it checks whether it is still wanted.
 
 use super::plan::Plan;
 use super::runner::Keeper;
@@ -17,16 +17,17 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 use std::sync::{Mutex, PoisonError};
 
-/// Places of the grid, missing samples counted, times (channels + [`BESIDES`]) at most, about 35 bytes each: five hours of nine channels at 40 Hz.
+/// The maximum number of grid places, missing samples included, times (channels + [`BESIDES`]), about 35 bytes each:
+/// five hours of nine channels at 40 Hz.
 const ROOM: u64 = 14_000_000;
-/// What the work on one channel takes besides what stays of all, in channels.
+/// The memory for the work on one channel, beyond what is kept for all, in channels.
 const BESIDES: u64 = 10;
-/// By how much less of a record of a motion there is room for.
+/// The factor by which the room is smaller for a record of a motion.
 const OF_A_MOTION: u64 = 4;
-/// Before the number of a model in its id: a number alone is a capture.
+/// The prefix of a model's number in its id: a number alone is a capture.
 const MODEL: &str = "model-";
 
-/// What a capture is compared with.
+/// The simulator that a capture is compared with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 #[expect(clippy::exhaustive_enums, reason = "the documented ones, once ids are looked up")]
@@ -41,19 +42,19 @@ pub enum Simulator {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "documented")]
 pub struct DiagnosisParameters {
-    /// What the capture is compared with. A model stands here whole, so that the job outlives it.
+    /// The simulator that the capture is compared with. A model is included as a whole, so that the job outlives it.
     pub sim: Simulator,
-    /// What the sensor went through.
+    /// The motion that the sensor underwent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<GivenReference>,
 }
 
 impl Simulator {
-    /// Looks up what is wished for: a model by its id, a model, or a capture by its id or name.
+    /// Looks up the requested simulator: a model by its id, a model, or a capture by its id or name.
     ///
     /// # Errors
-    /// [`JobError::Parameters`] for what is no simulator, [`JobError::Model`], [`JobError::Store`] if there is no such
-    /// model or capture.
+    /// [`JobError::Parameters`] if the value is not a simulator, [`JobError::Model`], [`JobError::Store`] if there is
+    /// no such model or capture.
     pub(super) fn of(reader: &Reader, sim: Value) -> Result<Self, JobError> {
         let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
         let capture = |id: i64| {
@@ -87,14 +88,14 @@ impl DiagnosisParameters {
     }
 }
 
-/// A motion's CSV.
+/// Reads a motion's CSV.
 pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
     if !text.contains('\n') {
         return Err("expected a motion's CSV with a header line, or one of still, tumble, rate-table".to_owned());
     }
     let rows = Rows::new(text.as_bytes(), "reference", None).map_err(|error| error.to_string())?;
     let mut refused = None;
-    // The rows are many: they are kept once.
+    // There are many rows: they are stored once.
     let reference = Reference::new(rows.map_while(|row| row.map_err(|error| refused = Some(error)).ok()));
     match refused {
         Some(error) => Err(error.to_string()),
@@ -102,7 +103,7 @@ pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
     }
 }
 
-/// What the sensor went through during a recording.
+/// The motion of the sensor during a recording.
 fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> Result<Reference, JobError> {
     let none = |reason: String| JobError::InsufficientData { reason };
     let text = match given {
@@ -110,7 +111,7 @@ fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> R
         GivenReference::Named(name) => name,
     };
     let kind = Kind::from_name(text).ok_or_else(|| none(format!("there is no motion `{text}`")))?;
-    // A named motion is as long as the simulation was, and begins with it.
+    // A named motion is as long as the simulation, and begins with it.
     if gridded.left_out > 0 || gridded.full || gridded.from_s > 0.0 {
         return Err(none(format!(
             "the motion `{text}` is that of a whole capture, and only a part of this one can be compared; give the motion's CSV"
@@ -123,12 +124,12 @@ fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> R
     Reference::new(rows).map_err(|error| none(error.to_string()))
 }
 
-/// The model as it is written, so that the same model is the same text however it came.
+/// The model in its written form, so that the same model is always the same text.
 fn of_model(value: &Value, called: &str) -> Result<Simulator, JobError> {
     Ok(Simulator::Model(serde_json::to_value(SensorModel::from_value(value, called)?)?))
 }
 
-/// What a diagnosis leaves behind: parts of one JSON text, each as it is given out.
+/// The result of a diagnosis: parts of one JSON text, each as it is returned.
 #[derive(Debug, Deserialize)]
 pub struct DiagnosisDocument<'a> {
     /// The report, `vn100d-diagnosis-1`.
@@ -140,16 +141,16 @@ pub struct DiagnosisDocument<'a> {
 }
 
 impl<'a> DiagnosisDocument<'a> {
-    /// Takes a result's text apart; what its page is drawn of stands beside these, and the page takes it out by itself.
+    /// Splits a result's text. The data from which its page is drawn is separate, and the page extracts it itself.
     ///
     /// # Errors
-    /// [`JobError::Json`] where it is none.
+    /// [`JobError::Json`] if the text is no such result.
     pub fn read(body: &'a str) -> Result<Self, JobError> {
         Ok(serde_json::from_str(body)?)
     }
 }
 
-/// The same while it is written.
+/// The same for writing.
 #[derive(Serialize)]
 struct Written<'a> {
     report: &'a Diagnosis,
@@ -158,10 +159,10 @@ struct Written<'a> {
     drawings: Drawings<'a>,
 }
 
-/// Keeps how far the work is; false if nobody wants it any more.
+/// Stores the progress of the work; returns `false` if the job is no longer wanted.
 type Step<'a> = dyn Fn(f64) -> bool + Sync + 'a;
 
-/// Works on a channel after the other, as long as it is wanted: two at a time would take more memory.
+/// Works on one channel after the other, as long as the job is wanted: two at a time would take more memory.
 struct OneByOne<'a> {
     step: &'a Step<'a>,
     from: f64,
@@ -189,7 +190,7 @@ pub(super) fn work(reader: &Reader, job: &JobRow, keeper: &mut dyn Keeper) -> Re
         ended.is_none()
     };
     let document = document_of(reader, job, &parameters, &step);
-    // What is left undone makes some other error, or nonsense.
+    // Unfinished work leads to some other error, or to a meaningless result.
     match state.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
         Some(error) => Err(error),
         None => document,
@@ -238,7 +239,7 @@ fn document_of(
     Ok(serde_json::to_string(&written)?)
 }
 
-/// Places that there is room for with a plan's channels.
+/// The number of places for which there is room with a plan's channels.
 fn room(plan: &Plan) -> u64 {
     ROOM / (plan.channels.len() as u64 + BESIDES)
 }

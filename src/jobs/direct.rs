@@ -1,4 +1,4 @@
-//! Direct: what jobs compute, at once, for whoever waits for it: no queue, no checkpoints.
+//! Direct: computes the results of jobs at once, for a caller that waits: no queue, no checkpoints.
 
 use super::curves::Curves;
 use super::distribution::Distribution;
@@ -15,10 +15,10 @@ use crate::sample::Channel;
 use crate::store::{CaptureRow, JobState, Reader};
 use serde_json::Value;
 
-/// The noise parameters of a plan's samples, on two threads; memory is bounded as a job's is.
+/// The noise parameters of a plan's samples, computed on two threads; memory is bounded as a job's is.
 ///
 /// # Errors
-/// What `source` says.
+/// The error that `source` reports.
 pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobError> {
     noise_at_rest(source, at_rest(source, plan, true, || Ok(()))?)
 }
@@ -31,10 +31,10 @@ pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Resul
     report::noise(source, &plan, &sums, held, |_| Ok(()))
 }
 
-/// The deviation curves of a plan's samples. An estimator other than `oadev` holds them in memory, however many they are.
+/// The deviation curves of a plan's samples. An estimator other than `oadev` holds all of them in memory.
 ///
 /// # Errors
-/// [`JobError::Allan`] where there are too few samples for a curve; what `source` says.
+/// [`JobError::Allan`] if there are too few samples for a curve, or the error that `source` reports.
 pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) -> Result<AllanReport, JobError> {
     let AtRest { plan, .. } = at_rest(source, plan, false, || Ok(()))?;
     if parameters.estimator == Estimator::Oadev {
@@ -52,7 +52,7 @@ pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) 
 /// Moments, histogram and a test for normality of every channel of a capture.
 ///
 /// # Errors
-/// What the database says.
+/// The error that the database reports.
 pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, JobError> {
     let row = reader.capture(capture_id)?;
     let mut distribution = Distribution::new(row.channels);
@@ -69,12 +69,13 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
     Ok(report::statistics(distribution.statistics(), Extent::read(reader, capture_id, row.samples)?))
 }
 
-/// What a job of one of the usual kinds gives, over the samples that `capture` says it has: as it is stored, where this version
-/// of the program has finished such a job, else computed at once and kept nowhere. `told`: what a person states of how its samples
-/// came about; no job knows that.
+/// The result of a job of one of the usual kinds, over the samples in `capture`'s row. It is the stored result if this
+/// version of the program has finished such a job, else it is computed at once and not stored. `told` is the user's
+/// statement about the sampling, which no job has.
 ///
 /// # Errors
-/// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual; what the database says.
+/// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual, or the error that
+/// the database reports.
 pub fn document(
     reader: &Reader,
     capture: &CaptureRow,
@@ -108,7 +109,7 @@ pub fn document(
     Ok(text?)
 }
 
-/// Hands all samples over, pass by pass.
+/// Passes all samples to `pass`, pass by pass.
 fn take_all(source: &dyn SampleSource, pass: &mut dyn Pass) -> Result<(), JobError> {
     loop {
         let mut next_seq = 0;

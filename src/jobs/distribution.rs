@@ -1,4 +1,5 @@
-//! Moments and histograms of a capture's channels, chunk by chunk, over all its samples: gaps and rates do not matter here.
+//! Moments and histograms of a capture's channels, chunk by chunk, over all its samples: gaps and rates have no effect
+//! here.
 
 use super::fold::{join, split};
 use crate::noise::statistics::{Accumulator, Statistics};
@@ -17,13 +18,13 @@ pub(super) struct Distribution {
 }
 
 impl Distribution {
-    /// Nothing taken in yet.
+    /// The state before any sample.
     pub(super) fn new(channels: Vec<Channel>) -> Self {
         let accumulators = channels.iter().map(|_| Accumulator::new()).collect();
         Self { channels, accumulators }
     }
 
-    /// Goes on where [`Self::save`] was called; None where `state` is damaged or of other channels.
+    /// Resumes from a saved state ([`Self::save`]); `None` if `state` is damaged or of other channels.
     pub(super) fn restore(channels: Vec<Channel>, state: &[u8]) -> Option<Self> {
         let (version, mut rest) = state.split_first()?;
         let entries = split(&mut rest).filter(|_| *version == VERSION && rest.is_empty())?;
@@ -43,7 +44,7 @@ impl Distribution {
         &self.channels
     }
 
-    /// Takes in the next samples; absent values are left out.
+    /// Takes in the next samples; absent values are skipped.
     pub(super) fn take(&mut self, chunk: &Chunk) {
         self.take_columns(chunk.columns.iter().map(Vec::as_slice));
     }

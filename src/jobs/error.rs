@@ -1,4 +1,4 @@
-//! Why a job was not taken or could not be done.
+//! The reasons why a job was not accepted or could not be done.
 
 use super::SamplingError;
 use crate::diagnosis::DiagnosisError;
@@ -6,7 +6,7 @@ use crate::noise::allan::AllanError;
 use crate::simulator::ModelError;
 use crate::store::StoreError;
 
-/// Everything that can go wrong with a job.
+/// Errors of jobs.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JobError {
@@ -15,7 +15,7 @@ pub enum JobError {
     UnknownKind {
         /// The name.
         found: String,
-        /// The names there are.
+        /// The known names.
         expected: String,
     },
     /// The parameters of the job are not those of its kind.
@@ -23,37 +23,37 @@ pub enum JobError {
     Parameters {
         /// The kind.
         kind: &'static str,
-        /// What is wrong with them.
+        /// The reason.
         reason: String,
     },
-    /// What was asked for is larger than can be read.
+    /// The requested data is larger than can be read.
     #[error("{reason}")]
     TooLarge {
-        /// What is, and how large it may be.
+        /// Which data, and the limit.
         reason: String,
     },
-    /// Captures that are not of one sensor at one setting, or cannot be analysed together for another reason.
+    /// The captures are not of one sensor at one setting, or cannot be analysed together for another reason.
     #[error("captures cannot be analysed together: {reason}")]
     Together {
-        /// What differs, and between which.
+        /// The difference, and the captures that differ.
         reason: String,
     },
-    /// The capture has nothing to compute from.
+    /// The capture has no data to compute from.
     #[error("{reason}")]
     InsufficientData {
-        /// What is lacking.
+        /// The missing data.
         reason: String,
     },
-    /// The estimator refused.
+    /// The estimator returned an error.
     #[error("{0}")]
     Allan(#[from] AllanError),
-    /// A sensor model that is none.
+    /// The sensor model is invalid.
     #[error(transparent)]
     Model(#[from] ModelError),
     /// Recording and model cannot be compared.
     #[error("{0}")]
     Diagnosis(DiagnosisError),
-    /// The stated sampling cannot be.
+    /// The stated sampling is impossible.
     #[error(transparent)]
     Sampling(#[from] SamplingError),
     /// A checkpoint could not be read.
@@ -62,28 +62,28 @@ pub enum JobError {
         /// The job.
         job: i64,
     },
-    /// The database refused.
+    /// The database returned an error.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The result could not be written as JSON.
     #[error("the result could not be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// The job was called off.
+    /// The job was cancelled.
     #[error("the job was called off")]
     CalledOff,
-    /// The job was told to wait for the next start.
+    /// The job was stopped until the next start.
     #[error("the job waits for the next start")]
     Stopped,
-    /// A process of its own found that the job cannot be done.
+    /// The job's separate process found that the job cannot be done.
     #[error("{reason}")]
     Refused {
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// The process of the job ended before the job was done.
     #[error("{reason}")]
     Died {
-        /// How it ended.
+        /// How the process ended.
         reason: String,
     },
     /// The process of the job reached its limit of processor time.

@@ -1,9 +1,9 @@
-//! Disturbances of the captures of a plan: their samples once more, channel by channel, after the exact sums.
+//! Disturbances of the captures of a plan: reads their samples once more, channel by channel, after the exact sums.
 //!
-//! Captures are looked through one after the other; the sums of what is left are fitted. Those of a single block
-//! ([`robust::BLOCK`] samples) are looked through two channels at a time, without being read again where their samples are held
-//! ([`Held`]). With a longer one all are read twice, block by block, one channel after the other: memory does not grow with their
-//! length.
+//! Captures are examined one after the other; the sums of what remains are fitted. Captures of a single block
+//! ([`robust::BLOCK`] samples) are examined two channels at a time, and are not read again if their samples are held
+//! ([`Held`]). If one is longer, all are read twice, block by block, one channel after the other: memory does not grow
+//! with their length.
 
 use super::held::Held;
 use super::plan::{Plan, Slice};
@@ -20,12 +20,12 @@ use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::ops::Range;
 
-/// What looking through the captures of a plan has come to.
+/// The result of examining the captures of a plan.
 #[derive(Debug, Default)]
 pub(super) struct Found {
-    /// Parameters without disturbances, and these, of every channel.
+    /// For each channel the parameters without disturbances, and the disturbances.
     pub(super) channels: BTreeMap<Channel, (NoiseParameters, Disturbances)>,
-    /// Of several captures what was found in each, in the plan's order.
+    /// For several captures the findings in each, in the plan's order.
     pub(super) captures: Vec<BTreeMap<Channel, (Vec<Flag>, Disturbances)>>,
 }
 
@@ -45,7 +45,7 @@ impl<'a> Blocks<'a> {
         Ok(Self { slice, missing, count: robust::blocks_of(samples), samples })
     }
 
-    /// A block's samples from the source.
+    /// Reads a block's samples from the source.
     fn read(
         &self,
         source: &dyn SampleSource,
@@ -72,8 +72,8 @@ impl<'a> Blocks<'a> {
     }
 
     /// The samples of channels in a range of the plan's numbers, cut at gaps and absent values; times count from the
-    /// capture's first sample. Temperature, which may be sent more seldom than the rest, is held until the next one.
-    /// `read` gives chunks of these channels.
+    /// capture's first sample. Temperature, which may be sent less often than the rest, keeps its value until the next
+    /// one. `read` returns chunks of these channels.
     fn portions<E>(
         &self,
         plan: &Plan,
@@ -84,7 +84,7 @@ impl<'a> Blocks<'a> {
         let start = self.slice.samples.start;
         let mut all: Vec<Portion> = channels.iter().map(|_| Portion::default()).collect();
         let mut last: Vec<Option<(u32, f64)>> = vec![None; channels.len()];
-        // The sample before the range tells whether its first one continues a stretch.
+        // The sample before the range shows whether its first one continues a stretch.
         let mut from_seq = range.start.saturating_sub(1).max(start);
         while from_seq < range.end {
             let limit = CHUNK.min(usize::try_from(range.end - from_seq).unwrap_or(CHUNK));
@@ -92,7 +92,7 @@ impl<'a> Blocks<'a> {
             if chunk.is_empty() {
                 break;
             }
-            // What the sums refuse is no measurement here either.
+            // A value that the sums reject is no measurement here either.
             let ranges = channels.iter().map(|channel| FixedPoint::for_channel(*channel).range());
             let ranges: Vec<f64> = ranges.collect();
             for (taken, rows) in plan.runs(&chunk) {
@@ -128,10 +128,10 @@ impl<'a> Blocks<'a> {
     }
 }
 
-/// Looks through every channel in `all`, capture by capture. `held`: all samples, where they are; otherwise they are read again.
-/// `go_on`: asked between captures and portions of long ones with how much of the work is done, 0–1; an error that it answers ends
-/// the work. A single capture of one block is done in one go, a second or two: a job that is told to end again and again still
-/// comes to an end.
+/// Examines every channel in `all`, capture by capture. `held` contains all samples, if they are held; otherwise they
+/// are read again. `go_on` is called between captures and portions of long ones with the share of the work done, 0–1;
+/// an error that it returns ends the work. A single capture of one block is done in one go, a second or two, so that a
+/// job that is stopped repeatedly still finishes.
 pub(super) fn examine(
     source: &dyn SampleSource,
     plan: &Plan,
@@ -166,7 +166,7 @@ pub(super) fn examine(
         found.captures.resize_with(captures.len(), BTreeMap::new);
     }
     let channels: Vec<(Channel, &All<'_>)> = all.iter().map(|(channel, all)| (*channel, all)).collect();
-    // Of held samples two channels at a time are looked through whatever the group.
+    // With held samples two channels at a time are examined, whatever the group.
     let group_size = if held.is_some() { channels.len().max(1) } else { 2 - usize::from(long) };
     for group in channels.chunks(group_size) {
         let names: Vec<Channel> = group.iter().map(|(channel, _)| *channel).collect();

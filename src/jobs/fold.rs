@@ -1,4 +1,4 @@
-//! What a job does with the samples: one of four folds, driven alike.
+//! The computations of a job over samples: four folds with a common interface.
 
 use super::curves::{Curves, check};
 use super::distribution::Distribution;
@@ -12,7 +12,7 @@ use crate::noise::allan::Estimator;
 use crate::sample::Channel;
 use crate::store::{Chunk, JobRow, Reader, StoreError};
 
-/// A computation in the making.
+/// A computation in progress.
 #[derive(Debug)]
 pub(super) enum Fold {
     /// Allan sums, for `allan`.
@@ -26,7 +26,7 @@ pub(super) enum Fold {
 }
 
 impl Fold {
-    /// The job's computation where its last checkpoint left it, and the next `seq` it needs.
+    /// The job's computation at its last checkpoint, and the next `seq` it needs.
     pub(super) fn begin(
         reader: &Reader,
         job: &JobRow,
@@ -105,7 +105,7 @@ impl Fold {
         }
     }
 
-    /// The same, to take samples in.
+    /// The computation as a [`Pass`], to take samples in.
     pub(super) fn pass_mut(&mut self) -> &mut dyn Pass {
         match self {
             Self::Sums(summation) => &mut **summation,
@@ -115,7 +115,7 @@ impl Fold {
         }
     }
 
-    /// How many samples a pass has.
+    /// The number of samples in a pass.
     pub(super) fn end_seq(&self, job: &JobRow) -> u64 {
         self.pass().plan().map_or(job.end_seq, |plan| plan.end_seq)
     }
@@ -142,7 +142,7 @@ impl Fold {
         Ok(chunk)
     }
 
-    /// How far the whole is when this pass has come to `next_seq` of `end_seq`, 0–1.
+    /// The overall progress when this pass has reached `next_seq` of `end_seq`, 0–1.
     pub(super) fn progress(&self, next_seq: u64, end_seq: u64) -> f64 {
         match self {
             Self::Sums(summation) => summation.progress(next_seq),
@@ -155,7 +155,7 @@ impl Fold {
         }
     }
 
-    /// What the checkpoint keeps.
+    /// The state for a checkpoint.
     pub(super) fn save(&mut self) -> Result<Vec<u8>, JobError> {
         Ok(match self {
             Self::Sums(summation) => summation.save(),
@@ -166,15 +166,15 @@ impl Fold {
     }
 }
 
-/// A computation that samples are handed to, in one pass over them or several.
+/// A computation that receives samples, in one pass over them or several.
 pub(super) trait Pass {
-    /// Which samples it takes in; none where these are all of the capture.
+    /// The samples it takes in; `None` if these are all samples of the capture.
     fn plan(&self) -> Option<&Plan>;
 
     /// The channels to be read in this pass.
     fn read_channels(&self) -> &[Channel];
 
-    /// The next samples of this pass where they are held; otherwise they are to be read.
+    /// The next samples of this pass if they are held; otherwise they must be read.
     fn held_chunk(&self, _from: u64, _limit: usize) -> Option<Chunk> {
         None
     }
@@ -182,12 +182,12 @@ pub(super) trait Pass {
     /// Takes in the next samples of this pass.
     fn take(&mut self, chunk: &Chunk);
 
-    /// Does a piece of what is to be computed once a pass has all its samples; false where nothing is left.
+    /// Does a part of the computation after a pass has all its samples; returns `false` if nothing is left.
     fn work(&mut self) -> bool {
         false
     }
 
-    /// Ends a pass over the samples; answers whether another one is needed.
+    /// Ends a pass over the samples; returns whether another one is needed.
     fn end_pass(&mut self) -> bool {
         false
     }
@@ -256,7 +256,7 @@ impl Pass for Distribution {
     }
 }
 
-/// Byte strings one after the other, each with its length before it.
+/// Joins byte strings, each preceded by its length.
 pub(super) fn join(entries: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = (entries.len() as u32).to_le_bytes().to_vec();
     for entry in entries {
@@ -266,7 +266,7 @@ pub(super) fn join(entries: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Takes off what [`join`] has written; None where it is damaged.
+/// Splits off what [`join`] has written; `None` if it is damaged.
 pub(super) fn split(rest: &mut &[u8]) -> Option<Vec<Vec<u8>>> {
     let number = |rest: &mut &[u8]| -> Option<usize> {
         let (bytes, tail) = rest.split_first_chunk::<4>()?;

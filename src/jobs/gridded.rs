@@ -1,10 +1,10 @@
-//! Gridded: a plan's samples as a diagnosis takes them, on a regular grid with the missing ones marked.
+//! Gridded: a plan's samples in the form that a diagnosis takes, on a regular grid with the missing ones marked.
 
 use super::{JobError, Plan, SampleSource};
 use crate::diagnosis::{Diagnosis, Recording};
 use crate::sample::Channel;
 
-/// Gaps longer than this end what is taken as one record, s: no noise is told through them.
+/// Gaps longer than this end a record, s: noise cannot be determined across them.
 const LONGEST_GAP_S: f64 = 60.0;
 /// Samples read at a time.
 const CHUNK: usize = 65_536;
@@ -12,18 +12,18 @@ const CHUNK: usize = 65_536;
 /// The longest part of a plan's samples without a long gap.
 #[derive(Debug, Clone)]
 pub struct Gridded {
-    /// It.
+    /// The recording.
     pub recording: Recording,
-    /// How many s after the plan's first sample it begins.
+    /// The offset of its beginning from the plan's first sample, s.
     pub from_s: f64,
-    /// Samples of the plan that are not in it.
+    /// The number of the plan's samples outside it.
     pub left_out: u64,
-    /// Whether it ends where there is no more room.
+    /// Whether it ends because the room is exhausted.
     pub full: bool,
 }
 
 impl Gridded {
-    /// Tells a diagnosis of it which part of the plan's samples it is of: its times become the plan's.
+    /// Adjusts a diagnosis of this part: its times become the plan's.
     pub fn tell(&self, diagnosis: &mut Diagnosis) {
         if self.left_out > 0 {
             let why = if self.full {
@@ -38,7 +38,7 @@ impl Gridded {
                 self.left_out
             ));
         }
-        // Times in the report are the capture's, as everywhere; a model is run from its own begin on.
+        // Times in the report are the capture's, as everywhere; a model is run from its own beginning.
         if self.from_s > 0.0 {
             diagnosis.begins_at(self.from_s);
             diagnosis.notes.push(format!(
@@ -49,11 +49,11 @@ impl Gridded {
     }
 }
 
-/// Reads a plan's samples; of several captures the first one's. The grid has at most `room` places, missing samples counted:
-/// what is longer is told in parts of that length, of which the first is taken.
+/// Reads a plan's samples; of several captures the first one's. The grid has at most `room` places, missing samples
+/// included. A longer record is divided into parts of that length, of which the first is taken.
 ///
 /// # Errors
-/// [`JobError::InsufficientData`] where there are none; what `source` says.
+/// [`JobError::InsufficientData`] if there are none, or the error that `source` reports.
 pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Gridded, JobError> {
     let Some(slice) = plan.slices.first() else {
         return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
@@ -98,12 +98,12 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
         }
         seq = chunk.next_seq();
         if full {
-            // None is longer.
+            // No other part is longer.
             total += slice.samples.end.saturating_sub(seq);
             break;
         }
     }
-    // What is full goes on beyond the room: it is the one.
+    // A full part continues beyond the room: it is the one to take.
     let Some(part) = (if full { open } else { longer(best, open) }) else {
         return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
     };
@@ -123,11 +123,11 @@ fn longer(one: Option<Part>, other: Option<Part>) -> Option<Part> {
 /// Samples on a grid from a first place on.
 struct Part {
     first: u64,
-    /// Samples that are there.
+    /// Samples that are present.
     there: u64,
     missing: Vec<bool>,
     columns: Vec<Vec<f64>>,
-    /// One per sample that is there: which run of the device's clock, and s in that.
+    /// One per present sample: the run of the device's clock, and the time in that run in s.
     stamps: Vec<Option<(u32, f64)>>,
 }
 
@@ -146,7 +146,7 @@ impl Part {
         self.there += 1;
         self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
-    /// The samples' stamps, where all are of one run of one clock.
+    /// The samples' stamps, if all are of one run of one clock.
     fn time_s(&self) -> Vec<f64> {
         let Some(Some((run, begin_s))) = self.stamps.first().copied() else { return Vec::new() };
         let times = self.stamps.iter().map(|stamp| stamp.filter(|(own, _)| *own == run).map(|(_, s)| s - begin_s));
@@ -161,7 +161,7 @@ impl Part {
                 recording.temperature_c = (there > 0).then_some(values);
                 continue;
             }
-            // A channel that lacks a value now and then is left without it there.
+            // A channel that sometimes lacks a value has no value there.
             if (there as u64) * 10 >= self.there * 9 {
                 recording.channels.push((*channel, values));
             }

@@ -1,11 +1,11 @@
-//! Held: the samples of a short plan, kept as they are read once, so that nobody reads them again.
+//! Held: the samples of a short plan, kept when they are first read, so that they are not read again.
 
 use super::plan::Plan;
 use crate::noise::robust::BLOCK;
 use crate::sample::Channel;
 use crate::store::Chunk;
 
-/// Bytes that held samples may take: those of nine channels and temperature of five hours at 40 Hz.
+/// The maximum memory of held samples in bytes: those of nine channels and temperature of five hours at 40 Hz.
 const MEMORY: u64 = 64 << 20;
 
 /// Consecutive samples of a plan from its first one on.
@@ -17,7 +17,7 @@ pub(super) struct Held {
 }
 
 impl Held {
-    /// Room for the samples of a plan; none where they are too many, or those of one capture more than a block.
+    /// Room for the samples of a plan; `None` if they are too many, or those of one capture exceed a block.
     pub(super) fn for_plan(plan: &Plan) -> Option<Self> {
         let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
         let fits = plan.end_seq.saturating_mul(8 * channels.len() as u64) <= MEMORY;
@@ -27,7 +27,7 @@ impl Held {
         Some(Self { channels, segment: Vec::with_capacity(length), columns })
     }
 
-    /// What is to be read.
+    /// The channels to read.
     pub(super) fn channels(&self) -> &[Channel] {
         &self.channels
     }
@@ -37,13 +37,13 @@ impl Held {
         self.channels.contains(&channel)
     }
 
-    /// Takes the next samples, of [`Self::channels`] and then whichever.
+    /// Takes the next samples; the columns are those of [`Self::channels`], then any others.
     pub(super) fn take(&mut self, chunk: &Chunk) {
         self.segment.extend_from_slice(&chunk.segment);
         self.columns.iter_mut().zip(&chunk.columns).for_each(|(own, column)| own.extend_from_slice(column));
     }
 
-    /// How many samples there are.
+    /// The number of samples.
     pub(super) fn len(&self) -> u64 {
         self.segment.len() as u64
     }

@@ -22,7 +22,7 @@ pub enum JobKind {
 impl JobKind {
     /// All kinds.
     pub const ALL: [Self; 4] = [Self::Allan, Self::Noise, Self::Statistics, Self::Diagnosis];
-    /// Those that a capture gets without being asked.
+    /// The kinds that are queued for every capture without a request.
     pub const USUAL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
 
     /// The name in the database and JSON.
@@ -36,7 +36,7 @@ impl JobKind {
         }
     }
 
-    /// What it gives, in words.
+    /// A description of its result.
     #[must_use]
     pub fn gives(self) -> &'static str {
         match self {
@@ -47,10 +47,10 @@ impl JobKind {
         }
     }
 
-    /// The kind of that name.
+    /// The kind with that name.
     ///
     /// # Errors
-    /// [`JobError::UnknownKind`] with the names there are.
+    /// [`JobError::UnknownKind`] with the known names.
     pub fn from_name(name: &str) -> Result<Self, JobError> {
         Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| JobError::UnknownKind {
             found: name.chars().take(40).collect(),
@@ -58,8 +58,8 @@ impl JobKind {
         })
     }
 
-    /// Reads the parameters of a job of one of the usual kinds; what is not given is filled in, so that the same wish is the
-    /// same job however it is written.
+    /// Reads the parameters of a job of one of the usual kinds. Defaults are filled in, so that equal requests are the
+    /// same job however they are written.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for unknown names and impossible values.
@@ -81,7 +81,7 @@ impl JobKind {
         if parameters.with.len() >= CAPTURES_MAX {
             return Err(refuse(format!("at most {} captures `with` another", CAPTURES_MAX - 1)));
         }
-        // Sums have no order.
+        // Sums do not depend on the order.
         parameters.with.sort_unstable();
         if let Some(channels) = &mut parameters.channels {
             channels.sort_unstable();
@@ -112,7 +112,7 @@ pub struct JobParameters {
     pub channels: Option<Vec<Channel>>,
 }
 
-/// What a job had before there was a choice is not written: it stays the same job.
+/// Defaults from before there was a choice are not written, so that the job stays the same.
 fn is_default(estimator: &Estimator) -> bool {
     *estimator == Estimator::default()
 }

@@ -1,7 +1,7 @@
 //! Live analysis of a capture that still runs: octaves of all analysed channels and moments of all, in constant memory.
 //!
-//! It pulls: whenever somebody asks (or the daemon's tick calls [`Live::catch_up`]) it takes in what was committed since,
-//! at most [`CATCH_UP`] samples per call, and answers for what it has.
+//! It pulls. Whenever a client requests it (or the daemon's tick calls [`Live::catch_up`]) it takes in the samples
+//! committed since, at most [`CATCH_UP`] per call, and returns the result for those it has.
 
 use super::JobError;
 use super::distribution::Distribution;
@@ -17,17 +17,17 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Samples taken in by one call: about a second of work.
+/// The maximum number of samples taken in by one call: about a second of work.
 pub const CATCH_UP: usize = 500_000;
-/// For how long a noise report stands for a newer one, if the capture has grown by less than [`FRESH_SHARE`]: fitting nine
-/// channels takes half a second of a core.
+/// How long a noise report is reused if the capture has grown by less than [`FRESH_SHARE`]: fitting nine channels takes
+/// half a second of a core.
 const FRESH: Duration = Duration::from_secs(2);
-/// The part of the samples, 1/20, by which a capture may have grown meanwhile.
+/// The part of the samples, 1/20, by which a capture may grow meanwhile.
 const FRESH_SHARE: u64 = 20;
 /// Samples read at a time.
 const CHUNK: usize = 32_768;
 
-/// What is known about the capture that runs.
+/// The analysis of the running capture.
 #[derive(Debug)]
 pub struct Live {
     pyramids: Mutex<Option<Pyramids>>,
@@ -45,31 +45,31 @@ impl Default for Live {
 #[derive(Debug)]
 struct Kept {
     capture_id: i64,
-    /// The samples that it is made of.
+    /// The samples that it covers.
     next_seq: u64,
     made: Instant,
     report: SoFar<NoiseReport>,
 }
 
 impl Kept {
-    /// Whether it stands for the report of this capture's samples up to `next_seq`.
+    /// Whether it may be reused as the report of this capture's samples up to `next_seq`.
     fn stands_for(&self, capture_id: i64, next_seq: u64) -> bool {
         let is_near = self.next_seq.abs_diff(next_seq) < self.next_seq / FRESH_SHARE;
         self.capture_id == capture_id && is_near && self.made.elapsed() < FRESH
     }
 }
 
-/// A capture without a planned end is taken to last as long, so that what is kept of its motion is bounded: a month.
+/// The assumed duration of a capture without a planned end, a month. It bounds the memory for its motion.
 const LONG_S: f64 = 30.0 * 86_400.0;
 
-/// The octaves of one capture, by rate: nothing mixes two.
+/// The octaves of one capture, by rate: two rates are never mixed.
 #[derive(Debug)]
 struct Pyramids {
     capture_id: i64,
-    /// How long the capture is to be, s.
+    /// The planned duration of the capture, s.
     planned_s: f64,
     next_seq: u64,
-    /// The segment met last and its rate.
+    /// The most recent segment and its rate.
     rate: Option<(u32, f64)>,
     segment: Option<u32>,
     by_rate: BTreeMap<u64, Pyramid>,
@@ -102,25 +102,25 @@ impl<T> std::ops::Deref for SoFar<T> {
     }
 }
 
-/// What a capture's live analysis has come to.
+/// The result of a capture's live analysis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LivePoints {
     /// Rate of the samples taken in, Hz.
     pub rate_hz: f64,
-    /// How many samples of that rate were taken in.
+    /// The number of samples of that rate that were taken in.
     pub samples: u64,
-    /// How many of other rates were left out.
+    /// The number of samples of other rates that were skipped.
     pub other_rate: u64,
-    /// `seq` up to which samples were looked at.
+    /// The `seq` up to which samples were examined.
     pub next_seq: u64,
-    /// Whether that is all there is.
+    /// Whether no more samples are on disk.
     pub caught_up: bool,
     /// Octaves of each channel.
     pub channels: BTreeMap<Channel, Vec<AllanPoint>>,
 }
 
 impl Live {
-    /// Nothing known yet.
+    /// The state before any capture.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -136,11 +136,11 @@ impl Live {
         self.pyramids.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes in up to [`CATCH_UP`] samples committed since; answers whether that is all there is. Another capture than
-    /// last time begins anew.
+    /// Takes in up to [`CATCH_UP`] samples committed since; returns whether these were all. For another capture than
+    /// last time the analysis begins again.
     ///
     /// # Errors
-    /// [`JobError::Store`] where the samples cannot be read.
+    /// [`JobError::Store`] if the samples cannot be read.
     pub fn catch_up(&self, reader: &Reader, capture_id: i64) -> Result<bool, JobError> {
         let mut slot = self.lock();
         let pyramids = match &mut *slot {
@@ -152,13 +152,13 @@ impl Live {
         };
         let outcome = pyramids.catch_up(reader, self.catch_up);
         if outcome.is_err() {
-            // What was half taken in is not to be built upon.
+            // A partly updated analysis must not be used.
             *slot = None;
         }
         outcome
     }
 
-    /// The octaves of what there is so far, after taking in what came since.
+    /// The octaves of the samples so far, after taking in new ones.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] before the first sample; [`JobError::Store`].
@@ -185,7 +185,7 @@ impl Live {
         })
     }
 
-    /// Deviation curves of what there is so far (`complete: false`).
+    /// Deviation curves of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
@@ -202,13 +202,13 @@ impl Live {
 }
 
 impl Live {
-    /// Noise parameters of what there is so far (`complete: false`).
+    /// Noise parameters of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
     pub fn noise(&self, reader: &Reader, capture_id: i64) -> Result<SoFar<NoiseReport>, JobError> {
         let points = self.points(reader, capture_id)?;
-        // Whoever asks meanwhile waits here instead of fitting the same.
+        // Concurrent callers wait here instead of repeating the same fit.
         let mut noise = self.noise.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(kept) = noise.as_ref().filter(|kept| kept.stands_for(capture_id, points.next_seq)) {
             return Ok(kept.report.clone());
@@ -222,9 +222,9 @@ impl Live {
         Ok(report)
     }
 
-    /// How long the sensor moved, s, of what the octaves are made of; none if motion is unknown.
+    /// How long the sensor moved, s, within the samples of the octaves; `None` if motion is unknown.
     fn moving_s(&self, capture_id: i64) -> Option<f64> {
-        // Divided outside the lock.
+        // The division is done outside the lock.
         let (rate_hz, samples, stillness) = {
             let slot = self.lock();
             let pyramids = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id)?;
@@ -236,7 +236,7 @@ impl Live {
         Some(places as f64 / rate_hz)
     }
 
-    /// Statistics of what there is so far (`complete: false`).
+    /// Statistics of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
@@ -307,7 +307,7 @@ impl Pyramids {
         self.segment = Some(number);
         let planned = (self.planned_s * rate_hz) as u64;
         let pyramid = self.by_rate.entry(rate_hz.to_bits()).or_insert_with(|| Pyramid::new(rate_hz, planned));
-        // Gaps take no place: what moved before and after one is no less motion.
+        // Gaps take no place: samples in motion before and after a gap are equally motion.
         pyramid.stillness.push(
             pyramid.samples,
             TELLING.map(|channel| {
@@ -341,7 +341,7 @@ impl Pyramids {
 
 impl Pyramid {
     fn new(rate_hz: f64, planned: u64) -> Self {
-        // In column order, as ANALYSED is: the columns of a chunk stand in the same order.
+        // In column order, as `ANALYSED` is: the columns of a chunk have the same order.
         let channels = Channel::ANALYSED.map(|channel| (channel, LiveAllan::new(FixedPoint::for_channel(channel))));
         Self { samples: 0, stillness: Stillness::new(rate_hz, planned), channels: channels.into_iter().collect() }
     }

@@ -1,17 +1,17 @@
 //! Jobs: durable background work over captures, in chunks, beside a running capture.
 //!
-//! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents the interfaces give out.
-//! Promised: the same submission is the same job; a job that is killed anywhere goes on at its last chunk and comes to the
-//! same bytes; its input is fixed when it is submitted; nothing is averaged across a gap, a reset, an absent value or two
-//! rates; one whose process dies three times at the same chunk fails. Each job has a process of its own at nice 10 and with a
-//! limit of memory; it rests a tenth of its time while it reads and holds no read transaction between chunks, and fits on two
-//! threads.
-//! Memory is bounded whatever a capture's length: docs/performance.md has the figures. A diagnosis is the exception in two
-//! ways: it begins anew where it was interrupted, and it takes the samples that fit, all at once, and says so.
+//! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents that the interfaces
+//! return. Guarantees: the same submission is the same job. A job that is killed at any point continues at its last
+//! chunk and produces the same bytes. Its input is fixed when it is submitted. Nothing is averaged across a gap, a
+//! reset, an absent value or two rates. A job whose process dies three times at the same chunk fails. Each job has a
+//! separate process at nice 10 and with a memory limit. It rests a tenth of its time while it reads, holds no read
+//! transaction between chunks, and fits on two threads. Memory is bounded whatever a capture's length:
+//! docs/performance.md has the figures. A diagnosis is an exception in two ways: it begins again if it was interrupted,
+//! and it takes the samples that fit, all at once, and reports this.
 //!
-//! [`direct`] does the same for whoever waits, from any [`SampleSource`].
+//! [`direct`] does the same for a caller that waits, from any [`SampleSource`].
 //!
-//! [`Live`] answers for a capture that still runs.
+//! [`Live`] provides results for a capture that still runs.
 
 mod apart;
 mod curves;

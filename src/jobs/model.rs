@@ -1,4 +1,4 @@
-//! Model: the sensor model of a plan's samples, at once, for whoever waits for it.
+//! Model: computes the sensor model of a plan's samples at once, for a caller that waits.
 
 use super::motion::at_rest;
 use super::{JobError, Plan, SampleSource, direct, gridded};
@@ -21,12 +21,13 @@ const CHUNK: usize = 65_536;
 pub struct Fitted {
     /// The model.
     pub model: SensorModel,
-    /// Why it should not be used, if there is a reason.
+    /// The reason not to use it, if there is one.
     pub refusal: Option<String>,
 }
 
 impl Fitted {
-    /// The model as the simulator of a diagnosis, and a sentence for its notes if there is a reason not to use it.
+    /// The model as the simulator of a diagnosis, and a sentence for its notes if there is a reason not to use the
+    /// model.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] if no channel has white noise and there is a reason for that.
@@ -42,11 +43,11 @@ impl Fitted {
     }
 }
 
-/// The model of a plan's samples at rest, called `name`, with the effects that are wanted, as far as they are found in the part that
-/// there is `room` for ([`gridded`]).
+/// The model of a plan's samples at rest, named `name`, with the wanted effects, as far as they are found in the part
+/// for which there is `room` ([`gridded`]).
 ///
 /// # Errors
-/// [`JobError::Diagnosis`] if effects are wanted and cannot be looked for; what `source` says.
+/// [`JobError::Diagnosis`] if effects are wanted and cannot be searched for, or the error that `source` reports.
 pub fn fitted(
     source: &dyn SampleSource,
     plan: Plan,
@@ -58,7 +59,7 @@ pub fn fitted(
     let at_rest = at_rest(source, plan, true, || Ok(()))?;
     let plan = &at_rest.plan;
     let levels = levels(source, plan)?;
-    // Where nothing is at rest the report's refusal says so.
+    // If nothing is at rest, the report's refusal states it.
     let gridded = (!wanted.is_empty() && plan.has_rest()).then(|| gridded(source, plan, room)).transpose()?;
     let report = direct::noise_at_rest(source, at_rest)?;
     let plain = model_of(&report, &levels, name, SOFTWARE);
@@ -74,8 +75,9 @@ pub fn fitted(
     Ok(Fitted { model, refusal })
 }
 
-/// Why a model with effects should not be used, if there is a reason. What effects were added to is the law of the diagnosis, which holds
-/// it against the record itself, unless it leaves something unexplained there. Nothing makes noise of a motion or of raw counts.
+/// The reason not to use a model with effects, if there is one. The base of the effects is the law of the diagnosis,
+/// which compares it with the record itself, unless something remains unexplained there. No noise can be determined
+/// from a motion or from raw counts.
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
     let remains = |channel: Channel| {
@@ -87,7 +89,7 @@ fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found
     report.refusal(|channel| !has_n(channel) || effects(model, channel) == effects(plain, channel) || remains(channel))
 }
 
-/// Mean at rest of every channel of a plan, and of the temperature where it was recorded.
+/// Mean at rest of every channel of a plan, and of the temperature if it was recorded.
 fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
     let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
@@ -127,7 +129,7 @@ mod tests {
         assert!(matches!(&error, JobError::InsufficientData { reason } if reason.ends_with("it moved")), "{error}");
     }
 
-    /// A channel that contradicts its curve is excused by an effect, but not while something remains on it.
+    /// An effect excuses a channel that contradicts its curve, but not while something remains unexplained on it.
     #[test]
     fn what_effects_leave_unexplained_is_refused() {
         let mut state = 1u64;
@@ -164,7 +166,7 @@ mod tests {
             "m",
         );
         model.channels.clone_from(&tone.unwrap().channels);
-        // Even noise is not normal: that has a place.
+        // Even noise is not normal: that is handled elsewhere.
         assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
         found.r#where.clear();
         assert_eq!(refusal(&report, &plain, &model, &found), None);

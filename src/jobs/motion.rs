@@ -1,8 +1,9 @@
-//! Motion: which samples of a plan were taken while the sensor moved. They leave every analysis of noise as a gap does.
+//! Motion: determines which samples of a plan were taken while the sensor moved. Like gaps, they are excluded from
+//! every analysis of noise.
 //!
-//! One pass over the inertial channels before anything is summed. Where a plan's samples are held in memory, the sums are made of
-//! what this pass has read, so that nothing is read twice. It follows from the samples alone: a job that goes on after a kill finds
-//! the motion it found before.
+//! One pass over the inertial channels before anything is summed. If a plan's samples are held in memory, the sums are
+//! made from the samples of this pass, so that nothing is read twice. The result follows from the samples alone: a job
+//! that continues after a kill finds the same motion.
 
 use super::held::Held;
 use super::raw_counts::RawCounts;
@@ -13,17 +14,17 @@ use crate::noise::stillness::{Stillness, TELLING};
 use crate::store::Missing;
 use std::ops::Range;
 
-/// A plan without what moved, and its samples where there is room for all.
+/// A plan without the samples in motion, and its samples if there is room for all.
 #[derive(Debug)]
 pub(super) struct AtRest {
     pub(super) plan: Plan,
     pub(super) held: Option<Held>,
 }
 
-/// Finds motion and leaves it out of the plan; finds channels beyond what they can measure.
+/// Finds motion and excludes it from the plan; finds channels beyond their measuring range.
 ///
-/// `hold`: whether the samples are wanted. `go_on`: asked after every chunk of a long capture; an error that it returns ends the work. A
-/// short capture is read in one go, so that a job that is interrupted again and again still comes to an end.
+/// `hold`: whether to keep the samples. `go_on`: called after every chunk of a long capture; an error that it returns
+/// ends the work. A short capture is read in one go, so that a job that is interrupted repeatedly still finishes.
 pub(super) fn at_rest(
     source: &dyn SampleSource,
     mut plan: Plan,
@@ -64,7 +65,7 @@ pub(super) fn at_rest(
             *count += own;
             *of += own_of;
         }
-        // A capture of a few samples says nothing, and of the others' motion nothing else.
+        // A capture of a few samples shows nothing, and the motion of the others is unaffected.
         let Some(places) = stillness.settle() else { continue };
         judged = true;
         moving.extend(places.into_iter().map(|places| {
@@ -80,7 +81,7 @@ pub(super) fn at_rest(
     Ok(AtRest { plan, held })
 }
 
-/// The first sample of `samples` whose place, missing ones counted, is not before `place`.
+/// The first sample of `samples` whose place, missing ones included, is not before `place`.
 fn first_at(place: u64, samples: u64, missing: &Missing) -> u64 {
     let (mut from, mut to) = (0, samples);
     while from < to {

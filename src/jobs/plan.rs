@@ -1,8 +1,9 @@
-//! The plan of a job: which samples it takes in. It follows from the captures and the job's `end_seq` alone, so that a job
-//! that goes on after a kill has the plan it began with.
+//! The plan of a job: the samples that it takes in. It follows from the captures and the job's `end_seq` alone, so that
+//! a job that continues after a kill has the same plan.
 //!
-//! Several captures of one sensor are read one after the other, as if they were one: sample and segment numbers of the later
-//! ones go on where the earlier ones end. A segment is never of two captures, so nothing is averaged across.
+//! Several captures of one sensor are read one after the other, as if they were one: the sample and segment numbers of
+//! the later ones continue those of the earlier ones. A segment never spans two captures, so nothing is averaged across
+//! them.
 
 use super::raw_counts::RawCounts;
 use super::sampling::{SamplingError, StatedSampling, of_configuration};
@@ -13,39 +14,39 @@ use crate::store::{Chunk, PageRequest, Reader, StoreError};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Which samples a computation takes in. A capture may have a million segments: each takes 16 bytes here.
+/// The samples that a computation takes in. A capture may have a million segments: each takes 16 bytes here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The captures, in the order they are read.
     pub slices: Vec<Slice>,
-    /// Samples with a number below this: all there are.
+    /// The end of the sample numbers: all samples have a lower one.
     pub end_seq: u64,
-    /// The rate that most of them have, Hz. Segments of another rate are left out: nothing mixes two rates.
+    /// The rate of most of them, Hz. Segments of another rate are excluded: two rates are never mixed.
     pub rate_hz: f64,
-    /// The channels that occur, of those asked for, in column order.
+    /// The requested channels that occur, in column order.
     pub channels: Vec<Channel>,
     /// Samples of the longest segment.
     pub longest: u64,
-    /// Samples left out because their segment has another rate.
+    /// Samples excluded because their segment has another rate.
     pub other_rate: u64,
-    /// How many segments are taken in.
+    /// The number of segments taken in.
     pub taken: u64,
-    /// How the samples of a triad came about, where that is known.
+    /// The sampling of each triad, if known.
     pub sampling: BTreeMap<Triad, Sampling>,
     /// An inertial channel whose values are no measurements ([`at_rest`](super::motion::at_rest)).
     pub(super) raw_counts: Option<RawCounts>,
     /// All segments below `end_seq` in order.
     segments: Vec<Stretch>,
-    /// Samples in motion, in order and disjoint; none where nothing told ([`Self::leave_out`]).
+    /// Samples in motion, in order and disjoint; `None` if motion is unknown ([`Self::leave_out`]).
     moving: Option<Vec<Range<u64>>>,
 }
 
-/// How long the sensor was at rest and how long it moved.
+/// The times for which the sensor was at rest and in motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shares {
     /// Samples taken in at rest, s.
     pub at_rest_s: f64,
-    /// Samples in motion, s: they are left out.
+    /// Samples in motion, s: they are excluded.
     pub moving_s: f64,
 }
 
@@ -56,7 +57,7 @@ pub struct Slice {
     pub capture_id: i64,
     /// The plan's numbers of its samples.
     pub samples: Range<u64>,
-    /// What is added to its segments' numbers.
+    /// The offset that is added to its segments' numbers.
     first_number: u32,
 }
 
@@ -69,7 +70,7 @@ struct Stretch {
     taken: bool,
 }
 
-/// What is known of all segments of one rate.
+/// The totals of all segments of one rate.
 #[derive(Debug, Default)]
 struct OfRate {
     rate_hz: f64,
@@ -80,10 +81,10 @@ struct OfRate {
 }
 
 impl Plan {
-    /// The plan for the capture's samples below `end_seq` and the channels asked for.
+    /// The plan for the capture's samples below `end_seq` and the requested channels.
     ///
     /// # Errors
-    /// [`JobError::InsufficientData`] where there is no sample of such a channel; [`JobError::Store`].
+    /// [`JobError::InsufficientData`] if there is no sample of such a channel; [`JobError::Store`].
     pub fn read(reader: &Reader, capture_id: i64, end_seq: u64, wanted: &[Channel]) -> Result<Self, JobError> {
         let (segments, rates) = all_segments(reader, capture_id, end_seq, wanted)?;
         let total: u64 = rates.iter().map(|rate| rate.samples).sum();
@@ -116,7 +117,7 @@ impl Plan {
     /// The plan for all samples of a recording whose segments are given, in order, all of one rate.
     ///
     /// # Errors
-    /// [`JobError::InsufficientData`] where there is no sample of an analysed channel.
+    /// [`JobError::InsufficientData`] if there is no sample of an analysed channel.
     pub fn of_recording(
         capture_id: i64,
         name: &str,
@@ -148,11 +149,11 @@ impl Plan {
         })
     }
 
-    /// The same with another capture's samples after its own, of the channels that both have.
+    /// The plan extended by another capture's samples, for the channels that both have.
     ///
     /// # Errors
-    /// [`JobError::Together`] where they have no channel in common or more segments than can be numbered. Whether the two
-    /// are of one sensor at one rate is [`one_sensor`](super::one_sensor)'s to say.
+    /// [`JobError::Together`] if they have no channel in common or more segments than can be numbered.
+    /// [`one_sensor`](super::one_sensor) determines whether the two are of one sensor at one rate.
     pub fn followed_by(mut self, other: Self) -> Result<Self, JobError> {
         let last = self.segments.last().map_or(0, |last| last.number);
         let too_many = || JobError::Together { reason: "they have too many segments: take fewer captures".to_owned() };
@@ -177,7 +178,8 @@ impl Plan {
             moving.extend(others.into_iter().map(shifted));
             moving
         });
-        // One rate by two clocks: the mean, weighted by samples, which keeps samples over rate the whole duration. Equal rates stay.
+        // One rate by two clocks: the mean, weighted by samples, so that samples over rate is the whole duration. Equal
+        // rates stay.
         let [own, others] =
             [(self.end_seq, self.other_rate), (other.end_seq, other.other_rate)].map(|(all, left)| (all - left) as f64);
         self.rate_hz += (other.rate_hz - self.rate_hz) * others / (own + others);
@@ -185,23 +187,23 @@ impl Plan {
         self.longest = self.longest.max(other.longest);
         self.other_rate += other.other_rate;
         self.taken += other.taken;
-        // They are of one setting, which one of them may not tell.
+        // They are of one setting, which one of them may not state.
         if self.sampling.is_empty() {
             self.sampling = other.sampling;
         }
         Ok(self)
     }
 
-    /// Takes in what a person says of how the samples came about.
+    /// Applies the user's statement about the sampling.
     ///
     /// # Errors
-    /// [`SamplingError`] if that cannot be.
+    /// [`SamplingError`] if the statement is impossible.
     pub fn sampled(&mut self, told: StatedSampling) -> Result<(), SamplingError> {
         self.sampling = told.with(&self.sampling, self.rate_hz)?;
         Ok(())
     }
 
-    /// How a channel's samples came about, where that is known.
+    /// The sampling of a channel, if known.
     #[must_use]
     pub fn sampling(&self, channel: Channel) -> Option<&Sampling> {
         self.sampling.get(&channel.triad()?)
@@ -210,7 +212,7 @@ impl Plan {
     /// The next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at the end.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`] where the capture's samples are gone, or what the database says.
+    /// [`StoreError::NoSuchCapture`] if the capture's samples are gone, or the error that the database reports.
     pub fn read_chunk(
         &self,
         source: &dyn SampleSource,
@@ -241,17 +243,18 @@ impl Plan {
         (segment.first_seq < end).then_some(segment.first_seq..end)
     }
 
-    /// Leaves samples out in which the sensor moved: the plan's numbers, in order and disjoint. They end stretches as gaps do.
+    /// Excludes samples in which the sensor moved: the plan's numbers, in order and disjoint. They end stretches as
+    /// gaps do.
     pub fn leave_out(&mut self, moving: Vec<Range<u64>>) {
         self.moving = Some(moving);
         if self.is_moving() {
-            // Where nothing is at rest, an averaging time is still one of the record's.
+            // Even if nothing is at rest, the longest averaging time is one of the record.
             let longest = self.stretches_at_rest(&(0..self.end_seq)).map(|range| range.end - range.start).max();
             self.longest = longest.map_or(self.longest, |longest| longest.max(self.longest.min(4)));
         }
     }
 
-    /// Returns whether a sample is at rest; true if motion is unknown.
+    /// Returns whether any sample is at rest; `true` if motion is unknown.
     pub(super) fn has_rest(&self) -> bool {
         self.stretches_at_rest(&(0..self.end_seq)).next().is_some()
     }
@@ -299,8 +302,8 @@ impl Plan {
         self.taken_in(range).flat_map(|part| self.resting_in(&part))
     }
 
-    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; none if motion is unknown, as raw
-    /// counts do not.
+    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; `None` if
+    /// motion is unknown, as for raw counts.
     #[must_use]
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
         self.moving.as_ref().filter(|_| self.raw_counts.is_none())?;
@@ -310,14 +313,16 @@ impl Plan {
         Some(Shares { at_rest_s: seconds(at_rest), moving_s: seconds(taken - at_rest) })
     }
 
-    /// The stretch of samples at rest that a sample belongs to: its segment and where it begins; none where it is left out.
+    /// The stretch of samples at rest that contains a sample: its segment and where it begins; `None` if the sample is
+    /// excluded.
     pub(super) fn stretch_of(&self, number: u32, seq: u64) -> Option<(u32, u64)> {
         let segment = self.segment(number)?;
         let own = self.resting_in(&segment).into_iter().find(|part| part.contains(&seq))?;
         Some((number, own.start))
     }
 
-    /// The rows of a chunk by segment, in order: segment number (None where it is left out, as what moved is) and rows.
+    /// The rows of a chunk by segment, in order: segment number (`None` if it is excluded, as samples in motion are)
+    /// and rows.
     #[must_use]
     pub fn runs(&self, chunk: &Chunk) -> Vec<(Option<u32>, Range<usize>)> {
         let mut runs = Vec::new();
@@ -334,7 +339,7 @@ impl Plan {
         runs
     }
 
-    /// Rows of one segment by whether they moved.
+    /// Divides rows of one segment by whether they moved.
     fn divide(
         &self,
         number: Option<u32>,
@@ -358,10 +363,10 @@ impl Plan {
     }
 }
 
-/// A segment's first sample, its number, and which of the rates met it has.
+/// A segment's first sample, its number, and the index of its rate.
 type Met = (u64, u32, usize);
 
-/// All segments that begin below `end_seq`, and what is known of each rate.
+/// All segments that begin below `end_seq`, and the totals of each rate.
 fn all_segments(
     reader: &Reader,
     capture_id: i64,
@@ -395,7 +400,7 @@ fn all_segments(
     Ok((segments, rates))
 }
 
-/// The last segment ends here. Its own counter is not asked: it may have grown since the job was submitted.
+/// The last segment ends here. Its own counter is not used: it may have grown since the job was submitted.
 fn close(segments: &[Met], rates: &mut [OfRate], end: u64, channels: &[Channel]) {
     let Some((first_seq, _, rate)) = segments.last() else { return };
     let samples = end.saturating_sub(*first_seq);
@@ -409,7 +414,7 @@ fn close(segments: &[Met], rates: &mut [OfRate], end: u64, channels: &[Channel])
     }
 }
 
-/// Hands the runs of present values of one column to `push`, with a call of `cut` wherever nothing may be averaged across.
+/// Passes the runs of present values of one column to `push`, and calls `cut` wherever nothing may be averaged across.
 ///
 /// `open` is the segment that the values before this chunk belonged to.
 pub fn feed<T>(

@@ -1,8 +1,9 @@
-//! Raw counts: a recording whose values were never scaled. It is known by values that no sensor measures in the channel's unit.
+//! Raw counts: a recording whose values were never scaled. It is recognised by values that no sensor measures in the
+//! channel's unit.
 
 use crate::sample::Channel;
 
-/// A channel of which most values are beyond what it can measure.
+/// A channel whose values mostly exceed its measuring range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct RawCounts {
     channel: Channel,
@@ -11,7 +12,7 @@ pub(super) struct RawCounts {
 }
 
 impl RawCounts {
-    /// None if at most half of a channel's values are beyond.
+    /// `None` if at most half of a channel's values exceed the range.
     pub(super) fn of(channel: Channel, beyond: u64, values: u64) -> Option<Self> {
         (beyond > values / 2).then_some(Self { channel, beyond, values })
     }

@@ -1,4 +1,4 @@
-//! Reports: from sums and moments to the documents of docs/formats.md.
+//! Reports: converts sums and moments to the documents of docs/formats.md.
 
 use super::JobError;
 use super::SampleSource;
@@ -44,7 +44,7 @@ impl StatisticsReport {
     pub const FORMAT: &'static str = "vn100d-statistics-1";
 }
 
-/// What a report says about the samples it is made of.
+/// The part of a report that describes its samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extent {
     /// The capture's name, or the names of several.
@@ -57,12 +57,12 @@ pub struct Extent {
     pub missing: u64,
     /// Whether no sample will follow.
     pub complete: bool,
-    /// Of several captures what each gives.
+    /// For several captures the contribution of each.
     pub captures: Vec<Contribution>,
 }
 
 impl Extent {
-    /// That of all captures of a plan together.
+    /// The extent of all captures of a plan together.
     pub(super) fn of_plan(source: &dyn SampleSource, plan: &Plan) -> Result<Self, JobError> {
         let mut whole: Option<Self> = None;
         for slice in &plan.slices {
@@ -99,7 +99,7 @@ impl Extent {
         }
     }
 
-    /// The capture's samples below `end_seq`; `rate_hz` turns them into time where that is not all of an ended capture.
+    /// The capture's samples below `end_seq`; `rate_hz` turns them into time if that is not all of an ended capture.
     pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, StoreError> {
         let capture = reader.capture(capture_id)?;
         if !capture.state.is_open() && capture.samples == end_seq {
@@ -149,7 +149,7 @@ pub(super) fn curves(
     report
 }
 
-/// What a curve does not show: where its input was cut.
+/// The facts that a curve does not show: the points at which its input was cut.
 fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     let mut warnings = Vec::new();
     if plan.taken > 1 {
@@ -163,8 +163,8 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     warnings
 }
 
-/// `raw_counts` if that is what the values are. Else `in_motion`, where the sensor moved for a part of the time, `not_at_rest`, where it
-/// did all the time; none where it did not.
+/// `raw_counts` if the values are such. Else `in_motion` if the sensor moved for a part of the time, `not_at_rest` if
+/// it moved all the time, and `None` if it did not move.
 fn motion(plan: &Plan) -> Option<Flag> {
     if let Some(raw) = plan.raw_counts {
         return Some(Flag::whole("raw_counts", raw.to_string()));
@@ -181,7 +181,7 @@ fn motion(plan: &Plan) -> Option<Flag> {
     })
 }
 
-/// Noise parameters of spectral sums, with and without what disturbed them; `held` and `go_on` as [`examine`] has them.
+/// Noise parameters of spectral sums, with and without disturbances; `held` and `go_on` as in [`examine`].
 pub(super) fn noise(
     source: &dyn SampleSource,
     plan: &Plan,
@@ -207,7 +207,7 @@ pub(super) fn noise(
     for (channel, (mut parameters, disturbance)) in found.channels {
         let counted = sums.iter().find(|(own, _)| *own == channel);
         let beyond = counted.map_or((0, 0), |(_, sums)| (sums.out_of_range(), sums.out_of_range() + sums.samples()));
-        // Nobody knows then in which units the other channels are, nor whether the sensor was at rest.
+        // In that case the units of the other channels are unknown, and so is whether the sensor was at rest.
         let of_all = plan.raw_counts.filter(|_| TELLING.contains(&channel) || !plan.has_rest());
         if let Some(raw) = of_all.or_else(|| RawCounts::of(channel, beyond.0, beyond.1)) {
             parameters.refuse(raw.to_string());
@@ -240,7 +240,7 @@ pub(super) fn noise_of_points(
     extent: Extent,
 ) -> NoiseReport {
     let LivePoints { rate_hz, other_rate, .. } = *points;
-    // Octaves cannot be divided again: what moved is in them.
+    // Octaves cannot be divided again: samples in motion are included.
     let moved = moving_s.filter(|moving_s| *moving_s > 0.0).map(|moving_s| {
         format!(
             "the sensor moved for {moving_s:.1} s, which is left out only once the capture has ended: ask again then, or submit a \

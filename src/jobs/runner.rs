@@ -1,8 +1,8 @@
-//! The runner: one job from where it stands to its end, chunk by chunk.
+//! The runner: works on one job from its checkpoint to its end, chunk by chunk.
 //!
-//! After every chunk a [`Keeper`] commits the computation's state and the next `seq` together; whoever goes on from there, in
-//! this process or the next, comes to the same result, bit for bit. A job that is stopped is queued again, a cancelled
-//! one ends at the next chunk.
+//! After every chunk a [`Keeper`] commits the computation's state and the next `seq` together. A process that continues
+//! from there comes to the same result, bit for bit. A job that is stopped is queued again; a cancelled one ends at the
+//! next chunk.
 
 use super::fold::Fold;
 use super::report::{self, Extent};
@@ -12,9 +12,9 @@ use std::time::{Duration, Instant};
 
 /// Samples of one chunk.
 pub const CHUNK: usize = 65_536;
-/// How far a job over a long capture is when its fold is done and disturbances are still to be looked for.
+/// The progress of a job over a long capture when its fold is done and disturbances are still to be searched for.
 pub(super) const FOLDED: f64 = 0.4;
-/// The same where these are looked for in one go.
+/// The same if the search is done in one go.
 pub(super) const FOLDED_SHORT: f64 = 0.9;
 /// The share of its time that a job leaves to others after each chunk.
 const REST: u32 = 10;
@@ -22,29 +22,29 @@ const REST: u32 = 10;
 /// How a run of a job ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
-    /// Its result has this id.
+    /// It is done; its result has this id.
     Done(i64),
-    /// Somebody cancelled it or deleted the capture.
+    /// It was cancelled, or its capture was deleted.
     Cancelled,
-    /// It was told to stop and waits for the next start.
+    /// It was stopped and waits for the next start.
     Stopped,
 }
 
-/// Keeps what a job comes to while it works. An error ends the work: [`JobError::CalledOff`] if nobody wants it any more,
-/// [`JobError::Stopped`] if it is to go on at the next start.
+/// Stores the progress of a job. An error ends the work: [`JobError::CalledOff`] if the job is no longer wanted,
+/// [`JobError::Stopped`] if it is to continue at the next start.
 pub(super) trait Keeper: Send {
-    /// Keeps where the job is.
+    /// Stores a checkpoint of the job.
     fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError>;
-    /// Keeps how far a job has come that has nothing to go on from.
+    /// Stores the progress of a job that has no checkpoints.
     fn progress(&mut self, progress: f64) -> Result<(), JobError>;
 }
 
-/// Keeps it in the database; `keep_on` is asked after each step and answers false when the program ends.
+/// Stores it in the database; `keep_on` is called after each step and returns `false` when the program ends.
 pub(super) struct InStore<'a, K> {
     store: &'a Store,
     job: i64,
     keep_on: K,
-    /// The progress that is in the database.
+    /// The progress stored in the database.
     noted: f64,
 }
 
@@ -53,7 +53,7 @@ impl<'a, K: FnMut() -> bool> InStore<'a, K> {
         Self { store, job, keep_on, noted: 0.0 }
     }
 
-    /// Looks whether the job is still wanted.
+    /// Checks whether the job is still wanted.
     pub(super) fn look(&mut self, reader: &Reader) -> Result<(), JobError> {
         let running = match reader.job(self.job) {
             Ok(row) => row.state == JobState::Running,
@@ -71,7 +71,7 @@ impl<'a, K: FnMut() -> bool> InStore<'a, K> {
         }
     }
 
-    /// Keeps the result, or that there is none.
+    /// Stores the result, or the failure.
     pub(super) fn end(&self, body: Result<String, JobError>) -> Result<Outcome, JobError> {
         match body {
             Ok(body) => Ok(self.store.finish_job(self.job, body)?.map_or(Outcome::Cancelled, Outcome::Done)),
@@ -91,7 +91,7 @@ impl<K: FnMut() -> bool + Send> Keeper for InStore<'_, K> {
         self.after(running)
     }
     fn progress(&mut self, progress: f64) -> Result<(), JobError> {
-        // A thousandth is as much as anybody sees.
+        // A thousandth is the resolution of the display.
         if progress < self.noted + 0.001 {
             return self.after(true);
         }
@@ -101,7 +101,7 @@ impl<K: FnMut() -> bool + Send> Keeper for InStore<'_, K> {
     }
 }
 
-/// Works on a claimed job in this process until it is done, cancelled, or `keep_on` answers false.
+/// Works on a claimed job in this process until it is done, cancelled, or `keep_on` returns `false`.
 pub(super) fn run(
     store: &Store,
     reader: &Reader,

@@ -1,5 +1,5 @@
-//! Sampling: how the samples of gyroscope and accelerometer came about, as register 85 or a person says. Of the magnetometer no
-//! document says at which rate it samples.
+//! Sampling: how the samples of gyroscope and accelerometer are formed, according to register 85 or to the user. No
+//! document states at which rate the magnetometer samples.
 
 use crate::noise::whittle::Sampling;
 use crate::sample::Triad;
@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Names the key of a capture's configuration that holds a stated sampling.
+/// The key of a capture's configuration that holds a stated sampling.
 pub const SAMPLING_KEY: &str = "sampling";
-/// Rates that differ by less are one.
+/// Rates that differ by less than this share are equal.
 const SAME: f64 = 1e-3;
 
 /// States that the sensor sends means of its own samples.
@@ -18,9 +18,9 @@ const SAME: f64 = 1e-3;
 #[serde(deny_unknown_fields)]
 #[expect(clippy::exhaustive_structs, reason = "the two options")]
 pub struct StatedSampling {
-    /// Samples to a mean.
+    /// Samples per mean.
     pub filter_window: u32,
-    /// Rate of these samples, Hz. Without it the one that is known, else a VN-100's.
+    /// Rate of these samples, Hz. Without it the known one is used, else a VN-100's.
     #[serde(default)]
     pub internal_rate_hz: Option<f64>,
 }
@@ -37,41 +37,41 @@ pub enum SamplingError {
     Rate {
         /// The internal rate.
         internal_hz: f64,
-        /// The samples'.
+        /// The rate of the samples.
         rate_hz: f64,
     },
-    /// Another window is known.
+    /// The stated filter window contradicts the known one.
     #[error(
         "the filter window is {told}, but {source_of_it} of the capture says {known} for the {triad}: leave the option out"
     )]
     Window {
-        /// As it is stated.
+        /// The stated value.
         told: u32,
-        /// As it is known.
+        /// The known value.
         known: u32,
-        /// Where that is known from.
+        /// The source of the known value.
         source_of_it: String,
-        /// Of which triad.
+        /// The triad concerned.
         triad: &'static str,
     },
-    /// Another internal rate is known.
+    /// The stated internal rate contradicts the known one.
     #[error(
         "the internal rate is {told_hz} Hz, but {source_of_it} of the capture means {known_hz} Hz for the {triad}: leave the option out"
     )]
     InternalRate {
-        /// As it is stated.
+        /// The stated value.
         told_hz: f64,
-        /// As it is known.
+        /// The known value.
         known_hz: f64,
-        /// Where that is known from.
+        /// The source of the known value.
         source_of_it: String,
-        /// Of which triad.
+        /// The triad concerned.
         triad: &'static str,
     },
 }
 
 impl StatedSampling {
-    /// What the samples at `rate_hz` are, with what is `known` of them. A capture's register 85 stays the source of what it says.
+    /// The sampling at `rate_hz`, given what is `known`. A capture's register 85 stays the source of its values.
     ///
     /// # Errors
     /// [`SamplingError`] with both numbers.
@@ -110,14 +110,14 @@ impl StatedSampling {
         }
     }
 
-    /// As a capture keeps it.
+    /// The statement in the form that a capture stores.
     #[must_use]
     pub fn kept(self) -> Self {
         Self { internal_rate_hz: Some(self.internal_rate_hz.unwrap_or(IMU_RATE_HZ)), ..self }
     }
 }
 
-/// What a capture's configuration says: register 85, or what its import stated.
+/// The sampling that a capture's configuration states: register 85, or the statement at its import.
 pub(super) fn of_configuration(configuration: &Value) -> BTreeMap<Triad, Sampling> {
     let told =
         serde_json::from_value::<StatedSampling>(configuration[SAMPLING_KEY].clone()).ok().map(StatedSampling::kept);
@@ -161,7 +161,7 @@ mod tests {
         let kept = serde_json::to_value(StatedSampling { filter_window: 5, internal_rate_hz: None }.kept()).unwrap();
         let found = of_configuration(&json!({ SAMPLING_KEY: kept }));
         assert_eq!((found.len(), found[&Triad::Accel].window, found[&Triad::Accel].internal_rate_hz), (2, 5, 800.0));
-        // A later import is not held to what an earlier one's default was.
+        // A later import is not bound to an earlier one's default.
         assert!(StatedSampling { filter_window: 5, internal_rate_hz: None }.with(&found, 40.0).is_ok());
         assert!(of_configuration(&json!({ SAMPLING_KEY: null })).is_empty());
     }

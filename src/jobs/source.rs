@@ -1,4 +1,4 @@
-//! Source: where a computation's samples come from. The database is one; whoever has them elsewhere gives another.
+//! Source: provides a computation's samples. The database is one; callers with samples elsewhere implement another.
 
 use super::report::Extent;
 use crate::sample::{Channel, Timebase};
@@ -8,10 +8,11 @@ use std::collections::BTreeMap;
 
 /// Samples of captures, by the captures' ids.
 pub trait SampleSource {
-    /// Up to `limit` samples from `from_seq` on: one column per channel in the channel's unit, NaN where a sample has no value.
+    /// Up to `limit` samples from `from_seq` on: one column per channel in the channel's unit, NaN if a sample has no
+    /// value.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     fn read_chunk(
         &self,
         capture_id: i64,
@@ -20,23 +21,24 @@ pub trait SampleSource {
         channels: &[Channel],
     ) -> Result<Chunk, StoreError>;
 
-    /// What is missing before each sample.
+    /// The samples missing before each sample.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     fn missing(&self, capture_id: i64) -> Result<Missing, StoreError>;
 
-    /// The device's own stamps of up to `limit` samples from `from_seq` on: which run of its clock, and s in that. Empty where
-    /// none of them has one. When a sample arrived is no stamp: that scatters as the host delivers.
+    /// The device's own stamps of up to `limit` samples from `from_seq` on: the run of its clock, and the time in that
+    /// run in s. Empty if none of them has one. An arrival time is not a stamp, because it scatters with the host's
+    /// deliveries.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError>;
 
-    /// What a report says about the samples below `end_seq`.
+    /// The extent of the samples below `end_seq`, for a report.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError>;
 }
 
@@ -54,7 +56,7 @@ impl SampleSource for Reader {
         self.missing(capture_id)
     }
     fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError> {
-        // Whose stamps a table has nobody knows; those before raw lines and in bags are the host's.
+        // The origin of a table's stamps is unknown; those before raw lines and in bags are the host's.
         let kind = &self.capture(capture_id)?.configuration["kind"];
         let imported_with_host_times = *kind == "vn_text" || *kind == "bag";
         let chunk = self.read_samples(capture_id, from_seq, limit, &[])?;

@@ -1,8 +1,8 @@
-//! Spectral sums of a capture's channels, chunk by chunk: what `noise` jobs are made of.
+//! Spectral sums of a capture's channels, chunk by chunk, for `noise` jobs.
 //!
-//! Channels are taken in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] and one
-//! transform's work space whatever the length. A checkpoint keeps the sums of stretches that have ended; an open one is read
-//! again, so that the transform sees it as if nothing had happened.
+//! Channels are processed in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] plus
+//! one transform's work space, whatever the length. A checkpoint contains the sums of stretches that have ended. An
+//! open stretch is read again, so that the transform sees it without an interruption.
 
 use super::fold::{join, split};
 use super::held::Held;
@@ -17,12 +17,12 @@ use crate::noise::whittle::{DstEstimator, DstSums, Transform};
 use crate::sample::Channel;
 use crate::store::Chunk;
 
-/// Bytes that the samples of one pass may take: those of nine channels of five hours at 40 Hz.
+/// The maximum memory of the samples of one pass in bytes: those of nine channels of five hours at 40 Hz.
 const MEMORY: usize = 64 << 20;
 /// Version of the checkpoint.
 const VERSION: u8 = 2;
 
-/// The sums in the making.
+/// The sums under computation.
 #[derive(Debug)]
 pub(super) struct Spectra {
     plan: Plan,
@@ -35,12 +35,12 @@ pub(super) struct Spectra {
     transform: Transform,
     /// The segment that the last sample taken in belongs to.
     open: Option<u32>,
-    /// All samples so far, where there is room for all and none was taken in before a restart.
+    /// All samples so far, if there is room for all and no restart preceded them.
     held: Option<Held>,
 }
 
 impl Spectra {
-    /// Nothing taken in yet.
+    /// The state before any sample.
     pub(super) fn new(plan: Plan) -> Self {
         let longest = usize::try_from(plan.longest).unwrap_or(usize::MAX);
         let group = (MEMORY / DstEstimator::bytes(longest).max(1)).clamp(1, plan.channels.len().max(1));
@@ -51,7 +51,7 @@ impl Spectra {
         spectra
     }
 
-    /// The same of what is at rest, and of samples that are held already.
+    /// The same for the samples at rest, and for samples that are held already.
     pub(super) fn of(at_rest: AtRest) -> Self {
         let mut spectra = Self::new(at_rest.plan);
         if spectra.held.is_some() && at_rest.held.is_some() {
@@ -60,7 +60,7 @@ impl Spectra {
         spectra
     }
 
-    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells; None where it is damaged.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains; `None` if it is damaged.
     pub(super) fn restore(
         plan: Plan,
         state: &[u8],
@@ -106,7 +106,7 @@ impl Spectra {
         &self.plan
     }
 
-    /// The next samples where all are held, of [`Self::read_channels`].
+    /// The next samples of [`Self::read_channels`], if all are held.
     pub(super) fn held_chunk(&self, from: u64, limit: usize) -> Option<Chunk> {
         let held = self.held.as_ref().filter(|held| held.len() == self.plan.end_seq)?;
         Some(held.chunk(from, limit, self.pass_channels()))
@@ -135,7 +135,7 @@ impl Spectra {
         self.current = self.pass_channels().iter().map(estimator).collect();
     }
 
-    /// Ends a pass; answers whether another one is needed.
+    /// Ends a pass; returns whether another one is needed.
     pub(super) fn end_pass(&mut self) -> bool {
         self.transform = Transform::new();
         let sums = |transform: &mut Transform, estimator: DstEstimator| estimator.into_sums(transform);
@@ -147,19 +147,19 @@ impl Spectra {
         more
     }
 
-    /// Whether it takes long to look through the captures for disturbances: there are several, or one has more than one block.
+    /// Whether the search for disturbances takes long: there are several captures, or one has more than one block.
     pub(super) fn is_long(&self) -> bool {
         self.plan.slices.len() > 1
             || self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
     }
 
-    /// How far the whole is when this pass has come to `next_seq`, 0–1.
+    /// The overall progress when this pass has reached `next_seq`, 0–1.
     pub(super) fn progress(&self, next_seq: u64) -> f64 {
         let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
         (self.done.len() as f64 + share) / self.plan.channels.len().max(1) as f64
     }
 
-    /// Takes in the next samples of this pass: columns as [`Self::read_channels`] has them.
+    /// Takes in the next samples of this pass; the columns are those of [`Self::read_channels`].
     pub(super) fn take(&mut self, chunk: &Chunk) {
         if let Some(held) = self.held.as_mut().filter(|held| held.len() <= chunk.first_seq) {
             held.take(chunk);
@@ -198,7 +198,7 @@ impl Spectra {
         bytes
     }
 
-    /// The plan, every channel's sums, and all samples where they are held, once the last pass has ended.
+    /// The plan, every channel's sums, and all samples if they are held, once the last pass has ended.
     pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>, Option<Held>) {
         let sums = self.plan.channels.iter().copied().zip(self.done).collect();
         let whole = self.plan.end_seq;

@@ -1,7 +1,8 @@
-//! Exact Allan sums of a capture's channels, chunk by chunk: what `allan` and `noise` jobs are made of.
+//! Exact Allan sums of a capture's channels, chunk by chunk, for `allan` and `noise` jobs.
 //!
-//! Channels are taken in groups, one pass over the samples per group, so that memory stays below [`MEMORY`] whatever the
-//! length: a channel needs 2.5 phases of 8 bytes per sample of its longest averaging time with full overlap.
+//! Channels are processed in groups, one pass over the samples per group, so that memory stays below [`MEMORY`]
+//! whatever the length. A channel needs 2.5 phases of 8 bytes per sample of its longest averaging time with full
+//! overlap.
 
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
@@ -10,12 +11,12 @@ use crate::noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
 use crate::sample::Channel;
 use crate::store::Chunk;
 
-/// Bytes that the phases of one pass may take.
+/// The maximum memory of the phases of one pass in bytes.
 pub const MEMORY: usize = 48 << 20;
 /// Version of the checkpoint.
 const VERSION: u8 = 2;
 
-/// The sums in the making.
+/// The sums under computation.
 #[derive(Debug)]
 pub(super) struct Summation {
     plan: Plan,
@@ -31,7 +32,7 @@ pub(super) struct Summation {
 }
 
 impl Summation {
-    /// Nothing taken in yet.
+    /// The state before any sample.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
         let grid = TauGrid::new(parameters.taus, plan.longest)?;
         let group = (MEMORY / Overlapping::bytes(&grid, plan.longest).max(1)).clamp(1, plan.channels.len());
@@ -40,7 +41,7 @@ impl Summation {
         Ok(summation)
     }
 
-    /// Goes on after `next_seq` samples of the pass that `state` ([`Self::save`]) tells.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains.
     pub(super) fn restore(
         plan: Plan,
         parameters: &JobParameters,
@@ -83,13 +84,13 @@ impl Summation {
         Ok(Some(self))
     }
 
-    /// Sums over this grid; None where one is damaged or of another grid.
+    /// Sums over this grid; `None` if one is damaged or of another grid.
     fn decode_sums(&self, entries: &[Vec<u8>]) -> Option<Vec<AllanSums>> {
         let decode = |bytes: &Vec<u8>| AllanSums::from_bytes(bytes).ok().filter(|sums| *sums.grid() == self.grid);
         entries.iter().map(decode).collect()
     }
 
-    /// The segment that the sample before `next_seq` belongs to, and from where on it is needed again.
+    /// The segment of the sample before `next_seq`, and the point from which it is needed again.
     fn halo(&self, next_seq: u64, source: &dyn SampleSource) -> Result<Option<(u32, u64)>, JobError> {
         let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
         let chunk = self.plan.read_chunk(source, last, 1, &[])?;
@@ -119,7 +120,7 @@ impl Summation {
             .collect();
     }
 
-    /// Ends a pass; answers whether another one is needed.
+    /// Ends a pass; returns whether another one is needed.
     pub(super) fn end_pass(&mut self) -> bool {
         self.done.extend(std::mem::take(&mut self.current).into_iter().map(Overlapping::into_sums));
         let more = self.done.len() < self.plan.channels.len();
@@ -129,13 +130,13 @@ impl Summation {
         more
     }
 
-    /// How far the whole is when this pass has come to `next_seq`, 0–1.
+    /// The overall progress when this pass has reached `next_seq`, 0–1.
     pub(super) fn progress(&self, next_seq: u64) -> f64 {
         let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
         (self.done.len() as f64 + share) / self.plan.channels.len() as f64
     }
 
-    /// Takes in the next samples of this pass: columns as [`Self::pass_channels`] has them.
+    /// Takes in the next samples of this pass; the columns are those of [`Self::pass_channels`].
     pub(super) fn take(&mut self, chunk: &Chunk) {
         let runs = self.plan.runs(chunk);
         for (estimator, column) in self.current.iter_mut().zip(&chunk.columns) {

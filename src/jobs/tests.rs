@@ -1,4 +1,4 @@
-//! What jobs promise, on real files.
+//! The guarantees of jobs, on real files.
 
 use super::runner::{Outcome, run};
 use super::*;
@@ -101,7 +101,7 @@ impl World {
         let job = NewJob::new(kind.name(), self.capture, params);
         self.store.submit_job(job, u64::MAX).unwrap().0.id
     }
-    /// Works on the job in turns of `turns` chunks each, every turn as a program of its own would begin it.
+    /// Works on the job in turns of `turns` chunks each; every turn starts as a new program would.
     fn work(&self, job: i64, chunk: usize, turns: impl IntoIterator<Item = usize>) -> String {
         for chunks in turns {
             let claimed = self.store.claim_job().unwrap().unwrap();
@@ -221,7 +221,7 @@ impl World {
 fn captures_of_one_sensor_give_what_their_stretches_would_in_one() {
     let world = World::new();
     let sensor = serde_json::json!({"model": "VN-100", "serial_number": "0100012345"});
-    // The capture's first two segments and its last, as captures of their own.
+    // The capture's first two segments and its last, as separate captures.
     let nights = [("first", 0..1500), ("second", 1500..3700), ("third", 4610..5500)];
     let ids = nights.map(|(name, range)| world.add(name, &sensor, 40.0, range));
     let with = serde_json::json!({"with": [ids[2], ids[1]]});
@@ -307,7 +307,7 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
     }
     assert!(matches!(submit(&[999]).unwrap_err(), JobError::Store(_)));
     assert!(world.reader().jobs(None, None, &crate::store::PageRequest::first()).unwrap().rows.is_empty());
-    // One that does not tell its sensor may be of it.
+    // A capture that does not state its sensor may be of the same one.
     let (job, is_new) = submit(&[world.capture]).unwrap();
     assert!(is_new);
     let (again, is_new) = submit(&[world.capture]).unwrap();
@@ -315,7 +315,7 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
     jobs.stop();
 }
 
-/// Before anything is fitted: of these 300 samples nothing could be.
+/// Before any fit: these 300 samples would not suffice for one.
 #[test]
 fn a_simulator_of_another_rate_is_refused_before_any_work() {
     let world = World::new();
@@ -569,7 +569,7 @@ fn while_a_capture_runs_its_curve_grows_with_it() {
     assert_eq!(statistics.channels[&Channel::GyroX].n, TOTAL + 900 - 10);
 }
 
-/// A capture that was carried about had noise parameters until it ended.
+/// A capture in which the sensor was carried about once had noise parameters until it ended.
 #[test]
 fn while_a_capture_runs_a_sensor_that_moved_has_no_usable_parameters() {
     let world = World::new();

@@ -1,9 +1,9 @@
-//! Threads: two of them work through a list.
+//! Threads: two threads work through a list.
 
 use std::sync::{Mutex, PoisonError};
 
-/// Works on the items in two threads, this one and another, and gives the outcomes in the items' order. Each makes a tool of its
-/// own and takes the next item when it is done with one.
+/// Works on the items in two threads, this one and another, and returns the outcomes in the items' order. Each thread
+/// makes its own tool and takes the next item when it is done with one.
 pub(super) fn side_by_side<A, S, T: Send>(
     items: impl Iterator<Item = A> + Send,
     tool: impl Fn() -> S + Sync,
@@ -13,7 +13,7 @@ pub(super) fn side_by_side<A, S, T: Send>(
     let take = || {
         let (mut done, mut tool) = (Vec::new(), tool());
         loop {
-            // A lock of its own statement: it is not held while the item is worked on.
+            // A lock in its own statement: it is released while the item is worked on.
             let next = queue.lock().unwrap_or_else(PoisonError::into_inner).next();
             match next {
                 Some((at, item)) => done.push((at, work(&mut tool, item))),

@@ -1,4 +1,4 @@
-//! Together: whether several captures are of one sensor at one setting, so that their sums may be added.
+//! Together: determines whether several captures are of one sensor at one setting, so that their sums may be added.
 
 use super::JobError;
 use super::plan::Plan;
@@ -9,15 +9,16 @@ use crate::sample::{Channel, Triad};
 use crate::store::{CaptureRow, Reader};
 use std::collections::BTreeMap;
 
-/// Captures that one computation may take in.
+/// The maximum number of captures in one computation.
 pub const CAPTURES_MAX: usize = 100;
 
-/// What has to be the same of captures that are analysed together. What one of them does not tell is no difference.
+/// The properties that captures must share to be analysed together. A property that one of them does not state is no
+/// difference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setting {
     /// The capture's name.
     pub name: String,
-    /// The rate that its samples have, Hz.
+    /// The rate of its samples, Hz.
     pub rate_hz: f64,
     /// The sensor's model.
     pub model: Option<String>,
@@ -25,16 +26,16 @@ pub struct Setting {
     pub serial_number: Option<String>,
     /// Filter windows of register 85: of mag, accel and gyro.
     pub windows: Option<[u64; 3]>,
-    /// How samples came about, by register 85 or by the options of its import.
+    /// The sampling, by register 85 or by the options of its import.
     pub sampling: BTreeMap<Triad, Sampling>,
-    /// What the sensor sent: the name of its message, or the groups and fields of its binary output.
+    /// The sensor's output: the name of its message, or the groups and fields of its binary output.
     pub output: Option<String>,
     /// Unit in which each channel was recorded.
     pub units: BTreeMap<Channel, String>,
 }
 
 impl Setting {
-    /// A recording of which nothing but its rate is known.
+    /// A recording of which only the rate is known.
     #[must_use]
     pub fn of_rate(name: &str, rate_hz: f64) -> Self {
         Self {
@@ -49,7 +50,7 @@ impl Setting {
         }
     }
 
-    /// A capture's, whose samples have the rate `rate_hz`.
+    /// The setting of a capture whose samples have the rate `rate_hz`.
     #[must_use]
     pub fn of(row: &CaptureRow, rate_hz: f64) -> Self {
         let text = |value: &serde_json::Value| value.as_str().map(str::to_owned);
@@ -68,7 +69,7 @@ impl Setting {
         }
     }
 
-    /// What differs from another's, one phrase each.
+    /// The differences from another setting, one phrase each.
     fn differences(&self, other: &Self) -> Vec<String> {
         let mut found = Vec::new();
         let mut known = |what: &str, one: Option<String>, two: Option<String>| {
@@ -80,7 +81,7 @@ impl Setting {
         };
         known("model", self.model.clone(), other.model.clone());
         known("serial number", self.serial_number.clone(), other.serial_number.clone());
-        // Two clocks do not give one rate with the same digits.
+        // Two clocks do not show one rate with the same digits.
         let rate = |of: &Self| Some(of.rate_hz.to_string()).filter(|_| !is_same_rate(self.rate_hz, other.rate_hz));
         known("rate in Hz", rate(self), rate(other));
         let windows = |of: &Self| of.windows.map(|[mag, accel, gyro]| format!("mag {mag}, accel {accel}, gyro {gyro}"));
@@ -102,16 +103,16 @@ fn windows(register_85: &serde_json::Value) -> Option<[u64; 3]> {
     Some([of("mag")?, of("accel")?, of("gyro")?])
 }
 
-/// Whether captures are of one sensor at one setting.
+/// Checks whether captures are of one sensor at one setting.
 ///
 /// # Errors
-/// [`JobError::Together`] with what differs, between which of them.
+/// [`JobError::Together`] with the difference and the captures that differ.
 pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
     let Some((first, others)) = settings.split_first() else { return Ok(()) };
     if settings.len() > CAPTURES_MAX {
         return Err(JobError::Together { reason: format!("{} captures are more than {CAPTURES_MAX}", settings.len()) });
     }
-    // Each with each: two may agree with a third that tells less.
+    // Each with each: two may agree with a third that states less.
     for (index, one) in std::iter::once(first).chain(others).enumerate() {
         for other in settings.iter().skip(index + 1) {
             let differences = one.differences(other);
@@ -127,7 +128,7 @@ pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
 /// The plan over several captures of one sensor: (id, samples) of each.
 ///
 /// # Errors
-/// [`JobError::Together`] where one is given twice or they are not of one sensor at one setting; as [`Plan::read`].
+/// [`JobError::Together`] if one is given twice or they are not of one sensor at one setting; else as [`Plan::read`].
 pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel]) -> Result<Plan, JobError> {
     let mut whole: Option<Plan> = None;
     let mut settings = Vec::new();
@@ -149,10 +150,11 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
     whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })
 }
 
-/// The captures of a job with how many of their samples it takes in: of further ones all, since they have ended.
+/// The captures of a job with the number of their samples that it takes in: all samples of further ones, since those
+/// have ended.
 ///
 /// # Errors
-/// [`JobError::Together`] where one still runs; [`JobError::Store`].
+/// [`JobError::Together`] if one still runs; [`JobError::Store`].
 pub(super) fn captures(
     reader: &Reader,
     capture_id: i64,
@@ -203,7 +205,7 @@ mod tests {
         ] {
             assert!(error.contains(words) && error.contains("differ"), "{error}");
         }
-        // What an import states counts as a register does.
+        // A statement at an import counts as a register does.
         let said = |window| {
             let configuration = serde_json::json!({"sampling": {"filter_window": window, "internal_rate_hz": 800}});
             Setting { sampling: of_configuration(&configuration), ..plain.clone() }

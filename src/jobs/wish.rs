@@ -1,7 +1,7 @@
-//! Wishes: what somebody asks a diagnosis for, read from the body of a request without trust in its size.
+//! Wishes: the requests for diagnoses, read from the body of a request without trusting its size.
 //!
-//! A body may bring a reference of many megabytes. Such a one is read by a process of its own, which checks it and hands it
-//! back in parts; the daemon holds one part at a time.
+//! A body may contain a reference of many megabytes. Such a body is read by a separate process, which checks it and
+//! returns it in parts; the daemon holds one part at a time.
 
 use super::diagnosis::of_csv;
 use super::{DiagnosisParameters, JobError, JobKind, Simulator};
@@ -16,16 +16,16 @@ use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Bytes of the member `sim` at most: a model of every effect has a tenth.
+/// The maximum size of the member `sim` in bytes: a model of every effect has a tenth.
 pub const SIM_BYTES_MAX: usize = 64 * 1024;
 /// Private memory of the process that reads a body of 32 MiB: the body, its text, and its rows as numbers.
 const MEMORY_BYTES: u64 = 256 << 20;
-/// Characters of a refusal at most.
+/// The maximum length of a refusal in characters.
 const REASON_CHARS: usize = 500;
-/// How long that process may take.
+/// The time limit of that process.
 const TIME: Duration = Duration::from_secs(60);
 
-/// What the sensor went through, as a job's parameters have it.
+/// The motion of the sensor, as a job's parameters contain it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 #[expect(clippy::exhaustive_enums, reason = "documented")]
@@ -47,11 +47,11 @@ pub enum GivenReference {
 pub enum WishBody<'a> {
     /// A small one.
     Bytes(&'a [u8]),
-    /// One that was put aside.
+    /// A body stored in a file.
     File(&'a Path),
 }
 
-/// What a body says; the reference is checked.
+/// The content of a body; the reference is checked.
 #[derive(Debug, PartialEq)]
 struct Read<'a> {
     sim: &'a str,
@@ -73,13 +73,13 @@ struct Members<'a> {
     reference: Option<&'a RawValue>,
 }
 
-/// A refusal, which may quote what was sent: not all of it.
+/// A refusal, which may quote a part of the body, but not all of it.
 fn refused(reason: impl Into<String>) -> JobError {
     let reason: String = reason.into();
     JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.chars().take(REASON_CHARS).collect() }
 }
 
-/// Reads a body. Besides the body it holds the text and the rows of the reference, and of the rest nothing.
+/// Reads a body. Beyond the body, only the text and the rows of the reference are held in memory.
 fn read(body: &[u8]) -> Result<Read<'_>, JobError> {
     if body.trim_ascii_start().first() != Some(&b'{') {
         return Err(refused("expected a JSON object {\"sim\": …}"));
@@ -93,7 +93,7 @@ fn read(body: &[u8]) -> Result<Read<'_>, JobError> {
         );
         return Err(JobError::TooLarge { reason });
     }
-    // A member that is null is one that is not given.
+    // A member that is null counts as absent.
     let reference = members.reference.filter(|value| value.get() != "null").map(|value| {
         let text: String = serde_json::from_str(value.get())
             .map_err(|_| refused("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table"))?;
@@ -110,8 +110,8 @@ fn sha256(text: &str) -> String {
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a body in this process. `sim` looks the simulator up, and whatever else may refuse the diagnosis, before its reference
-/// is kept.
+/// Reads a body in this process. `sim` looks up the simulator, and checks whatever else may refuse the diagnosis,
+/// before its reference is stored.
 pub(super) fn read_here<'a>(
     store: &'a Store,
     body: &[u8],
@@ -134,7 +134,7 @@ pub(super) fn read_here<'a>(
     Ok((DiagnosisParameters { sim, reference }, keeping))
 }
 
-/// A reference on its way into the database: it is let go when dropped before a job has it.
+/// A reference that is being stored: it is released if dropped before a job claims it.
 #[derive(Debug)]
 pub(super) struct Keeping<'a> {
     store: &'a Store,
@@ -158,7 +158,7 @@ impl<'a> Keeping<'a> {
         Ok(())
     }
 
-    /// A job has it.
+    /// Records that a job has claimed it.
     pub(super) fn claimed(mut self) {
         self.is_claimed = true;
     }
@@ -169,26 +169,26 @@ impl Drop for Keeping<'_> {
         if !self.is_claimed
             && let Err(error) = self.store.let_reference_go(self.id)
         {
-            // It goes at the next start then.
+            // It is then removed at the next start.
             tracing::debug!(%error, "A reference that no diagnosis has stays for now.");
         }
     }
 }
 
-/// What the process that reads a body says of it.
+/// The messages of the process that reads a body.
 #[derive(Debug, Serialize, Deserialize)]
 enum Word {
-    /// What it says; a reference that is to be kept follows in parts.
+    /// The request; a reference that is to be stored follows in parts.
     Wish { sim: String, reference: Option<GivenReference> },
     /// The next part of the reference is the frame's body.
     Part,
-    /// That was all.
+    /// The end of the parts.
     End,
-    /// It is no wish.
+    /// The body is no valid request.
     Refused { reason: String, too_large: bool },
 }
 
-/// The same in a process of its own.
+/// The same in a separate process.
 pub(super) fn read_apart<'a>(
     store: &'a Store,
     file: &Path,
@@ -236,7 +236,7 @@ pub(super) fn read_apart<'a>(
     }
 }
 
-/// Reads a body in this process, which [`read_apart`] has started, and says to `out` what it says.
+/// Reads a body in this process, which [`read_apart`] has started, and writes its content to `out`.
 ///
 /// # Errors
 /// [`FrameError`], if the body cannot be read or the parent does not listen.

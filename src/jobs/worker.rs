@@ -1,4 +1,4 @@
-//! The workers: threads that take jobs from the queue, and clear away what was deleted when there are none.
+//! The workers: threads that take jobs from the queue, and remove deleted rows when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
 use super::{JobError, JobKind, JobParameters, Simulator, WishBody, together};
@@ -11,31 +11,32 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How often an idle worker looks whether there is something to do that nobody told it of.
+/// The interval at which an idle worker checks for work of which it was not notified.
 const LOOK: Duration = Duration::from_secs(2);
-/// How long a worker waits after a job's process died, the first time; twice as long the second.
+/// The delay after a job's process died, the first time; twice as long the second time.
 const AGAIN: Duration = Duration::from_secs(3);
-/// How long a worker waits after the database refused.
+/// The delay after an error of the database.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Shortest and longest rest after a step of clearing away.
+/// Shortest and longest rest after a step of removing rows.
 const REST: (Duration, Duration) = (Duration::from_millis(5), Duration::from_secs(1));
 
-/// How jobs are worked on.
+/// Options of the workers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JobsOptions {
-    /// How many jobs at a time, at least 1: each takes a core, and a noise job two while it looks for disturbances and fits.
+    /// The number of jobs at a time, at least 1: each takes a core, and a noise job two while it searches for
+    /// disturbances and fits.
     pub threads: usize,
-    /// Where they are worked on.
+    /// The place where they are run.
     pub place: Place,
 }
 
-/// Where jobs are worked on.
+/// The place where jobs are run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// In processes of their own: what the daemon does.
+    /// In separate processes, as in the daemon.
     Apart,
-    /// In this process, in chunks of so many samples: for programs that are not `vn100d`, such as tests.
+    /// In this process, in chunks of this many samples: for programs that are not `vn100d`, such as tests.
     Here {
         /// Samples of one chunk.
         chunk: usize,
@@ -62,7 +63,7 @@ struct Inner {
     stop: AtomicBool,
     /// Jobs that could not be put back into the queue when their work was interrupted: tried again before anything else.
     stranded: Mutex<Vec<i64>>,
-    /// Counts calls to work, so that none is missed between looking and waiting.
+    /// Counts wake-ups, so that none is missed between checking and waiting.
     calls: Mutex<u64>,
     called: Condvar,
     queued: AtomicU64,
@@ -73,10 +74,10 @@ struct Inner {
 }
 
 impl Jobs {
-    /// Starts the workers on the store's queue; jobs that ran when the program last ended go on.
+    /// Starts the workers on the store's queue; jobs that ran when the program last ended continue.
     ///
     /// # Errors
-    /// [`JobError::Thread`] where a thread cannot be started.
+    /// [`JobError::Thread`] if a thread cannot be started.
     pub fn start(store: &Store, options: JobsOptions) -> Result<Self, JobError> {
         let jobs = Self {
             inner: Arc::new(Inner {
@@ -108,7 +109,7 @@ impl Jobs {
         Ok(jobs)
     }
 
-    /// Queues a job; answers it and whether it is new. Blocks until it is on disk.
+    /// Queues a job; returns it and whether it is new. Blocks until it is on disk.
     ///
     /// # Errors
     /// [`JobError::Parameters`], or [`JobError::Store`] (no such capture, too many jobs wait, …).
@@ -135,11 +136,13 @@ impl Jobs {
         self.put(NewJob::new(kind.name(), capture_id, serde_json::to_value(parameters)?), queue_max)
     }
 
-    /// Queues the diagnosis that the body of a request asks for; answers its job and whether it is new. Blocks until it is on
-    /// disk. The reference that comes with it is kept once everything else is found right, and let go if it is refused after all.
+    /// Queues the diagnosis that the body of a request describes; returns its job and whether it is new. Blocks until
+    /// it is on disk. Its reference is stored once everything else is accepted, and released if the diagnosis is
+    /// refused after all.
     ///
     /// # Errors
-    /// [`JobError::Parameters`] for what is no such wish, [`JobError::Model`], [`JobError::TooLarge`], or [`JobError::Store`].
+    /// [`JobError::Parameters`] for an invalid request, [`JobError::Model`], [`JobError::TooLarge`], or
+    /// [`JobError::Store`].
     pub fn submit_diagnosis(&self, capture_id: i64, body: WishBody<'_>) -> Result<(JobRow, bool), JobError> {
         let store = &self.inner.store;
         let sim = |sim| {
@@ -178,7 +181,7 @@ impl Jobs {
         Ok(submitted)
     }
 
-    /// Whoever asks for captures that do not belong together hears it at once, not from the job.
+    /// Captures that do not belong together are refused at once, not by the job.
     fn check_together(&self, capture_id: i64, parameters: &JobParameters) -> Result<(), JobError> {
         let reader = self.inner.readers.get()?;
         let end_seq = reader.capture(capture_id)?.samples;
@@ -187,8 +190,8 @@ impl Jobs {
         together::plan(&reader, &captures, &wanted).map(|_| ())
     }
 
-    /// Queues all that a complete or imported capture gets without being asked: one job of every usual kind, however many wait;
-    /// none of a capture without samples, which was called off before it began.
+    /// Queues all jobs that a complete or imported capture gets automatically: one job of every usual kind, however
+    /// many wait. A capture without samples, which was cancelled before it began, gets none.
     ///
     /// # Errors
     /// As [`Self::submit`].
@@ -200,13 +203,13 @@ impl Jobs {
         JobKind::USUAL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
     }
 
-    /// Where heavy work is done.
+    /// The place where heavy work is done.
     #[must_use]
     pub fn place(&self) -> Place {
         self.inner.options.place
     }
 
-    /// Calls a job off.
+    /// Cancels a job.
     ///
     /// # Errors
     /// [`JobError::Store`]: no such job, or it has ended.
@@ -214,13 +217,13 @@ impl Jobs {
         Ok(self.inner.store.cancel_job(id)?)
     }
 
-    /// Tells the workers that there is something to do: a job was queued or a capture deleted.
+    /// Notifies the workers that there is work: a job was queued or a capture deleted.
     pub fn wake(&self) {
         *self.inner.calls.lock().unwrap_or_else(PoisonError::into_inner) += 1;
         self.inner.called.notify_all();
     }
 
-    /// The jobs in numbers; from memory.
+    /// The numbers of jobs; read from memory.
     #[must_use]
     pub fn status(&self) -> JobsStatus {
         JobsStatus {
@@ -231,7 +234,7 @@ impl Jobs {
         }
     }
 
-    /// Ends the workers; a running job is queued again at its next chunk and goes on at the next start.
+    /// Ends the workers; a running job is queued again at its next chunk and continues at the next start.
     pub fn stop(&self) {
         self.inner.stop.store(true, Ordering::Release);
         self.wake();
@@ -244,7 +247,7 @@ impl Jobs {
     }
 }
 
-/// As [`Jobs::submit_all`], where no worker runs: the daemon does the work when it runs next.
+/// As [`Jobs::submit_all`], for a program without workers: the daemon does the work when it runs next.
 ///
 /// # Errors
 /// As [`Jobs::submit`].
@@ -270,7 +273,7 @@ impl Inner {
                 Err(JobError::Store(StoreError::Closed)) => return,
                 Err(error) => {
                     tracing::warn!(message = "Background work waits.", %error);
-                    // What was deleted goes all the same: space may be what is lacking.
+                    // Deleted rows are removed nevertheless: the problem may be a lack of space.
                     if let Err(error) =
                         self.readers.get().map_err(JobError::from).and_then(|reader| self.clear_away(&reader))
                     {
@@ -284,12 +287,12 @@ impl Inner {
 
     fn wait(&self, seen: u64, time: Duration) {
         let calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
-        // Whoever called meanwhile is served at once.
+        // Wake-ups that arrived meanwhile are served at once.
         let waited = self.called.wait_timeout_while(calls, time, |calls| *calls == seen && !self.stopped());
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// Does one job, or a step of clearing away; false where there is nothing to do.
+    /// Does one job, or a step of removing rows; returns `false` if there is nothing to do.
     fn step(&self) -> Result<bool, JobError> {
         let stranded = self.stranded.lock().unwrap_or_else(PoisonError::into_inner).pop();
         if let Some(id) = stranded {
@@ -314,7 +317,7 @@ impl Inner {
         Ok(true)
     }
 
-    /// A step of taking deleted rows away, or of giving their space back; false where neither is to be done.
+    /// Does a step of removing deleted rows, or of giving back their space; returns `false` if there is nothing to do.
     fn clear_away(&self, reader: &Reader) -> Result<bool, JobError> {
         let begun = Instant::now();
         if reader.has_deleted()? {
@@ -324,18 +327,18 @@ impl Inner {
         } else {
             return Ok(false);
         }
-        // At least as long as the step took, the writer is the capture's alone.
+        // The writer serves only the capture for at least as long as the step took.
         std::thread::sleep(begun.elapsed().clamp(REST.0, REST.1));
         Ok(true)
     }
 
-    /// Puts a job back into the queue, now or when the disk takes it.
+    /// Puts a job back into the queue, now or as soon as the disk accepts it.
     fn release(&self, id: i64) -> Result<(), JobError> {
         let released = self.store.release_job(id);
         Ok(released.inspect_err(|_| self.strand(id))?)
     }
 
-    /// Remembers a job that the database did not take back: it is put into the queue before anything else.
+    /// Records a job that the database did not take back: it is put into the queue before anything else.
     fn strand(&self, id: i64) {
         self.stranded.lock().unwrap_or_else(PoisonError::into_inner).push(id);
     }
@@ -354,9 +357,9 @@ impl Inner {
                 Ok(())
             }
             Ok(Outcome::Cancelled | Outcome::Stopped) => Ok(()),
-            // A hole in the samples is the job's affair: its capture may be going away.
+            // A hole in the samples concerns only the job: its capture may be being deleted.
             Err(JobError::Store(error)) if error.is_damage() && !matches!(error, StoreError::Damaged { .. }) => {
-                // The job stays as it is: nothing is written to a damaged database, not even that it failed.
+                // The job stays unchanged: nothing is written to a damaged database, not even a failure.
                 self.store.report_damage(&error);
                 Err(error.into())
             }
@@ -368,7 +371,7 @@ impl Inner {
                 self.release(job.id)?;
                 Err(JobError::Process(error))
             }
-            // Whoever ends the program may have ended the process first.
+            // The process may have been ended together with the program.
             Err(JobError::Died { .. }) if self.stopped() => self.release(job.id),
             Err(JobError::Died { reason }) => {
                 let counted = self.store.count_attempt(job.id, &reason);
@@ -383,7 +386,7 @@ impl Inner {
                 );
                 self.failed.fetch_add(u64::from(state == JobState::Failed), Ordering::Relaxed);
                 if state == JobState::Queued {
-                    // What it died of, such as too little memory, may pass.
+                    // The cause of its death, such as too little memory, may pass.
                     let seen = *self.calls.lock().unwrap_or_else(PoisonError::into_inner);
                     self.wait(seen, AGAIN * attempts);
                 }
@@ -398,9 +401,9 @@ impl Inner {
     }
 }
 
-/// Whether the same job may succeed later without anything about it being changed.
+/// Whether the same job may succeed later without a change to it.
 fn is_passing(error: &StoreError) -> bool {
-    // A disk that reports an error now may be well later; a damaged database will not.
+    // A disk that reports an error now may recover; a damaged database does not.
     let passing = matches!(error.kind(), StoreErrorKind::Unavailable | StoreErrorKind::Io);
     (passing && !matches!(error, StoreError::Damaged { .. })) || error.is_interrupted()
 }

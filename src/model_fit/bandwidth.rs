@@ -1,7 +1,7 @@
 //! Bandwidth: the filter that a noise report found becomes the effect of a model, or its sampling.
 //!
-//! A model's N lies in front of its filters; `noise` has the plateau, what comes in behind them included. The simulation of the
-//! model has the recorded spectrum (`tests` below; `cargo test --test it a_filter_of_a_record`).
+//! A model's N lies in front of its filters; `noise` has the plateau, which includes noise that enters behind them. The
+//! simulation of the model has the recorded spectrum (`tests` below; `cargo test --test it a_filter_of_a_record`).
 
 use crate::effects::{Effect, LowPass, MovingAverage};
 use crate::noise::NoiseReport;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub(super) struct Front {
     /// N over the plateau.
     pub(super) share: f64,
-    /// None where noise is white up to half the rate.
+    /// None if noise is white up to half the rate.
     pub(super) filter: Option<Arc<dyn Effect>>,
 }
 
@@ -24,7 +24,7 @@ impl Front {
     /// All of N, and no filter.
     pub(super) const OPEN: Self = Self { share: 1.0, filter: None };
 
-    /// Of a channel's bandwidth and its plateau `n`, U/√Hz, at `rate_hz`. None where no effect has that shape.
+    /// From a channel's bandwidth and its plateau `n`, U/√Hz, at `rate_hz`. None if no effect has that shape.
     pub(super) fn of(bandwidth: &Bandwidth, n: f64, rate_hz: f64) -> Option<Self> {
         let behind = bandwidth.white_behind.unwrap_or(0.0).min(n);
         let front = (n * n - behind * behind).sqrt();
@@ -33,7 +33,7 @@ impl Front {
         };
         match (bandwidth.kind.as_str(), bandwidth.value?) {
             ("moving_average", window) => {
-                // Every R-th mean of W samples is the mean of W/R of what is sent, where R divides W.
+                // Every R-th mean of W samples is the mean of W/R of the sent samples, if R divides W.
                 let every = bandwidth.internal_rate_hz.map_or(1.0, |internal_hz| (internal_hz / rate_hz).round());
                 let window = window / every;
                 let whole = window.fract() == 0.0 && window >= 1.0;
@@ -58,8 +58,9 @@ impl Front {
     }
 }
 
-/// The sampling that all channels of a report share, where all are known to lie behind the same boxcar and it shapes them all. Its rate
-/// is the whole multiple of the report's that the known one is within the clocks' difference: a model has no other.
+/// The sampling that all channels of a report share, if all are known to lie behind the same boxcar and it shapes them all. Its
+/// rate is the whole multiple of the report's rate that agrees with the known one within the clocks' difference: a model has no
+/// other.
 pub(super) fn sampling(report: &NoiseReport) -> Option<Sampling> {
     let of = |bandwidth: Option<&Bandwidth>| {
         let bandwidth = bandwidth.filter(|bandwidth| bandwidth.kind == "moving_average")?;

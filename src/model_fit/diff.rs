@@ -6,25 +6,25 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
 
-/// One thing that two models say differently.
+/// One value in which two models differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Difference {
-    /// Where in the file, such as `channels.gyro_x.N`.
+    /// The place in the file, such as `channels.gyro_x.N`.
     pub path: String,
-    /// What the first says; null where it says nothing.
+    /// The first model's value; null if it has none.
     pub first: Value,
-    /// What the second says.
+    /// The second model's value.
     pub second: Value,
-    /// Second over first, where both are numbers and the first is not 0.
+    /// Second over first, if both are numbers and the first is not 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ratio: Option<f64>,
-    /// Whether the second lies inside the first's 95 % interval, where there is one.
+    /// Whether the second lies inside the first's 95 % interval, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within_ci95: Option<bool>,
 }
 
-/// What differs, in the order of the file. Names, provenance and uncertainties are no differences.
+/// The differences, in the order of the file. Names, provenance and uncertainties do not count as differences.
 #[must_use]
 pub fn differences(first: &SensorModel, second: &SensorModel) -> Vec<Difference> {
     let mut found = Vec::new();

@@ -1,13 +1,13 @@
-//! Model fit: what a capture showed becomes a sensor model. Pure.
+//! Model fit: makes a sensor model from a capture's results. Pure.
 //!
-//! In: a noise report, and the mean of each channel. Out: a model with N, B, K and bias per channel and their
-//! uncertainties ([`model_of`]). A parameter that the data does not support is 0 in the model, and its upper limit stands in
-//! `uncertainty`. Effects, where they are asked for, are what a diagnosis of the capture against that model finds; N, B and K
-//! are then those fitted beside them ([`with_effects`]).
+//! In: a noise report, and the mean of each channel. Out: a model with N, B, K and bias per channel and their uncertainties
+//! ([`model_of`]). A parameter that the data does not support is 0 in the model, and its upper limit stands in `uncertainty`.
+//! Effects, if they are asked for, are those that a diagnosis of the capture against that model finds; N, B and K are then those
+//! fitted beside them ([`with_effects`]).
 //!
-//! Models fitted from a capture are of what is seen at its rate. A filter that shapes it is in the model: as `sampling` where
-//! all channels are known to lie behind the same boxcar, else as `moving_average` or `low_pass` of the channel; the
-//! provenance names the channels behind filters that no effect describes.
+//! Models fitted from a capture describe the noise seen at its rate. A filter that shapes it is in the model: as `sampling` if
+//! all channels are known to lie behind the same boxcar, else as `moving_average` or `low_pass` of the channel. The provenance
+//! names the channels behind filters that no effect describes.
 
 mod bandwidth;
 mod diff;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 /// The effects of a list of names, `all` being all that a capture at rest can show.
 ///
 /// # Errors
-/// The name that is none, and the names there are.
+/// The unknown name, and the known names.
 pub fn effects_named(names: &str) -> Result<Vec<&'static str>, String> {
     let known = diagnosis::effect_names();
     if names == "all" {
@@ -88,14 +88,14 @@ pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &st
     }
 }
 
-/// Whether a channel's filter is told by another cutoff in the model than in the report.
+/// Whether a channel's filter has another cutoff in the model than in the report.
 fn is_exponential(found: &NoiseParameters) -> bool {
     found.bandwidth.as_ref().is_some_and(|of| of.exponential)
 }
 
-/// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels
-/// to which it added none keep what the noise report says of them. `looked_for`: the effects' names; the record began `from_s` after
-/// the capture, lasted `record_s` and had a mean temperature of `temperature_c`.
+/// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels to which
+/// it added none keep the values of the noise report. `looked_for`: the effects' names. The record began `from_s` after the
+/// capture, lasted `record_s` and had a mean temperature of `temperature_c`.
 #[must_use]
 pub fn with_effects(
     plain: &SensorModel,
@@ -112,7 +112,7 @@ pub fn with_effects(
         let level = own.bias.map(|level| level - mean_of(&found.effects, record_s, temperature_c));
         let limits = own.uncertainty.take().unwrap_or_default();
         *own = ChannelModel { bias: level, ..found.clone() };
-        // What was not identified beside the effects is none; the report's limit holds all the more.
+        // A parameter that was not identified beside the effects is absent; the report's limit holds all the more.
         for (letter, value) in [("B", &mut own.b), ("K", &mut own.k)] {
             let known = own.uncertainty.as_ref().is_some_and(|of| of.contains_key(letter));
             if !known {
@@ -132,7 +132,7 @@ pub fn with_effects(
     model
 }
 
-/// Mean over a record of what deterministic effects add to the level.
+/// Mean over a record of the deterministic effects' contribution to the level.
 fn mean_of(effects: &[Arc<dyn effects::Effect>], record_s: f64, temperature_c: Option<f64>) -> f64 {
     const INSTANTS: u32 = 10_000;
     let temperature_c = temperature_c.unwrap_or(effects::USUAL_TEMPERATURE_C);
@@ -144,7 +144,7 @@ fn mean_of(effects: &[Arc<dyn effects::Effect>], record_s: f64, temperature_c: O
     (0..INSTANTS).map(level).sum::<f64>() / f64::from(INSTANTS)
 }
 
-/// Intervals of what is identified, limits of what is not; those of N times `share`.
+/// Intervals of identified parameters, limits of the others; those of N times `share`.
 fn uncertainty(found: &NoiseParameters, share: f64) -> Map<String, Value> {
     let of = |estimate: &Estimate, share: f64| match (estimate.ci95, estimate.upper_limit95) {
         (Some(ci95), _) => Some(json!({ "ci95": ci95.map(|end| share * end) })),

@@ -43,7 +43,7 @@ impl Turn {
     }
 }
 
-/// Where the sensor points and how fast it turns, turn after turn; after the last one it rests.
+/// The attitude and rate of the sensor, turn after turn; after the last one it rests.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sequence {
     /// Each with its beginning and the attitude then (sensor to north-east-down).

@@ -51,7 +51,7 @@ impl Kind {
     }
 }
 
-/// Where on Earth.
+/// The place on Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Site {
@@ -68,11 +68,11 @@ impl Default for Site {
     }
 }
 
-/// Why a motion cannot be made.
+/// The reason why a motion cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CourseError {
-    /// There is no time for all of it.
+    /// There is not enough time for all of it.
     #[error(
         "the motion `{kind}` needs {needed_s:.0} s or more, and {found_s} s are asked for: take a longer --duration"
     )]
@@ -81,7 +81,7 @@ pub enum CourseError {
         kind: &'static str,
         /// The least it needs, s.
         needed_s: f64,
-        /// What there is, s.
+        /// The available time, s.
         found_s: f64,
     },
 }
@@ -90,7 +90,7 @@ pub enum CourseError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Course {
     sequence: Sequence,
-    /// The Earth's rotation and what holds the sensor up, north-east-down.
+    /// The Earth's rotation and the specific force that supports the sensor, north-east-down.
     earth_rad_s: Vector3<f64>,
     support_m_s2: Vector3<f64>,
 }
@@ -179,7 +179,7 @@ fn rate_table(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
     Ok(course)
 }
 
-/// What is left for each of `count` rests.
+/// The time for each of `count` rests.
 fn rest(kind: Kind, duration_s: f64, turns: &[Turn], count: usize, shortest_s: f64) -> Result<f64, CourseError> {
     let turning_s: f64 = turns.iter().map(|turn| turn.duration_s).sum();
     let rest_s = (duration_s - turning_s) / count as f64;

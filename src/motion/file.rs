@@ -1,8 +1,9 @@
 //! Files: motions as CSV (docs/formats.md), read row by row and written row by row.
 //!
 //! A motion has `time_s`, `ref_gyro_{x,y,z}_rad_s`, `ref_accel_{x,y,z}_m_s2` (specific force in the sensor's axes) and, if known,
-//! `temperature_c`, in any order of columns; others are ignored. Refused, with the file, the line and what is allowed: a missing
-//! column, a cell that is no number, rows at another rate than asked for, and gaps. Memory does not grow with the file.
+//! `temperature_c`, in any order of columns; others are ignored. Refused, with the file, the line and the values allowed: a
+//! missing column, a cell that is not a number, rows at another rate than asked for, and gaps. Memory does not grow with the
+//! file.
 
 use crate::simulator::Motion;
 use std::io::{Read, Write};
@@ -23,19 +24,20 @@ const TEMPERATURE: &str = "temperature_c";
 const RATE_TOLERANCE: f64 = 1e-3;
 /// How far a step may be from the period, in periods: from one and a half on a row is missing (docs/formats.md).
 const STRAY_PERIODS: f64 = 0.5;
-/// Rows that tell the rate: stamps are often rounded to a millisecond, so that one step alone does not.
+/// Rows that determine the rate. Stamps are often rounded to a millisecond, so that one step alone does not determine
+/// it.
 const TELLING: usize = 1000;
 
 /// Why a motion was refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MotionError {
-    /// The file could not be read, or is no CSV.
+    /// The file could not be read, or is not CSV.
     #[error("{file}: {source}")]
     Csv {
         /// The file.
         file: String,
-        /// What the reader says, with the line.
+        /// The reader's error, with the line.
         source: csv::Error,
     },
     /// A column is missing or there twice.
@@ -57,7 +59,7 @@ pub enum MotionError {
         line: u64,
         /// The column.
         column: &'static str,
-        /// What stands there.
+        /// The value that was found.
         found: String,
     },
     /// A row does not lie one period after the one before.
@@ -138,7 +140,7 @@ fn allowed(output_hz: f64, internal_hz: f64) -> String {
 pub struct Rows<R> {
     file: String,
     records: csv::StringRecordsIntoIter<R>,
-    /// Where each of [`COLUMNS`] stands.
+    /// The column number of each of [`COLUMNS`].
     places: [usize; COLUMNS.len()],
     temperature: Option<usize>,
     /// None before the rate is known.
@@ -154,7 +156,7 @@ impl<R> std::fmt::Debug for Rows<R> {
 }
 
 impl<R: Read> Rows<R> {
-    /// Reads the header; `file` names the text in messages. Rows are expected at `rate_hz`, or at any times where it is None.
+    /// Reads the header; `file` names the text in messages. Rows are expected at `rate_hz`, or at any times if it is None.
     ///
     /// # Errors
     /// [`MotionError::Csv`] and [`MotionError::Column`].
@@ -184,10 +186,10 @@ impl<R: Read> Rows<R> {
         Ok(Self { file: file.to_owned(), records, places, temperature, rate_hz, last_s: None, failed: false })
     }
 
-    /// Reads all rows and tells how many they are and at which rate they come.
+    /// Reads all rows and returns their number and their rate.
     ///
     /// # Errors
-    /// What any row is refused for; [`MotionError::Empty`] and [`MotionError::Single`].
+    /// The errors of any row; [`MotionError::Empty`] and [`MotionError::Single`].
     pub fn survey(mut self) -> Result<Survey, MotionError> {
         let (mut rows, mut first_s) = (0, None);
         for row in &mut self {
@@ -248,7 +250,7 @@ impl<R: Read> Rows<R> {
 /// The rate of a text's first rows, Hz: the mean of those steps that are about as long as most. None with fewer than two rows.
 ///
 /// # Errors
-/// What any of these rows is refused for.
+/// The errors of any of these rows.
 pub fn rate_of(text: impl Read, file: &str) -> Result<Option<f64>, MotionError> {
     let mut times = Vec::new();
     for row in Rows::new(text, file, None)?.take(TELLING + 1) {
@@ -265,7 +267,7 @@ pub fn rate_of(text: impl Read, file: &str) -> Result<Option<f64>, MotionError> 
 /// How many samples of the sensor's own rate a row of the file stands for.
 ///
 /// # Errors
-/// [`MotionError::Rate`] where the file has neither the output's rate nor the sensor's own.
+/// [`MotionError::Rate`] if the file has neither the output's rate nor the sensor's own.
 pub fn samples_per_row(file: &str, found_hz: f64, output_hz: f64, internal_hz: f64) -> Result<u32, MotionError> {
     let is = |rate_hz: f64| (found_hz / rate_hz - 1.0).abs() < RATE_TOLERANCE;
     if is(internal_hz) {
@@ -293,7 +295,7 @@ impl<R: Read> Iterator for Rows<R> {
     }
 }
 
-/// What a motion's file holds.
+/// The contents of a motion's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that callers take apart")]
 pub struct Survey {
@@ -347,7 +349,7 @@ impl<W: Write> Writer<W> {
     /// Writes the header.
     ///
     /// # Errors
-    /// What writing says.
+    /// The error of the underlying writer.
     pub fn new(mut to: W, has_temperature: bool) -> std::io::Result<Self> {
         write!(to, "{}", COLUMNS.join(","))?;
         writeln!(to, "{}", if has_temperature { ",temperature_c" } else { "" })?;
@@ -357,7 +359,7 @@ impl<W: Write> Writer<W> {
     /// Writes a row; `{}` of an f64 is the shortest text that reads back as the same number.
     ///
     /// # Errors
-    /// What writing says.
+    /// The error of the underlying writer.
     pub fn row(&mut self, time_s: f64, motion: &Motion) -> std::io::Result<()> {
         write!(self.to, "{time_s}")?;
         for value in motion.gyro_rad_s.iter().chain(&motion.accel_m_s2) {
@@ -372,10 +374,10 @@ impl<W: Write> Writer<W> {
         writeln!(self.to)
     }
 
-    /// Hands what was written to the file.
+    /// Flushes the written rows to the file.
     ///
     /// # Errors
-    /// What writing says.
+    /// The error of the underlying writer.
     pub fn finish(mut self) -> std::io::Result<()> {
         self.to.flush()
     }

@@ -6,8 +6,8 @@ use crate::simulator::SensorModel;
 /// From which length on the accelerometer's bias is more than a bias, m/s².
 const AT_REST_M_S2: f64 = 5.0;
 
-/// Takes gravity out of the accelerometer's biases: what remains of them is what exceeds `gravity_m_s2` along their own
-/// direction, which is all that one position can tell. Answers the biases as they were; None where they hold no gravity.
+/// Removes gravity from the accelerometer's biases. The remaining biases are the excess over `gravity_m_s2` along their own
+/// direction, which is all that one position determines. Returns the biases as they were; None if they hold no gravity.
 pub fn take_out(model: &mut SensorModel, gravity_m_s2: f64) -> Option<[f64; 3]> {
     let axes = Triad::Accel.channels();
     let level = axes.map(|axis: Channel| model.channels.get(&axis).and_then(|of| of.bias).unwrap_or(0.0));

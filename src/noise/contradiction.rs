@@ -1,7 +1,7 @@
-//! Contradiction: what a fit predicts, held against the Allan deviation that was measured.
+//! Contradiction: the prediction of a fit, compared with the Allan deviation that was measured.
 //!
-//! A fit that leaves the measured curve is wrong, whatever its own residuals say. The parameters that are responsible are then
-//! withheld, and what the curve alone supports stands instead, marked as such.
+//! A fit that departs from the measured curve is wrong, even if its own residuals are small. The parameters that are responsible
+//! are then withheld. The values that the curve alone supports replace them, and are marked.
 //!
 //! # Validation
 //! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused, docs/validation.md has its table.
@@ -13,11 +13,11 @@ use crate::sample::Channel;
 
 /// How often a true prediction may leave the measured curve at any averaging time.
 const LEVEL: f64 = 0.01;
-/// A prediction's own error, as a share of the deviation: nothing is made of less.
+/// A prediction's own error, as a share of the deviation: smaller departures are ignored.
 const TOLERANCE: f64 = 0.01;
-/// A term is responsible where it makes up more than this of the predicted or the missing variance.
+/// A term is responsible if it makes up more than this of the predicted or the missing variance.
 const SHARE: f64 = 0.1;
-/// What marks a value that the curve alone supports.
+/// The mark of a value that the curve alone supports.
 const SOURCE: &str = "allan deviation";
 /// How far from −½ the slope between two octaves of white noise may be.
 const SLOPE: f64 = 0.05;
@@ -36,8 +36,8 @@ struct Place {
 /// has to be, and from where on a walk would show.
 ///
 /// All averaging times together are one test at 1 %: each has its share of it (Bonferroni). `rate_hz` finite and above 0.
-/// `excluded_bands_hz`: where samples were brought down to a background that is known in part only; what white noise gives there to
-/// the variance of an averaging time widens its interval.
+/// `excluded_bands_hz`: bands in which samples were brought down to a background that is known in part only. The contribution of
+/// white noise in these bands to the variance of an averaging time widens its interval.
 pub fn hold_against(
     parameters: &mut NoiseParameters,
     points: &[AllanPoint],
@@ -86,7 +86,8 @@ fn contradict(
     parameters.bandwidth = parameters.bandwidth.take().filter(|of| of.internal_rate_hz.is_some());
 }
 
-/// The averaging time from which on a filter passes what the curve shows, s: a mean's length, half a period of a cutoff.
+/// The averaging time from which on a filter passes the noise that the curve shows, s: a mean's length, half a period of a
+/// cutoff.
 fn settled_s(bandwidth: &Bandwidth, rate_hz: f64) -> f64 {
     match (bandwidth.kind.as_str(), bandwidth.value) {
         ("moving_average", Some(window)) => window / bandwidth.internal_rate_hz.unwrap_or(rate_hz),
@@ -97,8 +98,8 @@ fn settled_s(bandwidth: &Bandwidth, rate_hz: f64) -> f64 {
 
 /// The places where the prediction leaves the curve.
 ///
-/// The degrees of freedom are those of the noise that the prediction has there: were it true, the measured slope would only add chance.
-/// `unknown`: by averaging time the share of the variance that is known in part only.
+/// The degrees of freedom are those of the noise that the prediction has there: were it true, the measured slope would
+/// only add chance. `unknown`: by averaging time the share of the variance that is known in part only.
 fn places(
     parameters: &NoiseParameters,
     points: &[AllanPoint],
@@ -147,7 +148,7 @@ fn slopes(fitted: &FittedCurve) -> Vec<f64> {
     (0..logs.len()).map(at).collect()
 }
 
-/// How much of the Allan variance of white noise at averaging factor `m` lies in bands.
+/// The share of the Allan variance of white noise at averaging factor `m` that lies in bands.
 fn share_of(m: usize, rate_hz: f64, bands_hz: &[[f64; 2]]) -> f64 {
     const POINTS: usize = 4096;
     if bands_hz.is_empty() {
@@ -167,7 +168,7 @@ fn share_of(m: usize, rate_hz: f64, bands_hz: &[[f64; 2]]) -> f64 {
     if all > 0.0 { inside / all } else { 0.0 }
 }
 
-/// Takes the responsible parameters back and puts in their places what the curve alone supports.
+/// Withdraws the responsible parameters and replaces them with values that the curve alone supports.
 fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Channel, found: &[Place]) {
     let lowest_s = parameters.minimum.map_or(f64::INFINITY, |minimum| minimum.tau_s);
     let share = |letter: &str, place: &Place| {
@@ -175,7 +176,7 @@ fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Cha
         let own = *curve.parts.get(letter)?.get(place.at)?;
         Some((own / place.predicted).powi(2) > SHARE)
     };
-    // What is missing may be of any term that could stand there: N and Q before the lowest point, the others from there on.
+    // The missing variance may be of any term that could stand there: N and Q before the lowest point, the others from there on.
     let lacks = |term: Term, place: &Place| {
         place.predicted < place.measured && (place.tau_s < lowest_s) == matches!(term, Term::N | Term::Q)
     };
@@ -214,7 +215,7 @@ fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Cha
     }
 }
 
-/// The measured curve with as few degrees of freedom as any noise leaves: what a withheld fit says of the noise is not to be relied on.
+/// The measured curve with as few degrees of freedom as any noise leaves: the noise of a withheld fit is not to be relied on.
 struct Supported {
     /// τ in s, deviation, degrees of freedom.
     rows: Vec<(f64, f64, f64)>,
@@ -345,7 +346,8 @@ mod tests {
         white(count, density, seed).into_iter().zip(steps).map(sum).collect()
     }
 
-    /// What a filter takes at short averaging times was the lowest deviation, and B had to be below it.
+    /// The part that a filter removes at short averaging times was taken for the lowest deviation, and B had to be
+    /// below it.
     #[test]
     fn what_a_filter_takes_is_no_lowest_point() {
         let (parameters, points) = fitted(smoothed(120_000, 0.05, 1e-3, 2e-4, 3));
@@ -418,7 +420,7 @@ mod tests {
         hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX, &[]);
         assert!(!parameters.usable, "{parameters:?}");
         assert!(parameters.reason.as_ref().unwrap().contains("was measured"), "{:?}", parameters.reason);
-        // Nothing that follows from the fit is left.
+        // No value that follows from the fit is left.
         assert_eq!((parameters.bandwidth.as_ref(), parameters.walk_shows_beyond_s), (None, None));
         assert_eq!(parameters.record_needed, RecordNeeded::default());
         let n = &parameters.n;

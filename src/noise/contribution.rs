@@ -1,4 +1,4 @@
-//! Contribution: what one of several captures gave to a document that is made of them.
+//! Contribution: the part of one of several captures in a document that is made of them.
 
 use super::fit::Flag;
 use super::robust::Disturbances;

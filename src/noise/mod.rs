@@ -1,10 +1,10 @@
 //! Noise: Allan deviations, their confidence, and the noise parameters N, B, K, Q, R fitted to them.
 //!
-//! Samples of one channel enter as `f64` in the channel's unit, segment by segment; what leaves are exact sums that can be
-//! checkpointed and merged ([`allan::Overlapping`]), curves with confidence intervals ([`allan::AllanCurve`]), parameters
-//! with units and intervals ([`fit::NoiseParameters`]), moments and histograms ([`statistics::Statistics`]). Nothing here
-//! reads a clock or a file, and no number that leaves is NaN or infinite: where the data does not say, the answer is absent
-//! and says so.
+//! Samples of one channel enter as `f64` in the channel's unit, segment by segment. The outputs are exact sums that can be
+//! checkpointed and merged ([`allan::Overlapping`]), curves with confidence intervals ([`allan::AllanCurve`]), parameters with
+//! units and intervals ([`fit::NoiseParameters`]), and moments and histograms ([`statistics::Statistics`]). This module does not
+//! read a clock or a file, and no output number is NaN or infinite. If the data does not determine a value, the value is absent
+//! and a flag states this.
 
 pub mod allan;
 mod contradiction;

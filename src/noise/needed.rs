@@ -1,10 +1,11 @@
-//! How long to record: the time at rest after which B and K are known to ±20 %, and from where on a walk would show.
+//! How long to record: the time at rest after which B and K are known to ±20 %, and the averaging time from which on a
+//! walk would show.
 //!
 //! The expected information of the squared coefficients in a record of n samples without a gap is that of the sine transform's
-//! coefficients (`whittle`): each z_k² tells a half of (∂ln λ_k)² for k = 1 to n − 1. N, B and K are free, whether named or
+//! coefficients (`whittle`): each z_k² contributes a half of (∂ln λ_k)² for k = 1 to n − 1. N, B and K are free, whether named or
 //! not, as they are for the intervals; one that is not named counts with its size of 0. The filter in front of the samples is
-//! left out: B and K are told by frequencies far below it. Records whose law misfits need longer by as much as their intervals are
-//! widened.
+//! left out, because frequencies far below it determine B and K. Records whose law misfits need longer by as much as their
+//! intervals are widened.
 
 use super::fit::{Estimate, NoiseParameters, Term};
 use super::whittle::MISFIT;
@@ -13,9 +14,9 @@ use std::f64::consts::PI;
 
 /// Relative standard error at which 95 % of the values lie within ±20 %.
 const WANTED: f64 = 0.2 / 1.96;
-/// Nobody records longer, s: 1000 h.
+/// The longest time that is reported, s: 1000 h.
 const LONGEST_S: f64 = 3.6e6;
-/// Samples below which nothing is fitted.
+/// Fewest samples for a fit.
 const LEAST: f64 = 64.0;
 
 /// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not identify the
@@ -42,8 +43,8 @@ impl RecordNeeded {
     }
 }
 
-/// The averaging time at which a walk as large as its upper limit would reach the lowest deviation, s: K²τ/3 is its Allan variance
-/// (IEEE Std 952-1997, annex C). None where a walk is identified, or where limit or lowest deviation are not known.
+/// The averaging time at which a walk as large as its upper limit would reach the lowest deviation, s: K²τ/3 is its Allan
+/// variance (IEEE Std 952-1997, annex C). None if a walk is identified, or if limit or lowest deviation are not known.
 #[must_use]
 pub fn walk_shows_beyond_s(parameters: &NoiseParameters) -> Option<f64> {
     let limit = parameters.k.upper_limit95.filter(|limit| !parameters.k.identified && *limit > 0.0)?;
@@ -67,7 +68,7 @@ struct Law<'a> {
 }
 
 impl<'a> Law<'a> {
-    /// None where `wanted` has no value.
+    /// None if `wanted` has no value.
     fn of(parameters: &NoiseParameters, rate_hz: f64, wanted: Term) -> Option<Law<'a>> {
         let size = |of: &Estimate| of.value.filter(|value| of.identified && value.is_finite());
         size(parameters.estimate(wanted)).filter(|value| *value > 0.0)?;
@@ -99,7 +100,8 @@ impl<'a> Law<'a> {
 
     /// The relative standard error of the wanted coefficient in a record of so many samples.
     ///
-    /// The error of a coefficient is half that of its square. Its information is what Cholesky's last pivot leaves beside all others.
+    /// The error of a coefficient is half that of its square. Its information is what Cholesky's last pivot leaves
+    /// beside all others.
     fn error(&self, samples: f64) -> Option<f64> {
         /// Coefficients that are taken one by one; beyond, groups of 5 % of their frequency.
         const SINGLE: f64 = 40.0;
@@ -141,9 +143,10 @@ impl<'a> Law<'a> {
     }
 }
 
-/// What a positive matrix leaves for its last unknown when all others are free. None where they are not told apart.
+/// The part of a positive matrix that remains for its last unknown when all others are free. None if the unknowns
+/// cannot be separated.
 fn last_pivot(matrix: &[Vec<f64>]) -> Option<f64> {
-    /// Rests smaller than this share of the whole are not told apart.
+    /// If the rest is smaller than this share of the whole, the unknowns cannot be separated.
     const DEPENDENT: f64 = 1e-12;
     let scale: Vec<f64> = matrix.iter().enumerate().map(|(at, row)| row[at].sqrt()).collect();
     let mut lower: Vec<Vec<f64>> = Vec::new();
@@ -232,7 +235,7 @@ mod tests {
             });
             let scatter = (squares.sum::<f64>() / SEEDS as f64).sqrt();
             println!("{term:?} after {seconds:?} s: {scatter:.3}");
-            // 24 squares tell a deviation to 15 %.
+            // 24 squares determine a deviation to 15 %.
             assert!((0.6..1.5).contains(&(scatter / WANTED)), "{term:?} after {seconds:?} s: {scatter}");
         }
     }

@@ -167,7 +167,7 @@ impl Bins {
         while other.exponent < self.exponent {
             other.coarsen();
         }
-        // A bin's middle is inside it, whatever the rounding of its edges.
+        // A bin's middle is inside it, for any rounding of its edges.
         for (index, count) in other.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
             let middle = ((other.first + index as i64) as f64 + 0.5) * other.width();
             self.add(middle, *count);
@@ -188,7 +188,7 @@ pub struct Accumulator {
 }
 
 impl Accumulator {
-    /// Has seen nothing.
+    /// An accumulator without samples.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -233,7 +233,7 @@ impl Accumulator {
         let width = self.max / SEED as f64 - self.min / SEED as f64;
         let exponent = if width > 0.0 { (width.log2().floor() as i32).clamp(-1000, 1000) } else { -40 };
         let mut bins = Bins { first: 0, exponent, counts: Vec::new() };
-        // Where values were constant, more of them came than were kept.
+        // If values were constant, more of them came than were kept.
         let surplus = self.moments.count - self.seed.len() as u64;
         for (index, value) in self.seed.iter().enumerate() {
             bins.add(*value, if index == 0 { 1 + surplus } else { 1 });
@@ -241,7 +241,7 @@ impl Accumulator {
         bins
     }
 
-    /// Takes what another part has seen.
+    /// Adds the samples of another part.
     pub fn merge(&mut self, other: &Self) {
         self.not_finite += other.not_finite;
         if other.moments.count == 0 {
@@ -326,9 +326,9 @@ impl Normality {
 
     /// The test of Jarque and Bera: n/6 (skewness² + excess²/4) against χ² with two degrees of freedom.
     ///
-    /// It takes samples as independent. A slow walk or flicker beside the noise makes fewer of them count and can fail the
-    /// test though every contribution is normal; skewness and kurtosis say by how much it matters. `None` below 100 samples
-    /// or for constant data.
+    /// The test takes samples as independent. A slow walk or flicker beside the noise reduces their effective number and can fail
+    /// the test although every contribution is normal; skewness and kurtosis show by how much it matters. `None` below 100
+    /// samples or for constant data.
     ///
     /// # Source
     /// C. M. Jarque and A. K. Bera, International Statistical Review 55 (1987) 163.

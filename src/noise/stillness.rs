@@ -1,29 +1,31 @@
-//! Stillness: which stretches of a capture the sensor was at rest in, and in which it moved, told from gyroscope and accelerometer.
+//! Stillness: the stretches of a capture in which the sensor was at rest, and those in which it moved, from gyroscope and
+//! accelerometer.
 //!
-//! In: samples of the six inertial channels in order of time, of which half-second means and nothing else are kept
-//! ([`Stillness::push`]). Out: the stretches in motion ([`Stillness::settle`]). Whichever of the channels are there are used.
+//! In: samples of the six inertial channels in order of time. Only their half-second means are kept ([`Stillness::push`]). Out:
+//! the stretches in motion ([`Stillness::settle`]). All of these channels that the capture has are used.
 //!
-//! A sensor at rest shows its bias and one direction of gravity. What moves it (a hand, legs, a vehicle) changes the *means* over
-//! half a second; vibration, knocks and noise leave them nearly alone. So means are looked at, not variances: a fan on the desk is no
-//! motion, though it makes samples ten times as noisy. A window departs where
+//! A sensor at rest shows its bias and one direction of gravity. A cause of motion (a hand, legs, a vehicle) changes the *means*
+//! over half a second; vibration, knocks and noise leave them nearly alone. The test therefore uses means, not variances: a fan
+//! on the desk is not motion, though it makes samples ten times as noisy. A window departs if
 //! - its mean rate differs from the bias by more than 6 of its standard deviations, at least 0.5 and at most 1 °/s; or
 //! - its mean acceleration differs from the median over 3.5 s by more than 6 of its standard deviations, at least 0.1 and at most
 //!   0.3 m/s²; or that median itself changes by as much within four seconds.
 //!
 //! Four departures among seven windows are motion: a knock of less than a second touches three. The standard deviation is learned
-//! from the record's quietest tenth, so that one that moves for four fifths of its time is still divided; the upper ends hold where
-//! nothing in a record is quiet. The bias is learned from the steady windows and followed as fast as electronics warm up.
+//! from the record's quietest tenth, so that a record that moves for four fifths of its time is still divided. The upper ends
+//! hold if no part of a record is quiet. The bias is learned from the steady windows and followed as fast as electronics warm up.
 //!
-//! A slow tilt is motion where two independent witnesses agree: the change of gravity's direction, and the integral of the rate across
-//! it. Neither alone is: an accelerometer's bias creeps, and so does a gyroscope's.
+//! A slow tilt is motion if two independent quantities agree: the change of gravity's direction, and the integral of the rate
+//! across it. Neither alone is: an accelerometer's bias creeps, and so does a gyroscope's.
 //!
 //! # Source
-//! Detection by windows of mean and energy: Skog, Händel, Nilsson, Rantakokko, "Zero-velocity detection: an algorithm evaluation", IEEE
-//! Trans. Biomed. Eng. 57 (2010) 2657–2666 (the test of angular rate energy, of the acceleration's moving variance, and SHOE, which
-//! joins both). Bounds: at rest the means over half a second of the noisiest sensors tried (ADIS16405, 0.04 °/s/√Hz; MPU-9150) scatter
-//! by 0.06 °/s and 0.01 m/s², a VN-100's (datasheet PB-12-0002: 0.0035 °/s/√Hz, 0.14 mg/√Hz) by a twentieth of that rate; handling,
-//! walking and driving make 5 °/s and 0.3 m/s² or more at the median. In between lie the bounds; the earth's 0.004 °/s lies far
-//! below. A zero-rate offset is up to 20 °/s (MPU-6050 datasheet): a steady rate beyond [`OFFSET_MAX`] is no bias.
+//! Detection by windows of mean and energy: Skog, Händel, Nilsson, Rantakokko, "Zero-velocity detection: an algorithm
+//! evaluation", IEEE Trans. Biomed. Eng. 57 (2010) 2657–2666 (the test of angular rate energy, of the acceleration's
+//! moving variance, and SHOE, which joins both). Bounds: at rest the means over half a second of the noisiest sensors
+//! tried (ADIS16405, 0.04 °/s/√Hz; MPU-9150) scatter by 0.06 °/s and 0.01 m/s², a VN-100's (datasheet PB-12-0002:
+//! 0.0035 °/s/√Hz, 0.14 mg/√Hz) by a twentieth of that rate; handling, walking and driving make 5 °/s and 0.3 m/s² or
+//! more at the median. In between lie the bounds; the earth's 0.004 °/s lies far below. A zero-rate offset is up to 20
+//! °/s (MPU-6050 datasheet): a steady rate beyond [`OFFSET_MAX`] is no bias.
 //!
 //! # Validation
 //! The tests below, and `docs/noise-model.md` for real recordings.
@@ -31,7 +33,7 @@
 use crate::sample::Channel;
 use std::ops::Range;
 
-/// The channels that tell motion, in the order of [`Stillness::push`].
+/// The channels that show motion, in the order of [`Stillness::push`].
 pub const TELLING: [Channel; 6] =
     [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
 /// Beyond this no value is a measurement: rad/s, m/s².
@@ -40,8 +42,8 @@ const MEASURED_MAX: [f64; 6] = [100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0];
 const WINDOW_S: f64 = 0.5;
 /// Least samples of a window: at rates below 16 Hz it lasts longer.
 const WINDOW_SAMPLES: u64 = 8;
-/// Windows of a capture without gaps at most: 36 h of half seconds; those of longer captures are longer. Each takes 56 bytes. Among
-/// gaps there are four times as many at most, since one that is kept is filled by a quarter.
+/// Windows of a capture without gaps at most: 36 h of half seconds; those of longer captures are longer. Each takes 56
+/// bytes. Among gaps there are four times as many at most, since one that is kept is filled by a quarter.
 const WINDOWS_MAX: u64 = 1 << 18;
 /// A window departs beyond this many standard deviations of its mean, within the bounds below.
 const DEVIATIONS: f64 = 6.0;
@@ -49,7 +51,7 @@ const DEVIATIONS: f64 = 6.0;
 const RATE: [f64; 2] = [0.0087, 0.0175];
 /// Least and greatest departure of the mean acceleration, m/s².
 const ACCELERATION: [f64; 2] = [0.1, 0.3];
-/// Where there is a gyroscope, an acceleration counts beside a rate of this share of the rate that counts by itself.
+/// If there is a gyroscope, an acceleration counts beside a rate of this share of the rate that counts by itself.
 const STIR: f64 = 0.5;
 /// Windows of a neighbourhood, and how many of them have to depart.
 const NEIGHBOURS: usize = 7;
@@ -60,7 +62,7 @@ const OFFSET_MAX: f64 = 0.44;
 const FOLLOW: f64 = 0.05;
 /// at most so fast, rad/s per s: 0.34 °/s a minute.
 const FOLLOW_MAX: f64 = 1e-4;
-/// What a bias may change while the sensor moves, rad/s per s, and altogether.
+/// The largest change of a bias while the sensor moves, rad/s per s, and altogether.
 const UNSEEN: [f64; 2] = [1e-5, 0.0087];
 /// Left out before and after motion, windows.
 const GUARD: usize = 2;
@@ -76,7 +78,7 @@ const TILT_MIN: f64 = 3e-3;
 struct Window {
     /// Place of its first sample over the window's length.
     index: u64,
-    /// Means of gyro x, y, z in rad/s and accel x, y, z in m/s²; NaN where there is none.
+    /// Means of gyro x, y, z in rad/s and accel x, y, z in m/s²; NaN if there is none.
     means: [f32; 6],
 }
 
@@ -88,7 +90,7 @@ struct Open {
     counts: [u64; 6],
 }
 
-/// Gathers a capture's means; [`Self::settle`] tells motion from rest.
+/// Gathers a capture's means; [`Self::settle`] separates motion from rest.
 #[derive(Debug, Clone)]
 pub struct Stillness {
     rate_hz: f64,
@@ -101,16 +103,17 @@ pub struct Stillness {
 }
 
 impl Stillness {
-    /// For a capture of which that many samples were received. What is missing takes no window: a clock that jumps makes none longer.
+    /// For a capture of which that many samples were received. Missing samples take no window: a clock that jumps makes no window
+    /// longer.
     #[must_use]
     pub fn new(rate_hz: f64, samples: u64) -> Self {
         let length = ((WINDOW_S * rate_hz).ceil() as u64).max(WINDOW_SAMPLES).max(samples.div_ceil(WINDOWS_MAX));
         Self { rate_hz, length, windows: Vec::new(), open: Open::default(), beyond: [(0, 0); 6] }
     }
 
-    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones included): gyro
-    /// x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN: there is none. What is beyond any measurement
-    /// (100 rad/s, 1000 m/s²) counts as none.
+    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones included):
+    /// gyro x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN marks a missing value. A value beyond
+    /// any measurement (100 rad/s, 1000 m/s²) counts as missing.
     pub fn push(&mut self, place: u64, columns: [&[f64]; 6]) {
         let rows = columns.iter().map(|column| column.len()).max().unwrap_or(0);
         let mut from = 0;
@@ -150,7 +153,7 @@ impl Stillness {
 
     fn close(&mut self) {
         let open = std::mem::take(&mut self.open);
-        // A window of few samples tells as little as none.
+        // A window of few samples counts as a window without samples.
         let enough = self.length.div_ceil(4);
         let mut means = [f32::NAN; 6];
         for ((mean, sum), count) in means.iter_mut().zip(open.sums).zip(open.counts) {
@@ -163,8 +166,8 @@ impl Stillness {
         }
     }
 
-    /// What moved: places from–to in order, disjoint; windows that were too sparse to tell go with their neighbours. `None`
-    /// where there is nothing to tell it from.
+    /// The stretches in motion: places from–to in order, disjoint; windows that were too sparse go with their neighbours. `None`
+    /// if there is no window.
     #[must_use]
     pub fn settle(mut self) -> Option<Vec<Range<u64>>> {
         self.close();
@@ -180,7 +183,7 @@ impl Stillness {
         let mut found: Vec<Range<u64>> = Vec::new();
         for run in widened(&moving) {
             let first = self.windows.get(run.start).map_or(0, |window| window.index * self.length);
-            // Up to the next window there is; of the last stretch to the end of everything.
+            // Up to the next window; the last stretch extends to the end of the capture.
             let end = self.windows.get(run.end).map_or(u64::MAX, |next| next.index * self.length);
             found.push(if run.start == 0 { 0..end } else { first..end });
         }
@@ -188,7 +191,7 @@ impl Stillness {
     }
 }
 
-/// A window's means; `None` where a triad lacks an axis altogether is spelled as zeros: they never depart.
+/// A window's means; `None` if a triad lacks an axis altogether is spelled as zeros: they never depart.
 #[derive(Debug, Clone, Copy)]
 struct Means {
     gyro: [f64; 3],
@@ -270,14 +273,15 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
         }
         let (before, after) = (levels[at - 4], levels[at + 4]);
         let apart = distance(before, after);
-        // What the rate makes of it: a direction that rests in the world turns against the sensor, du/dt = −ω × u.
+        // The direction that follows from the rate: a direction that rests in the world turns against the sensor, du/dt
+        // = −ω × u.
         let turn = (at - 4..at + 4).filter_map(|at| {
             let bias = bias[at]?;
             let rate: [f64; 3] = std::array::from_fn(|axis| means[at].gyro[axis] - bias[axis]);
             Some(cross(levels[at], rate).map(|axis| axis * window_s))
         });
         let told = turn.fold(before, |sum, change| std::array::from_fn(|axis| sum[axis] + change[axis]));
-        // With an axis absent nothing agrees or disagrees.
+        // If an axis is absent, the quantities neither agree nor disagree.
         let agree = told.iter().any(|axis| axis.is_nan()) || distance(told, after) < 0.5 * apart;
         apart > acceleration && (!has_gyro || agree)
     };
@@ -290,8 +294,8 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     moving
 }
 
-/// The bias at each window: learned from the steady ones of least rate and followed from there to both ends. None at all where
-/// nothing is steady, and then everything moves.
+/// The bias at each window: learned from the steady ones of least rate and followed from there to both ends. None if no window is
+/// steady, and then every window is in motion.
 fn followed(means: &[Means], steady: &[usize], rate: f64, window_s: f64) -> Vec<Option<[f64; 3]>> {
     if means.iter().all(|window| window.gyro.iter().all(|axis| axis.is_nan())) {
         return vec![Some([0.0; 3]); means.len()];
@@ -339,7 +343,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Slow tilts among windows at rest: windows in which gravity's direction turned and the rate tells the same.
+/// Slow tilts among windows at rest: windows in which gravity's direction turned and the rate shows the same turn.
 ///
 /// Both are taken as an episode's change less the mean of those before and after it, of equal length: a bias and its
 /// straight drift cancel. Each is measured by its own median over the record.
@@ -534,7 +538,7 @@ mod tests {
             let [(from, to)] = found[..] else { panic!("{absent:?}: {found:?}") };
             assert!((97.0..=100.5).contains(&from) && (102.5..=106.0).contains(&to), "{absent:?}: {found:?}");
         }
-        // About the vertical gravity says nothing.
+        // A turn about the vertical does not change gravity's direction.
         let mut columns = at_rest(300, 4);
         add(&mut columns[2], |t| if (200.0..203.0).contains(&t) { -0.035 } else { 0.0 });
         assert_eq!(moving(&columns).len(), 1);
@@ -558,7 +562,7 @@ mod tests {
         assert_eq!(moved(|_| false), [(0.0, 300.0)]);
     }
 
-    /// A table that tilts by 3° within 200 s is motion where the rate tells the same, and creep of the accelerometer is none.
+    /// A table that tilts by 3° within 200 s is motion if the rate shows the same turn, and creep of the accelerometer is not.
     #[test]
     fn a_slow_tilt_counts_where_both_witnesses_agree() {
         let angle = |t: f64| 0.052 * ((t - 500.0) / 200.0).clamp(0.0, 1.0);

@@ -29,7 +29,7 @@ impl Windows {
         Self { hann, transform, input, output, scratch, norm }
     }
 
-    /// Adds the one-sided power density of a window of samples to that of its bins, U²/Hz; None where its length is another.
+    /// Adds the one-sided power density of a window of samples to that of its bins, U²/Hz; None if its length is another.
     pub(super) fn add(&mut self, values: &[f64], sums: &mut [f64]) -> Option<()> {
         if values.len() != self.hann.len() {
             return None;
@@ -122,7 +122,7 @@ impl Welch {
     }
 
     /// Frequencies above 0 in Hz and the root of the one-sided power density there, U/√Hz: means over bins that lie closer than a
-    /// share `apart` of their frequency. None where there was no whole window.
+    /// share `apart` of their frequency. None if there was no whole window.
     #[must_use]
     pub fn density(&self, apart: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let step_hz = self.rate_hz / self.window as f64;

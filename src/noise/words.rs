@@ -1,4 +1,4 @@
-//! Words: what a channel's parameters say beside their table, as sentences for people.
+//! Words: a channel's parameters beside their table, as sentences for people.
 //!
 //! They have neither a capital at their beginning nor a full stop, so that they may follow a channel's name.
 
@@ -25,7 +25,7 @@ impl Bandwidth {
 }
 
 impl Flag {
-    /// What it is, when, and its note: `spike at 108.30–108.33 s: 7.9 standard deviations from its neighbours`.
+    /// The flag's kind, its time and its note: `spike at 108.30–108.33 s: 7.9 standard deviations from its neighbours`.
     #[must_use]
     pub fn words(&self) -> String {
         let when = match (self.from_s, self.to_s) {
@@ -59,7 +59,7 @@ impl NoiseParameters {
                 unit = self.unit
             ));
         }
-        // What contradicts the curve says neither how long to record nor what is not there.
+        // Parameters that contradict the curve determine neither how long to record nor what is absent.
         if !self.usable {
             return all;
         }

@@ -1,7 +1,7 @@
-//! Coalescing: of a storm of one kind of event, one message now and then. Pure.
+//! Coalescing: limits the messages for many events of one kind. Pure.
 //!
-//! The first is told at once. What follows within the interval is held and told together at its end; the interval then
-//! doubles, up to an hour, and is the first one again after an interval in which nothing came.
+//! The first event is reported at once. Events that follow within the interval are held and reported together at its
+//! end. The interval then doubles, up to an hour, and is reset after an interval without an event.
 
 use super::notice::Notice;
 use crate::observe::NotifyEvent;
@@ -13,13 +13,13 @@ const LONGEST_NS: u64 = 3_600_000_000_000;
 
 #[derive(Debug)]
 struct Slot {
-    /// No message of this kind before this.
+    /// The earliest time of the next message of this kind.
     until_ns: u64,
     interval_ns: u64,
     held: Option<Notice>,
 }
 
-/// Decides when what is told.
+/// Decides when each event is reported.
 #[derive(Debug)]
 pub struct Coalescer {
     first_ns: u64,
@@ -27,15 +27,16 @@ pub struct Coalescer {
 }
 
 impl Coalescer {
-    /// With `interval` after the first message of a kind.
+    /// A coalescer with `interval` after the first message of a kind.
     #[must_use]
     pub fn new(interval: Duration) -> Self {
         Self { first_ns: interval.as_nanos() as u64, slots: BTreeMap::new() }
     }
 
-    /// Takes in what happened; gives it back where it is to be told now.
+    /// Takes a notice; returns it if it is to be reported now.
     pub fn offer(&mut self, now_ns: u64, notice: Notice) -> Option<Notice> {
-        // Each capture completes once, each plan and each night is another: none of them stands for another.
+        // Each capture completes once, and each plan and each night is a different one: none of them stands for
+        // another.
         let is_single = matches!(
             notice.event,
             NotifyEvent::CaptureCompleted
@@ -60,7 +61,7 @@ impl Coalescer {
         Some(notice)
     }
 
-    /// What has been held long enough, in the order of what happened last; with `u64::MAX` all of it.
+    /// The notices that have been held long enough, in the order of their last event; with `u64::MAX` all of them.
     pub fn due(&mut self, now_ns: u64) -> Vec<Notice> {
         let mut due = Vec::new();
         for slot in self.slots.values_mut().filter(|slot| slot.until_ns <= now_ns) {
@@ -74,7 +75,7 @@ impl Coalescer {
         due
     }
 
-    /// When [`Self::due`] has something; `None` where nothing is held.
+    /// The time at which [`Self::due`] returns something; `None` if nothing is held.
     #[must_use]
     pub fn deadline_ns(&self) -> Option<u64> {
         self.slots.values().filter(|slot| slot.held.is_some()).map(|slot| slot.until_ns).min()

@@ -1,4 +1,4 @@
-//! Delivery: one attempt to hand a message over, to a program or by HTTP, which ends in its time whatever happens.
+//! Delivery: one attempt to pass a message to a program or to send it by HTTP, with a time limit in every case.
 
 use super::notice::Message;
 use std::io::{ErrorKind, Write};
@@ -7,17 +7,17 @@ use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use ureq::tls::{RootCerts, TlsConfig};
 
-/// How often a running program is looked at.
+/// The interval at which a running program is checked.
 const LOOK: Duration = Duration::from_millis(20);
-/// Variables by which systemd speaks to the daemon: not for the programs it starts.
+/// Variables with which systemd communicates with the daemon; they are not passed to the programs it starts.
 const OF_SYSTEMD: [&str; 5] = ["NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC", "LISTEN_PID", "LISTEN_FDS"];
 
-/// Who is told.
+/// The receiver of messages.
 #[derive(Debug, Clone)]
 pub enum Receiver {
     /// A program and its arguments.
     Command(Vec<String>),
-    /// An address that takes JSON, and what of it may be shown: the rest often is a secret.
+    /// An address that accepts JSON, and the part of it that may be shown: the rest often is a secret.
     Url {
         /// The whole address.
         url: String,
@@ -26,40 +26,40 @@ pub enum Receiver {
     },
 }
 
-/// Why an attempt failed.
+/// The reasons why an attempt failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeliverError {
     /// The program cannot be started.
     #[error("{program} cannot be started: {reason}")]
     Start {
-        /// Which.
+        /// The program.
         program: String,
-        /// The system's words.
+        /// The error message of the system.
         reason: String,
     },
-    /// It said no.
+    /// The program reported a failure.
     #[error("{program} ended with {status}")]
     Ended {
-        /// Which.
+        /// The program.
         program: String,
-        /// Code or signal.
+        /// Its exit code or signal.
         status: String,
     },
-    /// It took too long, and was killed with all that it had started.
+    /// The program took too long, and was killed with all processes that it had started.
     #[error("{program} took longer than {limit:?} and was killed")]
     Killed {
-        /// Which.
+        /// The program.
         program: String,
-        /// Its time.
+        /// The time limit.
         limit: Duration,
     },
-    /// The receiver answered something else than success.
+    /// The receiver returned another status than success.
     #[error("{shown} answered {status}")]
     Answered {
         /// Scheme and host.
         shown: String,
-        /// The answer's code.
+        /// The status code.
         status: u16,
     },
     /// There was no answer.
@@ -67,7 +67,7 @@ pub enum DeliverError {
     NoAnswer {
         /// Scheme and host.
         shown: String,
-        /// What happened.
+        /// The error.
         reason: String,
     },
     /// The daemon ends.
@@ -76,8 +76,8 @@ pub enum DeliverError {
 }
 
 impl DeliverError {
-    /// Whether the same message may be taken later. An answer that says the request itself is wrong (4xx but for
-    /// 408 Request Timeout and 429 Too Many Requests) or lives elsewhere (3xx) stays what it is.
+    /// Whether the same message may be accepted later. A status that reports an error in the request (4xx except 408
+    /// Request Timeout and 429 Too Many Requests) or another location (3xx) is permanent.
     #[must_use]
     pub fn may_pass(&self) -> bool {
         match self {
@@ -89,7 +89,7 @@ impl DeliverError {
 }
 
 impl Receiver {
-    /// As a log may show it.
+    /// The receiver in the form for logs.
     #[must_use]
     pub fn shown(&self) -> &str {
         match self {
@@ -98,7 +98,7 @@ impl Receiver {
         }
     }
 
-    /// One attempt that takes no longer than `limit`. `keep_on` is asked while a program runs.
+    /// Makes one attempt that takes no longer than `limit`. `keep_on` is called while a program runs.
     ///
     /// # Errors
     /// [`DeliverError`].
@@ -119,7 +119,8 @@ fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn(
     for name in OF_SYSTEMD {
         starting.env_remove(name);
     }
-    // What it has to say goes to the daemon's own log. A group of its own: what it starts ends with it.
+    // The program's error output goes to the daemon's own log. It gets its own process group, so that processes it
+    // starts end with it.
     starting.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::inherit()).process_group(0);
     let mut child =
         starting.spawn().map_err(|error| DeliverError::Start { program: named(), reason: error.to_string() })?;
@@ -147,21 +148,22 @@ fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn(
     }
 }
 
-/// The body on its way to a program's standard input, which may never be read: a pipe holds 64 KiB, a body may be longer.
+/// Writes the body to a program's standard input, which may never be read: a pipe holds 64 KiB, and a body may be
+/// longer.
 struct Handing<'a> {
-    /// Closed once all is handed over or nobody reads.
+    /// Closed once all is written or there is no reader.
     stdin: Option<ChildStdin>,
     left: &'a [u8],
 }
 
 impl<'a> Handing<'a> {
     fn begin(stdin: Option<ChildStdin>, body: &'a [u8]) -> Self {
-        // Whoever cannot be handed it without waiting has the environment.
+        // A program whose pipe cannot be written without blocking has the environment.
         let stdin = stdin.filter(|stdin| rustix::io::ioctl_fionbio(stdin, true).is_ok());
         Self { stdin, left: body }
     }
 
-    /// Hands over what the pipe takes now.
+    /// Writes as much as the pipe accepts now.
     fn go_on(&mut self) {
         let Some(stdin) = &mut self.stdin else { return };
         while !self.left.is_empty() {
@@ -169,7 +171,7 @@ impl<'a> Handing<'a> {
                 Ok(written) if written > 0 => self.left = &self.left[written..],
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return,
-                // It does not read: it has the environment.
+                // The program does not read: it has the environment.
                 _ => break,
             }
         }
@@ -185,10 +187,10 @@ fn told(status: ExitStatus) -> String {
     }
 }
 
-/// Kills the child's whole group and takes its status, so that nothing is left of it.
+/// Kills the child's whole process group and collects its status, so that no process remains.
 fn kill(child: &mut Child) {
     let group = rustix::process::Pid::from_child(child);
-    // It may have ended by itself a moment ago.
+    // The child may have ended by itself a moment ago.
     let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     let _ = child.wait();
 }
@@ -199,7 +201,7 @@ fn post(url: &str, shown: &str, message: &Message, limit: Duration) -> Result<()
     let agent: ureq::Agent = ureq::Agent::config_builder()
         .timeout_global(Some(limit))
         .http_status_as_error(false)
-        // What was posted here must not be posted elsewhere without somebody having said so.
+        // A message must not be posted to another address without the user's consent.
         .max_redirects(0)
         .max_redirects_will_error(false)
         .user_agent(concat!("vn100d/", env!("CARGO_PKG_VERSION")))

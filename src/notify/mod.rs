@@ -1,11 +1,12 @@
-//! Notifications: somebody is told when a capture completes, a gap opens or closes, storage runs low, the sensor is lost.
+//! Notifications: a message is sent when a capture completes, a gap opens or closes, storage runs low, or the sensor is
+//! lost.
 //!
-//! Enters: status snapshots and what the capture writes down ([`Tap`]). Leaves: a program run or a JSON posted per
-//! [`Notice`]. Pure: what is worth telling ([`watch`]) and how much of it ([`coalesce`]). Each receiver has a thread and
-//! a bounded queue of its own ([`worker`]): one that hangs or fails costs its own messages and nothing else, least of all
-//! a sample. Promised: each attempt ends in its time, with every process it started; each message is tried a bounded
-//! number of times; what is given up or does not fit is counted and logged. Not promised: that a message survives the
-//! daemon's end. Whoever must know for certain that the daemon lives asks `/readyz`.
+//! In: status snapshots and the records of the capture ([`Tap`]). Out: a program run or a JSON posted per [`Notice`].
+//! Pure parts: which events are reported ([`watch`]) and how often ([`coalesce`]). Each receiver has a separate thread
+//! and a bounded queue ([`worker`]): one that hangs or fails costs its own messages and nothing else, least of all a
+//! sample. Guarantees: each attempt ends within its time, with every process it started. Each message is tried a
+//! bounded number of times. Messages that are abandoned or do not fit are counted and logged. Not guaranteed: that a
+//! message survives the daemon's end. A client that must know for certain that the daemon is alive requests `/readyz`.
 
 pub mod coalesce;
 pub mod deliver;
@@ -27,41 +28,41 @@ use tokio_util::sync::CancellationToken;
 use watch::{Sign, WatchOptions, Watcher};
 use worker::Worker;
 
-/// Signs from the capture that may wait to be looked at.
+/// The maximum number of signs from the capture that wait to be processed.
 const TAP: usize = 256;
 
-/// Who is told of what.
+/// The receivers and events of notifications.
 #[derive(Debug, Clone)]
 pub struct NotifyOptions {
-    /// Who is told.
+    /// The receivers.
     pub receivers: Vec<Receiver>,
-    /// Of what.
+    /// The reported events.
     pub events: Vec<NotifyEvent>,
-    /// How soon the same event is told again.
+    /// The interval after which the same event is reported again.
     pub coalesce: Duration,
-    /// What counts as lost and low.
+    /// The limits for lost and low.
     pub watch: WatchOptions,
-    /// How one message is tried.
+    /// The attempts for one message.
     pub effort: worker::Effort,
-    /// What every message says of its sender.
+    /// The sender in every message.
     pub sender: notice::Sender,
 }
 
-/// Where others put what they have seen; never waits, cheap to clone. Without receivers it forgets everything.
+/// Receives the observations of other rooms; never waits, cheap to clone. Without receivers it discards everything.
 #[derive(Debug, Clone, Default)]
 pub struct Tap(Option<mpsc::Sender<Sign>>);
 
 impl Tap {
     fn put(&self, sign: Sign) {
-        // Full in a storm of gaps: the status still counts them.
+        // Full during many gaps: the status still counts them.
         let _ = self.0.as_ref().map(|sender| sender.try_send(sign));
     }
-    /// Whether anybody listens.
+    /// Whether there is a receiver.
     #[must_use]
     pub fn is_heard(&self) -> bool {
         self.0.is_some()
     }
-    /// A gap was written down: it is over.
+    /// A gap was recorded: it is closed.
     pub fn gap(&self, capture_id: i64, gap: &Gap) {
         if self.is_heard() {
             self.put(Sign::Gap(capture_id, gap.clone()));
@@ -71,7 +72,7 @@ impl Tap {
     pub fn completed(&self, capture: CaptureFacts) {
         self.put(Sign::Ended(capture));
     }
-    /// Captures are going to be deleted.
+    /// Deletions of captures are planned.
     pub fn deletions(&self, planned: Vec<PlannedDeletion>) {
         self.put(Sign::Deletions(planned));
     }
@@ -81,7 +82,7 @@ impl Tap {
     }
 }
 
-/// The notifications of a daemon: made first, so that others have its [`Tap`]; then run.
+/// The notifications of a daemon. It is created first, so that other rooms have its [`Tap`]; then it runs.
 #[derive(Debug)]
 pub struct Notifier {
     options: NotifyOptions,
@@ -90,12 +91,12 @@ pub struct Notifier {
     workers: Vec<Worker>,
 }
 
-/// How the telling goes, from memory; cheap to clone.
+/// The state of the notifications, from memory; cheap to clone.
 #[derive(Debug, Clone, Default)]
 pub struct NotifyFigures(Vec<Arc<worker::Figures>>);
 
 impl NotifyFigures {
-    /// All receivers together.
+    /// The sum over all receivers.
     #[must_use]
     pub fn status(&self) -> NotifyStatus {
         let mut sum = NotifyStatus::default();
@@ -107,10 +108,10 @@ impl NotifyFigures {
 }
 
 impl Notifier {
-    /// One worker per receiver.
+    /// Starts one worker per receiver.
     ///
     /// # Errors
-    /// What the system says where a thread cannot be started.
+    /// The error that the system reports if a thread cannot be started.
     pub fn start(options: NotifyOptions) -> std::io::Result<Self> {
         let (sender, signs) = mpsc::channel(TAP);
         let tap = Tap((!options.receivers.is_empty()).then_some(sender));
@@ -122,19 +123,20 @@ impl Notifier {
         Ok(Self { options, signs, tap, workers })
     }
 
-    /// Where others put what they have seen.
+    /// The tap for the observations of other rooms.
     #[must_use]
     pub fn tap(&self) -> Tap {
         self.tap.clone()
     }
 
-    /// How the telling goes.
+    /// The state of the notifications.
     #[must_use]
     pub fn figures(&self) -> NotifyFigures {
         NotifyFigures(self.workers.iter().map(Worker::figures).collect())
     }
 
-    /// Looks and tells until `stop`; then what was held back is told, in the short time that an ending daemon has.
+    /// Watches and reports until `stop`; then what was held back is reported, in the short time that an ending daemon
+    /// has.
     pub async fn run(mut self, mut status: channel::Receiver<Status>, clock: Arc<dyn Clock>, stop: CancellationToken) {
         if self.workers.is_empty() {
             return;
@@ -175,7 +177,7 @@ impl Notifier {
         let held = coalescer.due(u64::MAX);
         self.tell(held);
         let workers = std::mem::take(&mut self.workers);
-        // The threads are waited for on one for such work.
+        // Waiting for the threads blocks, so it is done on a thread for blocking work.
         let _ = tokio::task::spawn_blocking(move || Worker::stop(workers)).await;
     }
 

@@ -1,4 +1,4 @@
-//! Notice: one message, as data, as a sentence and as what a receiver gets.
+//! Notice: one message, as data, as a sentence and in the form for receivers.
 
 use crate::clock::rfc3339;
 use crate::observe::{NotifyEvent, PlannedDeletion, SensorStatus, StorageStatus};
@@ -8,12 +8,12 @@ use serde::Serialize;
 /// Name and version of the JSON's form.
 pub const FORMAT: &str = "vn100d-notice-1";
 
-/// What every message says of its sender.
+/// The sender in every message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sender {
     /// The machine's name.
     pub host: String,
-    /// The database: tells several daemons of one machine apart.
+    /// The database; it distinguishes several daemons of one machine.
     pub database: String,
 }
 
@@ -36,16 +36,16 @@ pub struct CaptureFacts {
     pub gaps: u64,
 }
 
-/// A gap in a message.
+/// The facts about a gap in a message.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GapFacts {
     /// Last sample before it, RFC 3339.
     pub from: String,
     /// First sample after it, RFC 3339; null while it is open.
     pub to: Option<String>,
-    /// Samples missing; of all gaps where the message tells of several. Null while it is open.
+    /// Samples missing; in all gaps if the message covers several. Null while the gap is open.
     pub missing: Option<u64>,
-    /// Why. Null while it is open.
+    /// The cause. Null while the gap is open.
     pub cause: Option<&'static str>,
     /// Its length, s; null while it is open.
     pub length_s: Option<f64>,
@@ -75,22 +75,22 @@ impl GapFacts {
 pub struct NightFacts {
     /// The name that its capture would have had.
     pub name: String,
-    /// Why it was not recorded.
+    /// The reason why it was not recorded.
     pub reason: String,
 }
 
-/// One message, or several of a kind in one.
+/// One message, or several of a kind combined.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Notice {
-    /// What happened.
+    /// The event.
     pub event: NotifyEvent,
-    /// When, UTC ns; of several the last.
+    /// The time of the event, UTC ns; of several the last.
     #[serde(skip)]
     pub utc_ns: i64,
     /// The first of several, UTC ns.
     #[serde(skip)]
     pub first_utc_ns: i64,
-    /// How many it stands for.
+    /// The number of events it stands for.
     pub count: u64,
     /// The capture it concerns.
     pub capture: Option<CaptureFacts>,
@@ -100,18 +100,19 @@ pub struct Notice {
     pub sensor: Option<SensorStatus>,
     /// The store.
     pub storage: Option<StorageStatus>,
-    /// What is going to be deleted: the first of them, at most [`DELETIONS_NAMED`].
+    /// The planned deletions: the first of them, at most [`DELETIONS_NAMED`].
     pub deletions: Vec<PlannedDeletion>,
-    /// How many are going to be deleted.
+    /// The number of planned deletions.
     pub deletions_total: u64,
     /// The night that was skipped.
     pub night: Option<NightFacts>,
 }
 
-/// A message fits into a pipe and an environment variable however many captures it is about.
+/// The maximum number of deletions listed. A message thus fits into a pipe and an environment variable however many
+/// captures it covers.
 pub const DELETIONS_NAMED: usize = 20;
 
-/// What a receiver gets.
+/// The message in the form for receivers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
     /// The event's name.
@@ -123,7 +124,7 @@ pub struct Message {
 }
 
 impl Notice {
-    /// A message of this event, with nothing said yet.
+    /// A message of this event, with nothing else set.
     #[must_use]
     pub fn new(event: NotifyEvent, utc_ns: i64) -> Self {
         Self {
@@ -141,7 +142,7 @@ impl Notice {
         }
     }
 
-    /// Takes in a later message of the same kind.
+    /// Combines a later message of the same kind with this one.
     pub fn take_in(&mut self, later: Self) {
         let missing = |gap: &Option<GapFacts>| gap.as_ref().and_then(|gap| gap.missing);
         let sum = match (missing(&self.gap), missing(&later.gap)) {
@@ -159,7 +160,7 @@ impl Notice {
         }
     }
 
-    /// One sentence for a person.
+    /// One sentence for the user.
     #[must_use]
     pub fn message(&self) -> String {
         let capture = self
@@ -239,7 +240,7 @@ impl Notice {
         format!("storage runs low: {free} MiB free{lasts}, state {state}{error}")
     }
 
-    /// As a receiver gets it.
+    /// The message in the form for receivers.
     #[must_use]
     pub fn rendered(&self, sender: &Sender) -> Message {
         let (message, at) = (self.message(), rfc3339(self.utc_ns));
@@ -268,7 +269,7 @@ impl Notice {
             environment.push(("VN100D_EVENT_CAPTURE_NAME", capture.name.clone()));
         }
         environment.push(("VN100D_EVENT_MESSAGE", message));
-        // The system takes no zero byte in a variable.
+        // The system does not accept a zero byte in a variable.
         for (_, value) in &mut environment {
             value.retain(|character| character != '\0');
         }

@@ -1,4 +1,4 @@
-//! What notifications promise, with receivers that hang, refuse and recover.
+//! The guarantees of notifications, with receivers that hang, refuse and recover.
 
 use super::coalesce::Coalescer;
 use super::deliver::{DeliverError, Receiver};
@@ -72,10 +72,10 @@ fn a_sensor_is_lost_after_its_time_once_and_back_once() {
         let notices = watcher.observe(second * S, 0, &status(state, capturing));
         events(&notices)
     };
-    // Without a capture nobody waits for it.
+    // Without a capture no one waits for it.
     assert_eq!(at(0, SensorState::Absent, false), [""; 0]);
     assert_eq!(at(100, SensorState::Absent, false), [""; 0]);
-    // A flicker does not page.
+    // A short interruption is not reported.
     assert_eq!(at(101, SensorState::Streaming, true), [""; 0]);
     assert_eq!(at(110, SensorState::Absent, true), [""; 0]);
     assert_eq!(at(139, SensorState::Opening, true), [""; 0]);
@@ -84,7 +84,8 @@ fn a_sensor_is_lost_after_its_time_once_and_back_once() {
     assert_eq!(at(169, SensorState::Backoff, true), [""; 0]);
     assert_eq!(at(170, SensorState::Absent, true), ["sensor_lost"]);
     assert_eq!(at(500, SensorState::Probing, true), [""; 0]);
-    // The capture was stopped meanwhile: whoever was told that it is lost hears that it is back all the same.
+    // The capture was stopped meanwhile: a receiver that was notified of the loss is nevertheless notified of the
+    // return.
     assert_eq!(at(501, SensorState::Absent, false), [""; 0]);
     assert_eq!(at(502, SensorState::Streaming, false), ["sensor_back"]);
     assert_eq!(at(503, SensorState::Streaming, true), [""; 0]);
@@ -126,7 +127,7 @@ fn storage_is_low_by_space_by_time_and_by_trouble_and_well_again_with_room_to_sp
     assert_eq!(at(4, 9000, Some(11.9), StorageState::Ok), ["storage_low"]);
     assert_eq!(at(5, 9000, Some(12.5), StorageState::Ok), [""; 0]);
     assert_eq!(at(6, 9000, None, StorageState::Slow), ["storage_ok"]);
-    // A lock that passes is no news; a disk that refuses for seconds is.
+    // A lock that passes is not reported; a disk that refuses for seconds is.
     assert_eq!(at(7, 9000, None, StorageState::StorageLocked), [""; 0]);
     assert_eq!(at(9, 9000, None, StorageState::Ok), [""; 0]);
     assert_eq!(at(10, 9000, None, StorageState::StorageReadonly), [""; 0]);
@@ -140,8 +141,8 @@ fn closed(utc_s: i64, missing: u64) -> Notice {
     notice
 }
 
-/// A gap a second for eight hours: a message at once, then one per interval that doubles up to an hour, and nothing of
-/// what happened is missing from them.
+/// A gap a second for eight hours: a message at once, then one per interval that doubles up to an hour, and together
+/// they contain every gap.
 #[test]
 fn a_gap_a_second_does_not_make_a_message_a_second() {
     let mut coalescer = Coalescer::new(Duration::from_secs(60));
@@ -160,7 +161,7 @@ fn a_gap_a_second_does_not_make_a_message_a_second() {
     let missing = |notice: &Notice| notice.gap.as_ref().unwrap().missing.unwrap();
     assert_eq!(told.iter().map(|(_, notice)| missing(notice)).sum::<u64>(), 3 * hours);
     assert!(told.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 3600 || pair[1].0 == hours), "at least hourly");
-    // After an hour of peace the next one is told at once.
+    // After an hour without a gap the next one is reported at once.
     assert!(coalescer.offer(3 * hours * S, closed(0, 1)).is_some());
 }
 
@@ -208,8 +209,8 @@ fn effort(attempts: u32, timeout_ms: u64) -> Effort {
     Effort { attempts, timeout: Duration::from_millis(timeout_ms), retry_after: Duration::from_millis(20) }
 }
 
-/// A receiver that answers one connection after the other with these bytes (`None`: it says nothing and keeps it open),
-/// and what it was sent.
+/// A receiver that answers one connection after the other with these bytes (`None`: it sends nothing and keeps it
+/// open), and the data it received.
 fn receiver(answers: Vec<Option<&'static str>>) -> (Receiver, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let shown = format!("http://{}", listener.local_addr().unwrap());
@@ -350,13 +351,13 @@ fn a_program_that_hangs_is_killed_with_what_it_started() {
     assert!(matches!(error, DeliverError::Killed { .. }), "{error}");
     assert!(begun.elapsed() < Duration::from_secs(10));
     let child: u32 = std::fs::read_to_string(&pid).unwrap().trim().parse().unwrap();
-    // Gone, or waiting for whoever adopted it to take its status.
+    // Gone, or waiting for its adoptive parent to collect its status.
     until("its child is gone", || {
         std::fs::read_to_string(format!("/proc/{child}/stat")).map_or(true, |stat| stat.contains(") Z "))
     });
 }
 
-/// A body beyond the pipe's 64 KiB, as many planned deletions make it.
+/// A body beyond the pipe's 64 KiB, as many planned deletions produce.
 #[test]
 fn a_long_body_is_handed_over_whole_and_waits_for_no_program_that_does_not_read() {
     let long = Message { event: "test", body: "x".repeat(1 << 20), environment: Vec::new() };
@@ -367,7 +368,7 @@ fn a_long_body_is_handed_over_whole_and_waits_for_no_program_that_does_not_read(
     assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
     let error = command(&["sleep", "600"]).attempt(&long, Duration::from_secs(600), || false).unwrap_err();
     assert_eq!(error, DeliverError::Stopped);
-    // Slowly read, it arrives all the same; closed at once, the program's word counts.
+    // If it is read slowly, it arrives nevertheless; if the pipe is closed at once, the program's exit code counts.
     let slow = "head -c 300000 | wc -c; sleep 0.3; test \"$(wc -c)\" -eq 748576";
     command(&["sh", "-c", slow]).attempt(&long, Duration::from_secs(60), || true).unwrap();
     command(&["sh", "-c", "exec <&-; exit 0"]).attempt(&long, Duration::from_secs(60), || true).unwrap();
@@ -388,7 +389,7 @@ fn a_hanging_program_ends_with_the_daemon() {
     assert_eq!((status.failed, status.queued), (1, 0), "{status:?}");
 }
 
-/// A storm of gaps reaches a receiver that hangs as a few messages, and a receiver that works beside it has all of them.
+/// Many gaps reach a receiver that hangs as a few messages, and a receiver that works beside it gets all of them.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hanging_receiver_costs_the_other_one_nothing() {
     let (hanging, _) = receiver(vec![None; 4]);

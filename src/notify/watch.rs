@@ -1,61 +1,61 @@
-//! Watch: what of all that happens is worth telling. Pure: status snapshots and times in, notices out.
+//! Watch: determines which events are reported. Pure: status snapshots and times in, notices out.
 
 use super::notice::{CaptureFacts, DELETIONS_NAMED, GapFacts, NightFacts, Notice};
 use crate::observe::{CaptureStatus, NotifyEvent, PlannedDeletion, SensorState, Status, StorageState, StorageStatus};
 use crate::sample::Gap;
 use std::time::Duration;
 
-/// A disk that refuses is told of when it has done so for this long: a checkpoint's or a backup's lock passes.
+/// A disk that refuses writes is reported when it has done so for this long: a checkpoint's or a backup's lock passes.
 const TROUBLE_NS: u64 = 5_000_000_000;
-/// Space that lasts less than this is low, s; and it is well again only when it lasts an hour longer.
+/// Space that lasts less than the first value is low, s; it is sufficient again only when it lasts an hour longer.
 const LASTS_S: (f64, f64) = (12.0 * 3600.0, 13.0 * 3600.0);
 
-/// What counts as lost and low.
+/// The limits for lost and low.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WatchOptions {
-    /// How long the sensor must be away.
+    /// The minimum absence of the sensor.
     pub sensor_lost_after: Duration,
     /// Free space below this is low, bytes.
     pub reserve_bytes: u64,
 }
 
-/// Something that the status does not show.
+/// An event that the status does not show.
 #[derive(Debug, Clone)]
 pub enum Sign {
-    /// A gap of this capture is over.
+    /// A gap of this capture is closed.
     Gap(i64, Gap),
     /// A capture is complete and on disk.
     Ended(CaptureFacts),
-    /// Captures are going to be deleted.
+    /// Deletions of captures are planned.
     Deletions(Vec<PlannedDeletion>),
     /// A night of the schedule was not recorded.
     Skipped(NightFacts),
 }
 
-/// Compares each snapshot with what was told before.
+/// Compares each snapshot with the events reported before.
 #[derive(Debug)]
 pub struct Watcher {
     options: WatchOptions,
     /// The capture of the last snapshot.
     capture: Option<CaptureFacts>,
-    /// The gap that was told of: its capture and beginning.
+    /// The reported open gap: its capture and beginning.
     gap: Option<(i64, String)>,
-    /// Since when the sensor has been away while a capture needs it.
+    /// The time since which the sensor has been absent while a capture needs it.
     away_since_ns: Option<u64>,
     lost: bool,
-    /// Since when the disk has refused.
+    /// The time since which the disk has refused writes.
     trouble_since_ns: Option<u64>,
     low: bool,
 }
 
 impl Watcher {
-    /// A watcher that has seen nothing.
+    /// A watcher that has seen no snapshot.
     #[must_use]
     pub fn new(options: WatchOptions) -> Self {
         Self { options, capture: None, gap: None, away_since_ns: None, lost: false, trouble_since_ns: None, low: false }
     }
 
-    /// What a snapshot at monotonic `now_ns` brings.
+    /// The notices that follow from a snapshot at monotonic `now_ns`.
     pub fn observe(&mut self, now_ns: u64, utc_ns: i64, status: &Status) -> Vec<Notice> {
         let mut notices = Vec::new();
         self.capture = status.capture.as_ref().map(facts);
@@ -65,7 +65,7 @@ impl Watcher {
         notices
     }
 
-    /// What a sign brings.
+    /// The notices that follow from a sign.
     pub fn sign(&mut self, utc_ns: i64, sign: Sign) -> Vec<Notice> {
         match sign {
             Sign::Gap(capture_id, gap) => {
@@ -129,7 +129,7 @@ impl Watcher {
             self.away_since_ns = None;
             std::mem::take(&mut self.lost).then_some(NotifyEvent::SensorBack)
         } else if status.capture.is_none() {
-            // An absent sensor that nobody waits for is no news; that a lost one is back still is.
+            // The absence of a sensor that no capture needs is not reported; the return of a lost one still is.
             self.away_since_ns = None;
             None
         } else {
@@ -161,7 +161,7 @@ impl Watcher {
         let (floor, lasts_s) = if self.low { (1.1 * reserve, LASTS_S.1) } else { (reserve, LASTS_S.0) };
         let short =
             (storage.free_bytes as f64) < floor || storage.time_to_full_s.is_some_and(|left_s| left_s < lasts_s);
-        // While the disk refuses, nothing says that it is well.
+        // While the disk refuses writes, nothing shows that it is well.
         let low = troubled || short || (self.low && self.trouble_since_ns.is_some());
         if low != self.low {
             self.low = low;

@@ -8,28 +8,29 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Messages that wait for a receiver; more are dropped, the newest first: what began the trouble is told.
+/// The maximum number of messages that wait for a receiver. Further ones are dropped, so that the beginning of the
+/// trouble is reported.
 pub const QUEUE: usize = 64;
-/// The longest wait between two attempts.
+/// The longest delay between two attempts.
 const LONGEST: Duration = Duration::from_secs(300);
 /// How long an ending daemon waits for its receivers.
 const ENDING: Duration = Duration::from_secs(2);
-/// How finely waits can be ended.
+/// The resolution with which waits can be ended.
 const STEP: Duration = Duration::from_millis(50);
 
-/// How one message is tried.
+/// The attempts for one message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effort {
-    /// How often.
+    /// The number of attempts.
     pub attempts: u32,
-    /// How long one attempt may take.
+    /// The time limit of one attempt.
     pub timeout: Duration,
-    /// The wait after the first failure; doubles with every further one.
+    /// The delay after the first failure; it doubles with every further one.
     pub retry_after: Duration,
 }
 
 impl Effort {
-    /// The wait after this many failed attempts (from 1).
+    /// The delay after this many failed attempts (from 1).
     #[must_use]
     pub fn wait(&self, failed: u32) -> Duration {
         self.retry_after.saturating_mul(1 << failed.saturating_sub(1).min(16)).min(LONGEST.max(self.retry_after))
@@ -74,9 +75,9 @@ pub struct Worker {
 #[derive(Debug)]
 struct Shared {
     figures: Arc<Figures>,
-    /// No further attempts.
+    /// Whether further attempts are forbidden.
     stop: AtomicBool,
-    /// The running attempt is called off too.
+    /// Whether the running attempt is cancelled too.
     abandon: AtomicBool,
 }
 
@@ -84,7 +85,7 @@ impl Worker {
     /// Starts the thread.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error that the system reports.
     pub fn start(receiver: Receiver, effort: Effort) -> std::io::Result<Self> {
         let (queue, messages) = mpsc::sync_channel(QUEUE);
         let shared =
@@ -116,7 +117,7 @@ impl Worker {
         }
     }
 
-    /// Ends the workers: each message that waits is tried once more at most, for two seconds in all; a program that still
+    /// Ends the workers. Each waiting message is tried once more at most, for two seconds in all; a program that still
     /// runs then is killed.
     pub fn stop(workers: Vec<Self>) {
         let until = Instant::now() + ENDING;
@@ -133,7 +134,7 @@ impl Worker {
         for (shared, _) in &threads {
             shared.abandon.store(true, Ordering::Release);
         }
-        // A program is killed within a look or two; an HTTP request ends with the process.
+        // A program is killed within one or two checks; an HTTP request ends with the process.
         let until = Instant::now() + 4 * STEP;
         while Instant::now() < until && threads.iter().any(|(_, thread)| !thread.is_finished()) {
             std::thread::sleep(STEP);

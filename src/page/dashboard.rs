@@ -1,4 +1,5 @@
-//! The first page: whether it records, how far it is, the last minute, what is missing and why, the disk, jobs, captures.
+//! The first page: the recording, its progress, the last minute, missing samples and their causes, the disk, jobs,
+//! captures.
 
 use super::figure::{clock, plain, size, span};
 use super::{Kind, escaped, framed};
@@ -7,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// The last minute of a channel, as far as it came.
+/// The last minute of a channel, as far as data arrived.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Minute<'a> {
@@ -19,7 +20,7 @@ pub struct Minute<'a> {
     pub last: f64,
 }
 
-/// What the page is made of. Documents are JSON texts.
+/// The contents of the page. Documents are JSON texts.
 #[derive(Debug, Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct DashboardView<'a> {
@@ -27,15 +28,15 @@ pub struct DashboardView<'a> {
     pub status: &'a str,
     /// The last minute.
     pub minute: &'a [Minute<'a>],
-    /// What the database says; None where it does not answer.
+    /// The error that the database reports; `None` if it does not answer.
     pub stored: Option<Stored<'a>>,
-    /// Sample time of a capture without a duration of its own: `5h`.
+    /// Sample time of a capture without a given duration: `5h`.
     pub duration: &'a str,
-    /// Whether wishes need a token.
+    /// Whether requests need a token.
     pub token: bool,
 }
 
-/// The latest rows of the database, lists as the interface answers them.
+/// The latest rows of the database, lists as the interface returns them.
 #[derive(Debug, Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Stored<'a> {
@@ -178,7 +179,7 @@ struct DiagnosisEntry {
 /// What is missing in a text that is none of these documents.
 pub fn dashboard(view: &DashboardView<'_>) -> Result<String, serde_json::Error> {
     let live = live(view)?;
-    // What is heard in time to be of use is announced, as is that nothing is heard.
+    // Assistive technology announces problems in time to act, and also that the daemon does not answer.
     let mut out = format!("<p id=\"lost\" class=\"alarm\" role=\"alert\"></p><div id=\"live\">{live}</div>");
     wishes(&mut out, view);
     out += "<footer><a href=\"/v1/status\">status as JSON</a> · <a href=\"/v1/captures\">captures</a> · \
@@ -398,7 +399,7 @@ fn diagnoses(out: &mut String, diagnoses: Vec<DiagnosisEntry>) {
     *out += "</ul></section>";
 }
 
-/// Forms, which scripts show and send; without them there is curl.
+/// Forms, which scripts show and send; users without scripts have curl.
 fn wishes(out: &mut String, view: &DashboardView<'_>) {
     *out += "<section class=\"wishes\" aria-label=\"start and stop\" hidden><h2>Record</h2>";
     let _ = write!(
@@ -414,7 +415,7 @@ fn wishes(out: &mut String, view: &DashboardView<'_>) {
              <noscript><p class=\"soft\">To start: <code>curl --json '{\"duration\":\"5h\"}' http://ADDRESS/v1/captures</code></p></noscript>";
 }
 
-/// The field for the token, where one is needed.
+/// The field for the token, if one is needed.
 pub(super) fn token(needed: bool) -> String {
     if needed {
         "<label>token <input class=\"token\" type=\"password\" autocomplete=\"off\"></label>".to_owned()

@@ -1,15 +1,15 @@
-//! Figures: numbers, intervals and shares as a person reads them.
+//! Figures: numbers, intervals and shares for display.
 
 pub(super) use crate::plot::number::plain;
 use crate::plot::number::rounded;
 
-/// A number with as many digits as its interval tells apart, and the interval.
+/// A number with as many digits as its interval distinguishes, and the interval.
 pub(super) fn with_interval(value: f64, ends: [f64; 2]) -> String {
     let (value, interval) = parted(value, ends);
     format!("{value} ({interval})")
 }
 
-/// The number and its interval, each by itself.
+/// The number and its interval, as separate texts.
 pub(super) fn parted(value: f64, [low, high]: [f64; 2]) -> (String, String) {
     let (size, width) = (value.abs().max(low.abs()).max(high.abs()), (high - low).abs());
     let digits = if width > 0.0 && size > 0.0 { ((size / width).log10().ceil() as i64 + 2).clamp(3, 9) } else { 6 };
@@ -17,7 +17,7 @@ pub(super) fn parted(value: f64, [low, high]: [f64; 2]) -> (String, String) {
     (rounded(value, digits), format!("{} to {}", rounded(low, digits), rounded(high, digits)))
 }
 
-/// A share in percent; small differences from 0 and 100 are none of a reader's.
+/// A share in percent; small differences from 0 and 100 are not shown.
 pub(super) fn percent(share: f64) -> String {
     if share.is_finite() { format!("{:.0} %", 100.0 * share) } else { "–".to_owned() }
 }
@@ -27,7 +27,7 @@ pub(super) fn second(time_s: f64) -> String {
     if time_s.is_finite() { format!("{time_s:.0}") } else { "–".to_owned() }
 }
 
-/// A span of time as a person says it: 5 h, 2 h 14 min, 90 s.
+/// A span of time for display: 5 h, 2 h 14 min, 90 s.
 pub(super) fn span(time_s: f64) -> String {
     if !time_s.is_finite() || time_s < 0.0 {
         return "–".to_owned();
@@ -35,13 +35,13 @@ pub(super) fn span(time_s: f64) -> String {
     let whole = time_s.round() as u64;
     let parts = [(whole / 86_400, "d"), (whole / 3600 % 24, "h"), (whole / 60 % 60, "min"), (whole % 60, "s")];
     let first = parts.iter().position(|(count, _)| *count > 0).unwrap_or(3);
-    // Two neighbours are enough: nobody plans a night by the second.
+    // Two neighbouring units are enough: seconds are irrelevant to a night.
     let told = parts[first..].iter().take(2).filter(|(count, _)| *count > 0);
     let told: Vec<String> = told.map(|(count, unit)| format!("{count} {unit}")).collect();
     if told.is_empty() { "0 s".to_owned() } else { told.join(" ") }
 }
 
-/// A number of bytes as a person says it.
+/// A number of bytes for display.
 pub(super) fn size(bytes: f64) -> String {
     match bytes {
         few if few < 1e6 => format!("{:.0} kB", few / 1e3),
@@ -51,7 +51,7 @@ pub(super) fn size(bytes: f64) -> String {
     }
 }
 
-/// RFC 3339 as a person reads it: `2026-11-23 21:04:05`.
+/// RFC 3339 for display: `2026-11-23 21:04:05`.
 pub(super) fn clock(rfc3339: &str) -> String {
     let to_the_second = rfc3339.split(['.', 'Z', '+']).next().unwrap_or(rfc3339);
     to_the_second.replacen('T', " ", 1)

@@ -1,8 +1,8 @@
-//! Pages: documents of the interfaces as HTML for people. Pure.
+//! Pages: documents of the interfaces as HTML for users. Pure.
 //!
-//! In: a document's JSON text, as any program gets it, of this version or another. Out: one HTML file without anything from
-//! elsewhere, readable on dark and on light, on paper and on a phone, and without scripts: [`SCRIPT`] only makes it move.
-//! Promised: no text of a document becomes markup.
+//! In: a document's JSON text, as any program receives it, of this version or another. Out: one HTML file without
+//! external resources, readable on dark and on light, on paper and on a phone. It needs no scripts: [`SCRIPT`] only
+//! updates it. Guarantee: no text of a document becomes markup.
 
 mod capture;
 mod dashboard;
@@ -21,32 +21,32 @@ use crate::plot::escaped;
 
 const STYLE: &str = include_str!("style.css");
 
-/// What makes served pages move: it asks for the live part, sends wishes, and zooms.
+/// The script of served pages: it fetches the live part, sends requests, and zooms.
 pub const SCRIPT: &str = include_str!("page.js");
-/// Where it is served.
+/// The path at which it is served.
 pub const SCRIPT_PATH: &str = "/assets/page.js";
 
-/// What a page is for.
+/// The purpose of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// A file of its own, that is mailed and printed.
+    /// A standalone file that is mailed and printed.
     File,
     /// A page of the daemon.
     Served,
-    /// A page of the daemon that is asked for again after so many seconds, by those who have no scripts as well.
+    /// A page of the daemon that is reloaded after this many seconds, also without scripts.
     Renewed(u32),
-    /// A page of the daemon that scripts keep up to date; others ask again after so many seconds.
+    /// A page of the daemon that scripts keep up to date; without them it is reloaded after this many seconds.
     Live(u32),
-    /// The same for a page that waits for something: scripts ask again until it is there.
+    /// The same for a page that waits for a result: scripts repeat the request until it exists.
     Waiting(u32),
 }
 
-/// Begins what may be wider than the window: it scrolls by itself, by keys as well, and says what it is.
+/// Begins content that may be wider than the window: it scrolls separately, also by keyboard, and has a label.
 fn wide(label: &str) -> String {
     format!("<div class=\"wide\" role=\"group\" tabindex=\"0\" aria-label=\"{label}\">")
 }
 
-/// The whole file around what is to be seen.
+/// The whole file around the visible content.
 fn framed(title: &str, kind: Kind, body: &str) -> String {
     let again = |s: u32| format!("<meta http-equiv=\"refresh\" content=\"{s}\">");
     let refresh = match kind {

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 /// Shortest part that is offered, s.
 const SHORTEST_S: f64 = 0.5;
 
-/// What is to be seen.
+/// The content of the page.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct SeriesView<'a> {
@@ -19,9 +19,9 @@ pub struct SeriesView<'a> {
     pub others: &'a [&'a str],
     /// How long the capture is, s.
     pub length_s: f64,
-    /// From when to when, s since the first sample.
+    /// The beginning of the shown part, s since the first sample.
     pub from_s: f64,
-    /// See `from_s`.
+    /// The end of the shown part, s since the first sample.
     pub to_s: f64,
 }
 

@@ -2,7 +2,8 @@
 
 use super::{Kind, escaped, framed};
 
-/// A page that says what a job is doing and asks again, or why it has no result. `state` is the job's, `progress` 0–1.
+/// A page that shows the state of a job and reloads itself, or shows why there is no result. `state` is the job's,
+/// `progress` 0–1.
 #[must_use]
 pub fn waiting(title: &str, state: &str, progress: f64, error: Option<&str>) -> String {
     let ended = matches!(state, "failed" | "cancelled");

@@ -2,25 +2,25 @@
 
 use super::number::plain;
 
-/// Lines across a straight axis, about.
+/// The approximate number of lines across a straight axis.
 const LINES: f64 = 5.0;
 /// Room beyond the values, in parts of their range; of a logarithmic axis in decades.
 const ROOM: f64 = 0.04;
 const ROOM_DECADES: f64 = 0.06;
-/// Decades that a logarithmic axis has at least.
+/// The minimum number of decades on a logarithmic axis.
 const DECADES_MIN: f64 = 0.35;
 /// Decades from which on only powers of ten have a line.
 const DECADES_MANY: f64 = 2.5;
-/// Decades up to which values between have lines as well.
+/// Decades up to which values between powers of ten have lines as well.
 const DECADES_FEW: f64 = 0.8;
-/// Labels of a logarithmic axis at most.
+/// The maximum number of labels on a logarithmic axis.
 const LABELS: usize = 8;
 
 /// An axis: values from one end to the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     log: bool,
-    /// Whether its values mean something.
+    /// Whether its values have no meaning.
     bare: bool,
     /// Values, or their common logarithms.
     from: f64,
@@ -28,7 +28,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// A straight one that has room for all values; None where there is none.
+    /// A straight axis with room for all values; `None` if there is none.
     pub(super) fn straight(values: impl Iterator<Item = f64>) -> Option<Self> {
         let (low, high) = ends(values)?;
         // A flat curve gets some room around it.
@@ -36,30 +36,30 @@ impl Axis {
         Some(Self { log: false, bare: false, from: low - room, to: high + room })
     }
 
-    /// A straight one between just these.
+    /// A straight axis between exactly these values.
     pub(super) fn between(from: f64, to: f64) -> Self {
         Self { log: false, bare: false, from, to: if to > from { to } else { from + 1.0 } }
     }
 
-    /// A logarithmic one of the values above 0; None where there is none.
+    /// A logarithmic axis for the values above 0; `None` if there is none.
     pub(super) fn logarithmic(values: impl Iterator<Item = f64>) -> Option<Self> {
         let (low, high) = ends(values.filter(|value| *value > 0.0).map(f64::log10))?;
         let room = (DECADES_MIN - (high - low)).max(ROOM_DECADES);
         Some(Self { log: true, bare: false, from: low - room, to: high + room })
     }
 
-    /// One without values, lines and labels: everything goes from its one end to the other.
+    /// An axis without values, lines and labels: everything extends from one end to the other.
     pub(super) fn bare() -> Self {
         Self { log: false, bare: true, from: 0.0, to: 1.0 }
     }
 
-    /// Where a value is, 0 to 1; beyond the ends it is at them.
+    /// The position of a value, 0 to 1; values beyond the ends are at them.
     pub(super) fn share(&self, value: f64) -> f64 {
         let at = if self.log { value.max(f64::MIN_POSITIVE).log10() } else { value };
         ((at - self.from) / (self.to - self.from)).clamp(0.0, 1.0)
     }
 
-    /// Values with a line of their own, and their labels.
+    /// Values with a line, and their labels.
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
         if self.bare {
             return Vec::new();
@@ -69,7 +69,7 @@ impl Axis {
             let decade = 10f64.powf(rough.log10().floor());
             let steps = [1.0, 2.0, 5.0, 10.0].into_iter().map(|of| of * decade);
             let step = steps.into_iter().find(|step| *step >= rough).unwrap_or(rough);
-            // A sum of steps is rounded otherwise than a multiple.
+            // A sum of steps is rounded differently from a multiple.
             let whole = (self.from / step).ceil() as i64..=(self.to / step).floor() as i64;
             return whole.map(|of| of as f64 * step).map(|value| (value, plain(value))).collect();
         }
@@ -86,7 +86,7 @@ impl Axis {
     }
 }
 
-/// The least and the greatest of what is finite.
+/// The least and the greatest finite value.
 fn ends(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let finite = values.filter(|value| value.is_finite());
     finite.fold(None, |ends, value| {

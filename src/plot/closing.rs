@@ -1,4 +1,5 @@
-//! Closing: one bar per channel, from the gap as it was down to what a true model shows, and what of it was closed.
+//! Closing: one bar per channel, from the initial gap down to what a true model shows, and the part of it that was
+//! closed.
 
 use super::drawing::escaped_title;
 use super::escaped;
@@ -11,24 +12,24 @@ const LEFT: f64 = 84.0;
 const RIGHT: f64 = 166.0;
 const TOP: f64 = 34.0;
 const ROW: f64 = 26.0;
-/// The scale reaches to so many times the floor at least: where there is no gap the bars are short.
+/// The scale reaches at least to this multiple of the floor: if there is no gap, the bars are short.
 const LEAST: f64 = 100.0;
 
-/// One channel's gap, in whatever unit.
+/// One channel's gap, in any unit.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Bar<'a> {
     /// The channel.
     pub channel: &'a str,
-    /// As the model came.
+    /// The gap of the original model.
     pub before: f64,
-    /// With what was found.
+    /// The gap with the findings.
     pub after: f64,
-    /// What a true model shows.
+    /// The gap of a true model.
     pub floor: f64,
 }
 
-/// The picture, on a logarithmic scale in times each channel's own floor; empty where there is no bar to draw.
+/// The picture, on a logarithmic scale in multiples of each channel's own floor; empty if there is no bar to draw.
 #[must_use]
 pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
     let drawn: Vec<&Bar<'_>> = bars.iter().filter(|bar| bar.floor > 0.0 && bar.before.is_finite()).collect();
@@ -100,7 +101,7 @@ mod tests {
         let bars = [bar("<z>", 1e-2, 1e-6), bar("gyro_x", 1e-6, -1e-7), bar("gyro_y", 1e-5, 1e-3)];
         let svg = closing(&bars, "nats/sample");
         assert_eq!((svg.matches("class=\"closed\"").count(), svg.matches("class=\"left\"").count()), (3, 3));
-        // Four decades over 310 units: the first is closed whole, the second was never there.
+        // Four decades over 310 units: the first gap is closed completely, the second never existed.
         assert!(
             svg.contains("x=\"84.0\" y=\"38\" width=\"310.0\"") && svg.contains("x=\"84.0\" y=\"64\" width=\"0.0\"")
         );

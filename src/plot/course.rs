@@ -1,4 +1,4 @@
-//! The course of a channel: its samples over time, or where there are many the range of each stretch.
+//! The course of a channel: its samples over time, or if there are many the range of each stretch.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -11,13 +11,14 @@ pub struct Course<'a> {
     pub channel: &'a str,
     /// Its unit.
     pub unit: &'a str,
-    /// Time in s, least and greatest value of each stretch; both the same for single samples. What is no number interrupts.
+    /// Time in s, least and greatest value of each stretch; both the same for single samples. A value that is not
+    /// finite interrupts the curve.
     pub points: Vec<(f64, f64, f64)>,
-    /// From when to when samples are missing, s, and why.
+    /// The intervals of missing samples, s, and their causes.
     pub gaps: Vec<([f64; 2], String)>,
 }
 
-/// Seconds to what is told, by how long it is.
+/// The factor from seconds to the unit shown, and its name, by the length of the interval.
 pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
     match longest_s {
         long if long > 3.0 * 3600.0 => (3600.0, "h"),
@@ -27,7 +28,7 @@ pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
 }
 
 impl Course<'_> {
-    /// The picture; empty where there is no value.
+    /// The picture; empty if there is no value.
     #[must_use]
     pub fn svg(&self) -> String {
         let times = || self.points.iter().map(|(time_s, ..)| *time_s);
@@ -53,8 +54,8 @@ impl Course<'_> {
         drawing.done()
     }
 
-    /// The points in order, with a place that is no number inside every gap that is longer than from one point to the next:
-    /// nothing is drawn across. Shorter ones have their mark.
+    /// The points in order, with a value that is not finite inside every gap longer than the distance of two points, so
+    /// that nothing is drawn across. Shorter gaps have their mark.
     fn parted(&self) -> Vec<(f64, f64, f64)> {
         let mut points = self.points.clone();
         let ends = points.first().zip(points.last()).map_or(0.0, |(first, last)| last.0 - first.0);
@@ -82,7 +83,7 @@ mod tests {
             svg.contains("time in h") && svg.contains("accel_z in m/s²") && svg.contains("<title>unplugged</title>")
         );
         assert_eq!((svg.matches("surface range").count(), svg.matches("class=\"mark\"").count()), (1, 1));
-        // Nothing is drawn across an hour that is missing.
+        // Nothing is drawn across a missing hour.
         let cut = Course { gaps: vec![([6000.5, 9599.5], "unplugged".to_owned())], ..of.clone() }.svg();
         assert_eq!((cut.matches("surface range").count(), cut.matches('M').count() - svg.matches('M').count()), (2, 2));
         let single = Course { points: vec![(0.0, 1.0, 1.0), (1.0, f64::NAN, f64::NAN), (2.0, 2.0, 2.0)], ..of.clone() };

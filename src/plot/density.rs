@@ -1,4 +1,4 @@
-//! Power spectra of a triad's channels, and the lines that were found in them.
+//! Power spectra of a triad's channels, and the lines detected in them.
 
 use super::axis::Axis;
 use super::deviation::class;
@@ -6,7 +6,7 @@ use super::drawing::{Drawing, Frame};
 use super::lines::{NamedLine, joined};
 use super::number::rounded;
 
-/// Lines that have their frequency beside them: the strongest.
+/// The number of lines labelled with their frequency: the strongest.
 const LABELS: usize = 10;
 
 /// Amplitude densities of channels of one unit over the same frequencies.
@@ -19,14 +19,15 @@ pub struct Density<'a> {
     pub unit: &'a str,
     /// Hz, ascending, above 0.
     pub frequency_hz: Vec<f64>,
-    /// Per channel its name and the root of its two-sided power density, U/√Hz: white noise stands at its N.
+    /// For each channel its name and the root of its two-sided power density, U/√Hz: white noise has the value of its
+    /// N.
     pub channels: Vec<(&'a str, Vec<f64>)>,
-    /// Lines that were found; those of other channels are left out.
+    /// Detected lines; those of other channels are not drawn.
     pub lines: &'a [NamedLine],
 }
 
 impl Density<'_> {
-    /// The picture; empty where nothing is above 0.
+    /// The picture; empty if nothing is above 0.
     #[must_use]
     pub fn svg(&self) -> String {
         let across = Axis::logarithmic(self.frequency_hz.iter().copied());

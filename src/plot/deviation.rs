@@ -1,4 +1,4 @@
-//! Allan deviation: curves with their 68 % bands, what was fitted to them, and the lines of N, B and K.
+//! Allan deviation: curves with their 68 % bands, the fits, and the lines of N, B and K.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -57,7 +57,7 @@ struct Fitted {
     parts: BTreeMap<String, Vec<f64>>,
 }
 
-/// What there is to draw of one capture.
+/// The drawable data of one capture.
 #[derive(Debug)]
 pub struct Deviations {
     allan: Allan,
@@ -65,17 +65,17 @@ pub struct Deviations {
 }
 
 impl Deviations {
-    /// Of `vn100d-allan-1` and, where it is there, `vn100d-noise-1`, as JSON.
+    /// Reads `vn100d-allan-1` and, if given, `vn100d-noise-1`, as JSON.
     ///
     /// # Errors
-    /// What is none of these.
+    /// The error of a text that is none of these documents.
     pub fn read(allan: &str, noise: Option<&str>) -> Result<Self, serde_json::Error> {
         let noise = noise.map(serde_json::from_str).transpose()?.unwrap_or_default();
         Ok(Self { allan: serde_json::from_str(allan)?, noise })
     }
 
-    /// One picture of these channels, which have one unit: `gyro_x`, `gyro_y`, `gyro_z`, or one alone, which then has its lines of
-    /// N, B and K besides. Empty where there is no curve.
+    /// One picture of these channels, which have one unit: `gyro_x`, `gyro_y`, `gyro_z`, or a single channel, which
+    /// then also has its lines of N, B and K. Empty if there is no curve.
     #[must_use]
     pub fn svg(&self, title: &str, channels: &[&str]) -> String {
         let curves: Vec<(&str, &Curve)> =

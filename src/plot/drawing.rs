@@ -1,31 +1,31 @@
-//! The drawing: one picture with two axes, built up from behind.
+//! The drawing: one picture with two axes, drawn from back to front.
 
 use super::axis::Axis;
 use super::escaped;
 use std::fmt::Write as _;
 
-/// Width in the picture's own units. Text of 14 of them is 10 pixels high where a phone shows the picture 400 wide.
+/// Width in the picture's own units. Text of 14 units is 10 pixels high if a phone shows the picture 400 wide.
 const WIDTH: f64 = 560.0;
 /// Room at the left, right, top and bottom.
 const MARGIN: [f64; 4] = [84.0, 14.0, 30.0, 46.0];
 /// Between a tick's label and its line.
 const APART: f64 = 7.0;
-/// Characters of a title that fit.
+/// The maximum length of a title in characters.
 const LONGEST: usize = 72;
 
-/// What a picture is called, and what its axes are.
+/// The title of a picture and of its axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frame<'a> {
-    /// Above it.
+    /// The title above it.
     pub title: &'a str,
-    /// Below it, with its unit.
+    /// The title below it, with its unit.
     pub x: &'a str,
-    /// Beside it, with its unit.
+    /// The title beside it, with its unit.
     pub y: &'a str,
     pub height: f64,
 }
 
-/// A picture in the making. Writing to a text cannot fail.
+/// A picture under construction. Writing to a text cannot fail.
 #[derive(Debug)]
 pub(super) struct Drawing {
     out: String,
@@ -77,7 +77,7 @@ impl Drawing {
         (left + self.x.share(x) * (right - left), self.bottom + self.y.share(y) * (MARGIN[2] - self.bottom))
     }
 
-    /// A curve; where a value is not finite it is interrupted.
+    /// A curve; it is interrupted at values that are not finite.
     pub(super) fn curve(&mut self, class: &str, points: impl IntoIterator<Item = (f64, f64)>) {
         let mut path = String::new();
         let mut open = false;
@@ -95,7 +95,7 @@ impl Drawing {
         }
     }
 
-    /// The surface between two curves over the same places; interrupted where one of them is not finite.
+    /// The surface between two curves over the same places; it is interrupted at values that are not finite.
     pub(super) fn surface(&mut self, class: &str, points: &[(f64, f64, f64)]) {
         for stretch in points.split(|(x, low, high)| !(x + low + high).is_finite()).filter(|stretch| stretch.len() > 1)
         {
@@ -110,7 +110,7 @@ impl Drawing {
         }
     }
 
-    /// A bar from the bottom up, at least a hair wide.
+    /// A bar from the bottom up, with a minimum width.
     pub(super) fn bar(&mut self, class: &str, from: f64, to: f64, value: f64) {
         let ((left, y), (right, _)) = (self.at(from, value), self.at(to, value));
         let (width, height) = ((right - left).max(0.5), self.bottom - y);
@@ -120,7 +120,7 @@ impl Drawing {
         );
     }
 
-    /// A stretch of the x axis from bottom to top, wide enough to be seen, with what it is.
+    /// A stretch of the x axis from bottom to top, wide enough to be visible, with its description.
     pub(super) fn stretch(&mut self, class: &str, [from, to]: [f64; 2], what: Option<&str>) {
         let ((left, _), (right, _)) = (self.at(from, 0.0), self.at(to, 0.0));
         let width = (right - left).max(4.0);
@@ -134,7 +134,7 @@ impl Drawing {
         );
     }
 
-    /// A word upright beside a place of the x axis, from the bottom up.
+    /// Vertical text beside a place of the x axis, from the bottom up.
     pub(super) fn beside(&mut self, x: f64, text: &str) {
         let ((at, _), y) = (self.at(x, 0.0), self.bottom - 6.0);
         let at = at - 5.0;
@@ -145,7 +145,7 @@ impl Drawing {
         );
     }
 
-    /// Lines under the title's right end that say which curve is which.
+    /// The key under the title's right end: it shows which curve is which.
     pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
         let right = WIDTH - MARGIN[1];
         for (place, (class, text)) in entries.iter().enumerate() {
@@ -162,7 +162,7 @@ impl Drawing {
         }
     }
 
-    /// The same at the bottom on the left, where curves that fall leave room.
+    /// The same at the bottom on the left: falling curves leave room there.
     pub(super) fn key_below(&mut self, entries: &[(&str, &str)]) {
         let top = self.bottom - 14.0 - 18.0 * entries.len().saturating_sub(1) as f64;
         let left = MARGIN[0];

@@ -1,40 +1,40 @@
-//! The gaps of a capture on a line of time.
+//! The gaps of a capture on a time line.
 
 use super::axis::Axis;
 use super::course::told;
 use super::drawing::{Drawing, Frame};
 use std::collections::BTreeMap;
 
-/// Where samples are missing.
+/// A gap in the samples.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Gap {
-    /// From and to, s since the capture's first sample.
+    /// Begin and end, s since the capture's first sample.
     pub within_s: [f64; 2],
-    /// How many.
+    /// The number of missing samples.
     pub missing: u64,
-    /// Why.
+    /// The cause.
     pub cause: String,
 }
 
-/// All of a capture.
+/// All gaps of a capture.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Gaps {
-    /// How long the capture is, s.
+    /// The length of the capture, s.
     pub length_s: f64,
     /// Its samples.
     pub samples: u64,
-    /// How many gaps it has.
+    /// The number of its gaps.
     pub count: u64,
-    /// How many samples are missing, by cause.
+    /// The number of missing samples by cause.
     pub causes: BTreeMap<String, u64>,
     /// Its gaps, or the first of very many.
     pub gaps: Vec<Gap>,
 }
 
 impl Gaps {
-    /// The picture, which says how many are missing and why.
+    /// The picture, with the number of missing samples and the causes.
     #[must_use]
     pub fn svg(&self) -> String {
         let missing: u64 = self.causes.values().sum();

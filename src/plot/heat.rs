@@ -13,18 +13,18 @@ const WIDTH: f64 = 560.0;
 const LEFT: f64 = 84.0;
 const RIGHT: f64 = 14.0;
 const ROW: f64 = 22.0;
-/// A band's discrepancy beyond its expectation that may be chance, nats: of a true model it is ½χ² less its mean, with a degree of
-/// freedom for each bin; with one it is beyond 8 in one of 27,000 bands, and a page has some five hundred. Its deviation grows as
-/// the root of the bins' number.
+/// The discrepancy of a band beyond its expectation that may be chance, nats. For a true model it is ½χ² less its mean,
+/// with a degree of freedom for each bin. With one degree it exceeds 8 in one of 27,000 bands, and a page has some five
+/// hundred. Its deviation grows as the root of the number of bins.
 const CHANCE_NATS: f64 = 8.0;
-/// From full colour down to the palest, decades of the discrepancy.
+/// The range from full colour down to the palest, decades of the discrepancy.
 const DECADES: f64 = 3.0;
-/// What the palest has, of full colour.
+/// The strength of the palest colour, relative to full colour.
 const PALEST: f64 = 0.15;
-/// Where nobody tells how many coefficients a bin has: differences below this are no colour, dB.
+/// If the number of coefficients per bin is unknown, smaller differences than this have no colour, dB.
 const NONE_DB: f64 = 0.5;
 
-/// The maps, before and after; none where no channel's model is known.
+/// The maps, before and after; none if no channel's model is known.
 #[must_use]
 pub fn heat(spectra: &[Spectra]) -> Vec<String> {
     let known: Vec<&Spectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
@@ -57,7 +57,7 @@ fn row<'a>(of: &'a Spectra, which: usize, scale: &Scale) -> Row<'a> {
     Row { channel: of.channel(), bands }
 }
 
-/// Where a frequency lies.
+/// The position of a frequency.
 struct Scale {
     low: f64,
     step: f64,
@@ -141,11 +141,11 @@ struct Difference {
     db: f64,
     /// Whittle's discrepancy beyond what a true model is expected to show.
     nats: f64,
-    /// Beyond chance.
+    /// Whether it is beyond chance.
     sure: bool,
 }
 
-/// Of a band in the making.
+/// The sums of a band.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sum {
     ratios: f64,
@@ -154,9 +154,10 @@ struct Sum {
     bins: f64,
 }
 
-/// Band by band, over its bins: Σ ½w(r − 1 − ln r) (Whittle 1953), r the mean ratio of the powers and w the coefficients, `scatter`
-/// times fewer where their chance is so much greater; over a simulation, whose powers are chance as well, the likelihood ratio of
-/// two samples of as many, Σ w(ln((1 + r)/2) − ½ ln r). None where there is no frequency or no power.
+/// Computes, band by band over its bins, Σ ½w(r − 1 − ln r) (Whittle 1953). r is the mean ratio of the powers, and w
+/// the number of coefficients, divided by `scatter` because their chance is greater by that factor. For a simulation,
+/// whose powers are subject to chance as well, it is the likelihood ratio of two samples of equal size, Σ w(ln((1 +
+/// r)/2) − ½ ln r). `None` if there is no frequency or no power.
 fn differences(of: &Spectra, ratios: &[f64], simulated: bool, scale: &Scale) -> [Option<Difference>; BANDS] {
     let mut sums = [Sum::default(); BANDS];
     for (bin, (hz, ratio)) in of.frequency_hz.iter().zip(ratios.iter().copied()).enumerate() {

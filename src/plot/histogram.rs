@@ -1,4 +1,5 @@
-//! The histogram of a channel with the normal distribution of its mean and standard deviation, and whether it is one.
+//! The histogram of a channel with the normal distribution of the same mean and standard deviation, and whether it is
+//! normal.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -8,7 +9,7 @@ use std::f64::consts::TAU;
 
 /// Points of the normal curve.
 const POINTS: usize = 200;
-/// Bins that are drawn at most: several are one bar where there are more.
+/// The maximum number of bars: of more bins several are one bar.
 const BARS: usize = 120;
 
 /// The parts of a channel in `vn100d-statistics-1` that are drawn.
@@ -33,10 +34,10 @@ struct Normality {
     verdict: String,
 }
 
-/// The picture of a channel's entry in `vn100d-statistics-1`; empty where it has no samples.
+/// The picture of a channel's entry in `vn100d-statistics-1`; empty if it has no samples.
 ///
 /// # Errors
-/// What is no such entry.
+/// The error of a text that is no such entry.
 pub fn histogram(channel: &str, statistics: &str) -> Result<String, serde_json::Error> {
     let of: Statistics = serde_json::from_str(statistics)?;
     let (edges, counts) = (&of.histogram.edges, &of.histogram.counts);

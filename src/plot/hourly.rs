@@ -36,10 +36,11 @@ struct Block {
     deviation: Vec<Option<f64>>,
 }
 
-/// The picture of a channel in `vn100d-noise-1`; empty where the document has no deviation by the hour. `unit` is the channel's.
+/// The picture of a channel in `vn100d-noise-1`; empty if the document has no deviation by the hour. `unit` is the
+/// channel's.
 ///
 /// # Errors
-/// What is no such document.
+/// The error of a text that is no such document.
 pub fn hourly(channel: &str, unit: &str, noise: &str) -> Result<String, serde_json::Error> {
     let mut document: Noise = serde_json::from_str(noise)?;
     let Some(of) = document.disturbances.remove(channel).and_then(|own| own.dynamic) else { return Ok(String::new()) };

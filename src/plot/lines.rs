@@ -1,10 +1,11 @@
-//! Lines: the narrow peaks that an analysis found, by name, for the spectra that they stand in.
+//! Lines: the narrow peaks that an analysis found, by name, for the spectra that contain them.
 
 use super::number::rounded;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Lines that differ by less than this part of their frequency are one: channels of one sensor feel the same machine.
+/// Lines that differ by less than this part of their frequency are one: channels of one sensor are subject to the same
+/// machine.
 const SAME: f64 = 5e-3;
 
 /// The parts of `vn100d-noise-1` that are read.
@@ -34,22 +35,22 @@ struct Line {
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct NamedLine {
-    /// Whose.
+    /// Its channel.
     pub channel: String,
-    /// Of its centre, Hz.
+    /// The frequency of its centre, Hz.
     pub frequency_hz: f64,
-    /// Of a sinusoid of its power, channel's unit.
+    /// The amplitude of a sinusoid with its power, channel's unit.
     pub amplitude: f64,
     /// Whether it is a band of vibration.
     pub broad: bool,
-    /// Mains frequencies that sampling folds there, Hz.
+    /// Mains frequencies that sampling folds to this frequency, Hz.
     pub may_be_mains_hz: Vec<f64>,
 }
 
 /// All lines of `vn100d-noise-1`; none without the document.
 ///
 /// # Errors
-/// What is no such document.
+/// The error of a text that is no such document.
 pub fn lines(noise: Option<&str>) -> Result<Vec<NamedLine>, serde_json::Error> {
     let Some(noise) = noise else { return Ok(Vec::new()) };
     let document: Noise = serde_json::from_str(noise)?;
@@ -65,8 +66,8 @@ pub fn lines(noise: Option<&str>) -> Result<Vec<NamedLine>, serde_json::Error> {
     Ok(document.disturbances.into_iter().flat_map(of).collect())
 }
 
-/// The lines of these channels by frequency, those of several channels as one: frequency in Hz, its largest amplitude, and what it is
-/// in words.
+/// The lines of these channels by frequency, with those of several channels combined: frequency in Hz, the largest
+/// amplitude, and a description.
 pub(super) fn joined(lines: &[NamedLine], channels: &[&str], unit: &str) -> Vec<(f64, f64, String)> {
     let mut own: Vec<&NamedLine> = lines.iter().filter(|line| channels.contains(&line.channel.as_str())).collect();
     own.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));

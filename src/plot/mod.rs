@@ -1,8 +1,8 @@
-//! Plots: what the interfaces' documents say, as SVG. Pure.
+//! Plots: the interfaces' documents as SVG. Pure.
 //!
-//! In: documents as any program gets them (JSON, of this version or another), or plain numbers. Out: one `<svg>`, coloured by the style
-//! of the page it stands in, or [`alone`] with a style of its own for light, dark and paper. Promised: no text of a document
-//! becomes markup, nothing that is not finite is drawn, every axis has its unit.
+//! In: documents as any program receives them (JSON, of this version or another), or plain numbers. Out: one `<svg>`,
+//! coloured by the style of the page that contains it, or [`alone`] with a separate style for light, dark and paper.
+//! Guarantees: no text of a document becomes markup, nothing that is not finite is drawn, and every axis has its unit.
 
 mod axis;
 mod closing;
@@ -39,7 +39,7 @@ pub use timeline::Timeline;
 
 const STYLE: &str = include_str!("style.css");
 
-/// A picture as a file of its own, with its style.
+/// A picture as a standalone file, with its style.
 #[must_use]
 pub fn alone(svg: &str) -> String {
     match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
@@ -57,7 +57,7 @@ pub fn style() -> &'static str {
     STYLE
 }
 
-/// Text with nothing in it that HTML or SVG take for their own.
+/// Text in which the special characters of HTML and SVG are escaped.
 #[must_use]
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

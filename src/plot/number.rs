@@ -1,12 +1,12 @@
-//! Numbers as a person reads them.
+//! Numbers for display.
 
-/// A number with four digits: plain where it is neither small nor large, else times a power of ten.
+/// A number with four digits: plain if it is neither small nor large, else times a power of ten.
 #[must_use]
 pub fn plain(value: f64) -> String {
     rounded(value, 4)
 }
 
-/// The same with so many digits; a dash for what is not finite.
+/// The same with this many digits; a dash for values that are not finite.
 #[must_use]
 pub fn rounded(value: f64, digits: usize) -> String {
     if !value.is_finite() {
@@ -27,7 +27,7 @@ pub fn rounded(value: f64, digits: usize) -> String {
     format!("{}·10{raised}", shortened(mantissa).replace('-', "−"))
 }
 
-/// Without zeros that say nothing.
+/// Removes trailing zeros.
 fn shortened(text: &str) -> &str {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
 }

@@ -1,23 +1,23 @@
 //! Raster: a picture as PNG, for slides and for programs that do not read SVG.
 //!
-//! In: the `<svg>` of any picture of this room. Out: the bytes of a PNG, on white, drawn with a font of the program's own
-//! (DejaVu Sans), so that it looks the same on a server without fonts.
+//! In: the `<svg>` of any picture of this room. Out: the bytes of a PNG, on white, drawn with a font included in the
+//! program (DejaVu Sans), so that it looks the same on a server without fonts.
 
 use super::STYLE;
 use resvg::{tiny_skia, usvg};
 use std::sync::Arc;
 
-/// Pixels for one of a picture's own units where nothing else is asked for: 560 become 1680.
+/// The default number of pixels per unit of a picture: 560 become 1680.
 pub const SCALE: f32 = 3.0;
 
-/// Why there is no PNG.
+/// The reasons why there is no PNG.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RasterError {
-    /// It is no picture of ours.
+    /// The text is not a picture of this program.
     #[error("the picture cannot be read: {0}")]
     Svg(#[from] usvg::Error),
-    /// It is too large or has no size.
+    /// The picture is too large or has no size.
     #[error("a picture of {width} × {height} pixels cannot be made")]
     Size {
         /// Pixels across.
@@ -25,10 +25,10 @@ pub enum RasterError {
         /// Pixels down.
         height: u32,
     },
-    /// It could not be packed.
+    /// The picture could not be compressed.
     #[error("the picture cannot be written as PNG: {reason}")]
     Png {
-        /// The packer's words.
+        /// The error of the encoder.
         reason: String,
     },
 }
@@ -36,7 +36,7 @@ pub enum RasterError {
 /// The picture as PNG with `scale` pixels for each of its units.
 ///
 /// # Errors
-/// [`RasterError`] where `svg` is no picture or too large.
+/// [`RasterError`] if `svg` is no picture or too large.
 pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterError> {
     let mut fonts = usvg::fontdb::Database::new();
     fonts.load_font_data(dejavu::sans::regular().to_vec());
@@ -53,7 +53,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterError> {
     pixels.encode_png().map_err(|error| RasterError::Png { reason: error.to_string() })
 }
 
-/// The picture with a style that has no variables and asks nothing about the screen: the light one.
+/// The picture with a style without variables and media queries: the light one.
 fn plain(svg: &str) -> String {
     match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
         Some((head, body)) => {

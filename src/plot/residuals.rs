@@ -1,4 +1,4 @@
-//! Residuals: means of what a record of a motion shows beyond the model, against time, rate or specific force.
+//! Residuals: means of the part of a motion's record beyond the model, against time, rate or specific force.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -22,7 +22,7 @@ pub struct Residuals {
 }
 
 impl Residuals {
-    /// Whose they are.
+    /// The channel.
     #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
@@ -42,7 +42,7 @@ impl Residuals {
         }
     }
 
-    /// The picture; empty where there is nothing to draw.
+    /// The picture; empty if there is nothing to draw.
     #[must_use]
     pub fn svg(&self) -> String {
         let across = Axis::straight(self.at.iter().copied());

@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 /// Size in the picture's own units.
 const WIDTH: f64 = 240.0;
 const HEIGHT: f64 = 44.0;
-/// Points farther apart than so many of the usual distances are not joined: nothing came between.
+/// Points farther apart than this multiple of the usual distance are not joined: no data arrived in between.
 const APART: f64 = 2.5;
 
-/// Least and greatest value by age in s, oldest first, over the last `span_s`; pauses longer than `step_s` interrupt. `label` is for
-/// those who hear the page.
+/// Least and greatest value by age in s, oldest first, over the last `span_s`; pauses longer than `step_s` interrupt
+/// the line. `label` is for users of screen readers.
 #[must_use]
 pub fn spark(label: &str, points: &[(f64, f64, f64)], span_s: f64, step_s: f64) -> String {
     let ends = points

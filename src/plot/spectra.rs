@@ -1,4 +1,4 @@
-//! Spectra of one channel: the recording's, the model's before and after.
+//! Spectra of one channel: the recording's, and the model's before and after.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -12,7 +12,7 @@ pub struct Spectra {
     unit: String,
     #[serde(deserialize_with = "numbers")]
     pub(super) frequency_hz: Vec<f64>,
-    /// Coefficients in each bin; results of earlier versions do not tell.
+    /// Coefficients in each bin; results of earlier versions lack them.
     #[serde(default)]
     pub(super) coefficients: Vec<f64>,
     #[serde(deserialize_with = "numbers")]
@@ -21,10 +21,10 @@ pub struct Spectra {
     pub(super) before: Option<Vec<f64>>,
     #[serde(default, deserialize_with = "numbers_or_none")]
     pub(super) after: Option<Vec<f64>>,
-    /// The record's power over the models', before and after; results of earlier versions do not tell.
+    /// The record's power over the models', before and after; results of earlier versions lack it.
     #[serde(default)]
     pub(super) ratios: [Option<Vec<Option<f64>>>; 2],
-    /// Which of the models' powers are a simulation's, with as much chance as the record's.
+    /// Which of the models' powers come from a simulation, and are as much subject to chance as the record's.
     #[serde(default)]
     pub(super) simulated: [bool; 2],
     /// By how much the variance of a power exceeds that of normal stationary noise.
@@ -46,14 +46,14 @@ impl Spectra {
         })
     }
 
-    /// Whose they are.
+    /// The channel.
     #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
-    /// The pictures: densities, and where the model is known what they are over its own, which shows what is small beside drifts.
-    /// Bands in Hz are marked behind the curves. Empty where nothing is above 0.
+    /// The pictures: densities and, if the model is known, their ratio to its own, which shows what is small beside
+    /// drifts. Bands in Hz are marked behind the curves. Empty if nothing is above 0.
     #[must_use]
     pub fn svg(&self, bands: &[[f64; 2]]) -> String {
         let all = [("real", Some(&self.real)), ("before", self.before.as_ref()), ("after", self.after.as_ref())];

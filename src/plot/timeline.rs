@@ -6,7 +6,7 @@ use super::json::numbers;
 use super::number::plain;
 use serde::Deserialize;
 
-/// Of one channel, as [`crate::diagnosis::ChannelTimeline`] has it.
+/// The timeline of one channel, as [`crate::diagnosis::ChannelTimeline`] contains it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Timeline {
     channel: String,
@@ -29,20 +29,20 @@ struct Stretches {
 }
 
 impl Timeline {
-    /// Whose it is.
+    /// The channel.
     #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
-    /// The picture of its level; empty where there is nothing to draw.
+    /// The picture of its level; empty if there is nothing to draw.
     #[must_use]
     pub fn level(&self) -> String {
         let y = format!("mean of {} s, {}", plain(self.stretch_s), self.unit);
         self.drawn(&format!("Level of {} over time", self.channel), &y, |of| &of.level)
     }
 
-    /// The picture of its spread; empty where there is nothing to draw.
+    /// The picture of its spread; empty if there is nothing to draw.
     #[must_use]
     pub fn spread(&self) -> String {
         let y = format!("deviation in {} s, {}", plain(self.stretch_s), self.unit);

@@ -1,4 +1,4 @@
-//! Child: another process of this program, which is asked one thing and answers in frames.
+//! Child: another process of this program, which does one task and answers in frames.
 
 use super::frame::{Frame, read_frame};
 use rustix::process::Signal;
@@ -11,38 +11,38 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Of what a child writes to its standard error this much is read, and the rest thrown away.
+/// The maximum number of bytes read from a child's standard error; the rest is discarded.
 const STDERR_BYTES: u64 = 64 * 1024;
-/// Of a line this much is kept.
+/// The maximum number of characters kept of a line.
 const LINE_CHARS: usize = 300;
 
-/// What is heard of a child.
+/// The outcome of listening to a child.
 #[derive(Debug)]
 #[expect(clippy::exhaustive_enums, reason = "who asks has to treat each")]
 pub enum Heard<H> {
-    /// It said this.
+    /// The child sent this frame.
     Frame(Frame<H>),
-    /// Nothing yet.
+    /// Nothing has arrived yet.
     Nothing,
-    /// It has ended, and this is all.
+    /// The child has ended, and no more frames follow.
     Ended(Ended),
 }
 
-/// How a child ended.
+/// The way in which a child ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[expect(clippy::exhaustive_structs, reason = "some words about an end")]
 pub struct Ended {
     /// Whether it ended by itself without an error.
     pub well: bool,
-    /// Whether it ended for want of memory: the limit of its own.
+    /// Whether it ended because it reached its memory limit.
     pub out_of_memory: bool,
-    /// Whether it ended because it used all the processor time that it may use.
+    /// Whether it ended because it reached its limit of processor time.
     pub out_of_time: bool,
-    /// Why it ended, for people: its signal or exit code, and its last words.
+    /// The reason why it ended, for the user: its signal or exit code, and its last messages.
     pub reason: String,
 }
 
-/// A child process that works on one thing. It is killed and waited for when this is dropped.
+/// A child process that does one task. It is killed and waited for when this is dropped.
 #[derive(Debug)]
 pub struct Child<H> {
     process: std::process::Child,
@@ -51,14 +51,15 @@ pub struct Child<H> {
 }
 
 impl<H: DeserializeOwned + Send + 'static> Child<H> {
-    /// Starts this program again as a worker that may write to `memory_bytes` of private memory and use `processor_s` seconds
-    /// of processor time; `work` says what it does. Its frames have bodies of at most `body_max` bytes.
+    /// Starts this program again as a worker that may write to `memory_bytes` of private memory and use `processor_s`
+    /// seconds of processor time; `work` are the arguments that select its task. Its frames have bodies of at most
+    /// `body_max` bytes.
     ///
     /// # Errors
-    /// What the system says, if no process can be started.
+    /// The error that the system reports, if no process can be started.
     pub fn start(memory_bytes: u64, processor_s: u64, work: &[&OsStr], body_max: u64) -> std::io::Result<Self> {
-        // Not the path of the program: an upgrade may have replaced what is there. A group of its own: what a terminal sends to
-        // the daemon's group is for the daemon, which ends its children itself.
+        // Not the path of the program: an upgrade may have replaced the file there. The child gets its own process
+        // group: a terminal's signals to the daemon's group are for the daemon, which ends its children itself.
         let mut process = Command::new("/proc/self/exe")
             .arg0("vn100d")
             .process_group(0)
@@ -76,7 +77,7 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
         let mut child = Self { process, frames, last_words: None };
         let (mut stdout, stderr) = pipes.ok_or_else(|| std::io::Error::other("a child without its pipes"))?;
         std::thread::Builder::new().name("child-frames".to_owned()).spawn(move || {
-            // Nobody listens any more, or nothing more can come: either way it is over.
+            // There is no listener any more, or no further data can arrive: either way it is over.
             while let Some(frame) = read_frame(&mut stdout, body_max).transpose() {
                 let broken = frame.is_err();
                 if sender.send(frame).is_err() || broken {
@@ -94,10 +95,10 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
         self.process.stdin.take()
     }
 
-    /// What it says next, waited for at most this long.
+    /// The next frame, waited for at most this long.
     ///
     /// # Errors
-    /// What the system says, if the child cannot be waited for.
+    /// The error that the system reports, if the child cannot be waited for.
     pub fn hear(&mut self, time: Duration) -> std::io::Result<Heard<H>> {
         match self.frames.recv_timeout(time) {
             Ok(Ok(frame)) => Ok(Heard::Frame(frame)),
@@ -105,7 +106,8 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
             Ok(Err(error)) => {
                 self.process.kill()?;
                 let mut ended = self.end()?;
-                // A pipe that breaks in the middle of a frame is a child that was killed, and its end says more.
+                // A pipe that breaks in the middle of a frame belongs to a child that was killed; its exit status is
+                // more informative.
                 if ended.well {
                     ended = Ended { well: false, reason: error.to_string(), ..ended };
                 }
@@ -118,7 +120,7 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
     fn end(&mut self) -> std::io::Result<Ended> {
         let status = self.process.wait()?;
         let words = self.last_words.take().and_then(|thread| thread.join().ok()).flatten();
-        // The standard library's words before it gives up; a panic gives up too.
+        // The message of the standard library before it aborts; a panic aborts too.
         let out_of_memory = words.as_ref().is_some_and(|words| words.starts_with("memory allocation of"));
         let out_of_time = status.signal() == Some(Signal::XCPU.as_raw());
         Ok(Ended { well: status.success(), out_of_memory, out_of_time, reason: reason(status, words) })
@@ -127,7 +129,7 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
 
 impl<H> Drop for Child<H> {
     fn drop(&mut self) {
-        // One that has ended already cannot be killed; it is waited for all the same.
+        // A process that has ended already cannot be killed; it is waited for nevertheless.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
@@ -141,7 +143,7 @@ fn reason(status: ExitStatus, words: Option<String>) -> String {
     words.map_or_else(|| end.clone(), |words| format!("{end}: {words}"))
 }
 
-/// Writes what the child complains of into the log, and gives its first two lines back.
+/// Writes the child's error output to the log, and returns its first two lines.
 fn last_words(stderr: impl Read, process: u32) -> Option<String> {
     let mut first: Vec<String> = Vec::new();
     let mut lines = BufReader::new(stderr.take(STDERR_BYTES));
@@ -151,13 +153,13 @@ fn last_words(stderr: impl Read, process: u32) -> Option<String> {
         line.clear();
         if !text.is_empty() {
             tracing::warn!(process, "A child process says: {text}");
-            // A panic takes two lines; the backtrace that may follow is no reason.
+            // A panic takes two lines; the backtrace that may follow is not a reason.
             if first.len() < 2 && !text.starts_with("note:") && !text.starts_with("stack backtrace") {
                 first.push(text);
             }
         }
     }
-    // A child that goes on complaining must not wait for somebody to listen.
+    // A child that continues to write errors must not block.
     let _ = std::io::copy(&mut lines.into_inner().into_inner(), &mut std::io::sink());
     (!first.is_empty()).then(|| first.join(" "))
 }

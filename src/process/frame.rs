@@ -1,20 +1,20 @@
-//! Frames: what a child and its parent say to each other over a pipe, a header in JSON and bytes.
+//! Frames: the messages between a child and its parent over a pipe, a header in JSON and bytes.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::{Read, Write};
 
-/// A header larger than this is none of ours.
+/// A header larger than this is invalid.
 const HEADER_MAX: u32 = 1 << 20;
 
-/// Why a frame cannot be read.
+/// The reasons why a frame cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// The pipe.
+    /// The pipe failed.
     #[error("the pipe between the processes broke: {0}")]
     Pipe(#[from] std::io::Error),
-    /// The lengths are beyond every bound.
+    /// The lengths exceed the bounds.
     #[error(
         "a frame has a header of {header} bytes and a body of {body} bytes: expected at most {HEADER_MAX} and {body_max}"
     )]
@@ -23,10 +23,10 @@ pub enum FrameError {
         header: u32,
         /// Bytes of the body.
         body: u64,
-        /// Bytes that the body may have.
+        /// The maximum size of the body in bytes.
         body_max: u64,
     },
-    /// The header says nothing that is known.
+    /// The header is of no known kind.
     #[error("the header of a frame cannot be read: {0}")]
     Header(#[from] serde_json::Error),
 }
@@ -35,16 +35,16 @@ pub enum FrameError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[expect(clippy::exhaustive_structs, reason = "a pair")]
 pub struct Frame<H> {
-    /// What the bytes are.
+    /// The description of the bytes.
     pub header: H,
     /// The bytes.
     pub body: Vec<u8>,
 }
 
-/// Writes a frame and sends it off: lengths (4 and 8 bytes, little-endian), header, body.
+/// Writes a frame and flushes it: lengths (4 and 8 bytes, little-endian), header, body.
 ///
 /// # Errors
-/// [`FrameError::Pipe`], or [`FrameError::Header`] if the header has no JSON.
+/// [`FrameError::Pipe`], or [`FrameError::Header`] if the header cannot be written as JSON.
 pub fn write_frame<H: Serialize>(to: &mut impl Write, header: &H, body: &[u8]) -> Result<(), FrameError> {
     let header = serde_json::to_vec(header)?;
     to.write_all(&(header.len() as u32).to_le_bytes())?;
@@ -74,7 +74,7 @@ pub fn read_frame<H: DeserializeOwned>(from: &mut impl Read, body_max: u64) -> R
     let mut text = Vec::new();
     from.take(header.into()).read_to_end(&mut text)?;
     let header = serde_json::from_slice(&text)?;
-    // Room is made as the bytes come: a length alone takes none.
+    // Memory grows as the bytes arrive: a length alone takes none.
     let mut bytes = Vec::new();
     from.take(body).read_to_end(&mut bytes)?;
     if bytes.len() as u64 != body {
@@ -99,7 +99,7 @@ mod tests {
             prop_assert_eq!((frame.header, frame.body), (header, body));
             prop_assert_eq!(read_frame::<u8>(&mut rest, 0).unwrap().unwrap().header, 7);
             prop_assert!(read_frame::<u8>(&mut rest, 0).unwrap().is_none());
-            // What is cut off anywhere is an error or an end, and never another frame.
+            // Data that is cut off anywhere is an error or an end, and never another frame.
             let mut short = &pipe[..cut.min(pipe.len() - 1)];
             while let Ok(Some(_)) = read_frame::<serde_json::Value>(&mut short, 300) {}
         }

@@ -1,4 +1,4 @@
-//! Lines: `$` body `*` checksum. Bytes of one line enter, a [`Measurement`] leaves, or the word that they are none.
+//! Lines: `$` body `*` checksum. Parses the bytes of one line to a [`Measurement`], or reports that they are none.
 
 use super::measurement::Measurement;
 use super::{ChecksumKind, Quantity};
@@ -108,7 +108,7 @@ impl AsciiType {
     pub fn from_id(id: u8) -> Option<Self> {
         ROWS.iter().find(|row| row.id == id).map(|row| row.ascii)
     }
-    /// The register that holds the same values.
+    /// The register with the same values.
     #[must_use]
     pub fn register(self) -> u16 {
         self.row().register
@@ -123,7 +123,7 @@ impl AsciiType {
     pub fn header(self) -> &'static str {
         self.row().header
     }
-    /// The message of that header (without `$`).
+    /// The message with that header (without `$`).
     #[must_use]
     pub fn from_header(header: &[u8]) -> Option<Self> {
         ROWS.iter().find(|row| row.header.as_bytes() == header).map(|row| row.ascii)
@@ -135,7 +135,7 @@ impl AsciiType {
     }
 }
 
-/// What stands behind the `*` of a line.
+/// The checksum field behind the `*` of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trailer {
     /// Two hex digits.
@@ -169,8 +169,8 @@ fn hex(text: &[u8]) -> Option<u16> {
     text.iter().try_fold(0, |number, byte| Some(number << 4 | hex_digit(*byte)?))
 }
 
-/// Splits a line (with its `$`, without its line end) into body and trailer; `None` where it has no checksum of two or
-/// four digits. The body stands between `$` and `*`.
+/// Splits a line (with its `$`, without its line end) into body and trailer; `None` if it has no checksum of two or
+/// four digits. The body is the text between `$` and `*`.
 #[must_use]
 pub fn split_line(line: &[u8]) -> Option<(&[u8], Trailer)> {
     let inner = line.strip_prefix(b"$")?;
@@ -195,8 +195,8 @@ pub fn split_line(line: &[u8]) -> Option<(&[u8], Trailer)> {
 /// Powers of ten that a double holds exactly (all up to 10²² are; a line's numbers need 15).
 const POWERS_OF_TEN: [f64; 16] = [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
 
-/// Reads a decimal number (sign, digits, at most one point) from the start of `text`: the double nearest to it, the
-/// digits behind its point and how many bytes it took. `None` where no digit stands there.
+/// Reads a decimal number (sign, digits, at most one point) from the start of `text`. Returns the double nearest to it,
+/// the number of digits behind its point and the number of bytes read. `None` if there is no digit.
 fn read_number(text: &[u8]) -> Option<(f64, u8, usize)> {
     let (negative, sign) = match text.first()? {
         b'-' => (true, 1),
@@ -228,11 +228,11 @@ fn read_number(text: &[u8]) -> Option<(f64, u8, usize)> {
     Some((value, u8::try_from(decimals).unwrap_or(u8::MAX - 1), at))
 }
 
-/// Reads the fields of a message (what follows `VNYMR,`) into a measurement of that type. `None` where a field is
+/// Reads the fields of a message (the text behind `VNYMR,`) into a measurement of that type. `None` if a field is
 /// missing, surplus or not a number.
 ///
-/// Behind the quantities may stand a serial count `T…` and a status `S…` in either order (register 30; the manual's text
-/// and example disagree about it). The number of fields decides, never the column: widths vary with the firmware.
+/// The quantities may be followed by a serial count `T…` and a status `S…` in either order (register 30; the manual's
+/// text and example disagree about it). The number of fields decides, never the column: widths vary with the firmware.
 pub(super) fn read_fields(measurement: &mut Measurement, ascii: AsciiType, fields: &[u8]) -> Option<()> {
     let mut rest = fields;
     let mut more = true;
@@ -262,7 +262,7 @@ pub(super) fn read_fields(measurement: &mut Measurement, ascii: AsciiType, field
     Some(())
 }
 
-/// What follows a field of `length` bytes, and whether a comma said that something follows.
+/// The text behind a field of `length` bytes, and whether a comma announced a further field.
 fn next_field(text: &[u8], length: usize) -> Option<(&[u8], bool)> {
     match text.get(length..)? {
         [] => Some((&[], false)),

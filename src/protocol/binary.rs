@@ -1,6 +1,6 @@
 //! Binary outputs: `FA`, groups, masks, payload, CRC. There is no length field: it follows from the masks.
 //!
-//! Enters: a header or a whole frame. Leaves: the frame's length, its [`Measurement`]. Refuses: groups and fields that a
+//! In: a header or a whole frame. Out: the frame's length, its [`Measurement`]. Refuses: groups and fields that a
 //! VN-100 does not have (reserved for products with GNSS), extension bits, groups without a field.
 
 use super::quantity::QuantitySet;
@@ -13,7 +13,7 @@ pub const CRC_BYTES: usize = 2;
 /// Length of the longest frame: every group with every field.
 pub const MAX_FRAME_BYTES: usize = 433;
 
-/// What one bit of a mask adds to the payload.
+/// The part of the payload that one bit of a mask adds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Field {
     /// Reserved: not a field of a VN-100.
@@ -55,7 +55,7 @@ const fn floats(quantities: &'static [Quantity]) -> Field {
     Field::Floats(quantities)
 }
 
-/// How many groups a VN-100 has.
+/// The number of groups of a VN-100.
 const GROUPS: usize = 4;
 /// Bits of the groups byte: Common (1), Time (2), IMU (3), Attitude (5).
 const GROUP_BITS: [u8; GROUPS] = [0x01, 0x02, 0x04, 0x10];
@@ -127,7 +127,7 @@ static LENGTHS: [[u8; 16]; GROUPS] = {
 /// The bits of each group's mask that a VN-100 has.
 pub(super) const KNOWN_BITS: [u16; GROUPS] = [0x3F3D, 0x0391, 0x0FFF, 0x11FF];
 
-/// Why a header was refused.
+/// The reasons why a header was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum HeaderError {
@@ -144,10 +144,10 @@ pub enum HeaderError {
         group: u8,
         /// Its mask.
         found: u16,
-        /// The bits a VN-100 has.
+        /// The bits that a VN-100 has.
         known: u16,
     },
-    /// Not `groups,fields…` in hex.
+    /// The text is not `groups,fields…` in hex.
     #[error("`{found}` is not a binary output: expected groups and one mask per group in hex, such as 01,0609")]
     Text {
         /// The text.
@@ -159,14 +159,14 @@ pub enum HeaderError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct BinaryHeader {
     groups: u8,
-    /// Masks of the groups 1, 2, 3, 5; 0 where the group is absent.
+    /// Masks of the groups 1, 2, 3, 5; 0 if the group is absent.
     masks: [u16; GROUPS],
 }
 
-/// What the bytes behind a sync byte are.
+/// The meaning of the bytes behind a sync byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HeaderBytes {
-    /// Not enough bytes to say; so many are needed, the sync byte included.
+    /// Too few bytes to decide; this many are needed, the sync byte included.
     Incomplete(usize),
     /// Not a header of a VN-100.
     Invalid,
@@ -175,10 +175,10 @@ pub(super) enum HeaderBytes {
 }
 
 impl BinaryHeader {
-    /// The header with these masks for the groups Common, Time, IMU and Attitude; 0 leaves a group out.
+    /// The header with these masks for the groups Common, Time, IMU and Attitude; 0 omits a group.
     ///
     /// # Errors
-    /// [`HeaderError`] where a mask has a bit that a VN-100 does not have, or all are 0.
+    /// [`HeaderError`] if a mask has a bit that a VN-100 does not have, or all are 0.
     pub fn new(common: u16, time: u16, imu: u16, attitude: u16) -> Result<Self, HeaderError> {
         let masks = [common, time, imu, attitude];
         let mut groups = 0;
@@ -193,10 +193,10 @@ impl BinaryHeader {
         if groups == 0 { Err(HeaderError::Groups { found: 0 }) } else { Ok(Self { groups, masks }) }
     }
 
-    /// The header as registers 75–77 and people write it: groups and masks in hex, `05,0008,0010`.
+    /// The header in the text form of registers 75–77: groups and masks in hex, `05,0008,0010`.
     ///
     /// # Errors
-    /// [`HeaderError`] where the text is not that, or not an output of a VN-100.
+    /// [`HeaderError`] if the text has another form, or is not an output of a VN-100.
     pub fn parse_register(text: &str) -> Result<Self, HeaderError> {
         let refuse = || HeaderError::Text { found: text.to_owned() };
         let mut fields = text.split(',').map(|field| u16::from_str_radix(field.trim(), 16).ok());
@@ -251,7 +251,7 @@ impl BinaryHeader {
         self.groups
     }
 
-    /// The masks of the groups that are there, in the order they are sent.
+    /// The masks of the present groups, in the order they are sent.
     pub fn masks(&self) -> impl Iterator<Item = u16> {
         self.masks.into_iter().filter(|mask| *mask != 0)
     }
@@ -310,14 +310,14 @@ impl BinaryHeader {
 }
 
 impl std::fmt::Display for BinaryHeader {
-    /// As registers 75–77 write it: `01,0609`.
+    /// The text form of registers 75–77: `01,0609`.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "{:02X}", self.groups)?;
         self.masks().try_for_each(|mask| write!(formatter, ",{mask:04X}"))
     }
 }
 
-/// Takes `N` bytes from the front; zeros where they are missing (a payload of the header's length never lacks any).
+/// Takes `N` bytes from the front; zeros if they are missing (a payload of the header's length never lacks any).
 fn take<const N: usize>(payload: &mut &[u8]) -> [u8; N] {
     match payload.split_first_chunk::<N>() {
         Some((bytes, rest)) => {
@@ -328,8 +328,8 @@ fn take<const N: usize>(payload: &mut &[u8]) -> [u8; N] {
     }
 }
 
-/// Reads a payload of exactly `header.payload_bytes()` bytes. Where two groups carry the same quantity the later one
-/// counts (a sensor sends the same value in both).
+/// Reads a payload of exactly `header.payload_bytes()` bytes. If two groups carry the same quantity, the later one is
+/// used (a sensor sends the same value in both).
 pub(super) fn read_payload(measurement: &mut Measurement, header: &BinaryHeader, payload: &[u8]) {
     let mut rest = payload;
     for (mut mask, fields) in header.masks.into_iter().zip(&FIELDS) {

@@ -1,6 +1,6 @@
-//! Checksums: the XOR of a line's bytes and CRC-16/XMODEM. Bytes enter, a number leaves.
+//! Checksums: the XOR of a line's bytes and CRC-16/XMODEM.
 
-/// Which checksum stands behind the `*` of a line (register 30, `SerialChecksum`).
+/// The kind of checksum behind the `*` of a line (register 30, `SerialChecksum`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum ChecksumKind {
     /// XOR of the bytes between `$` and `*`, two hex digits (the sensor's default).
@@ -69,7 +69,7 @@ const fn tables() -> [[u16; 256]; 8] {
 /// (high byte first) it is 0.
 ///
 /// # Source
-/// User manual UM001 rev 2.45, sections 3.9.3 and 4.3.5. Eight bytes a step by tables ("slicing").
+/// User manual UM001 rev 2.45, sections 3.9.3 and 4.3.5. Tables process eight bytes per step ("slicing").
 ///
 /// # Validation
 /// Check value 0x31C3 of `123456789`; equal to the `crc` crate on random bytes (`crc16_equals_an_independent_one`).

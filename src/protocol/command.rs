@@ -6,26 +6,26 @@
 use super::measurement::{Measurement, MeasurementKind};
 use super::{AsciiType, ChecksumKind, ascii, encode};
 
-/// Something to ask of the sensor.
+/// A command to the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
     /// Read a register (`$VNRRG,n`). Registers 5, 6 and 7 take the number of a serial port.
     ReadRegister {
         /// Its number.
         register: u16,
-        /// The serial port whose setting is meant; the one in use where absent.
+        /// The serial port whose setting is requested; the one in use if absent.
         port: Option<u8>,
     },
     /// Write a register in RAM (`$VNWRG,n,values`): lost at the next reset.
     WriteRegister {
         /// Its number.
         register: u16,
-        /// The values as they stand in the line, without leading comma.
+        /// The values in the form of the line, without leading comma.
         values: String,
     },
     /// Pause (`false`) or resume all asynchronous output of this port; registers keep their values (`$VNASY,0`).
     AsyncOutput(bool),
-    /// Ask for one frame of binary output 1, 2 or 3 (`$VNBOM,n`).
+    /// Request one frame of binary output 1, 2 or 3 (`$VNBOM,n`).
     PollBinary(u8),
     /// Reset (`$VNRST`): the sensor answers, then restarts with its saved settings within 1.25 s (ArduPilot#22488; the SDK
     /// waits 2.5 s).
@@ -58,7 +58,7 @@ impl Command {
         }
     }
 
-    /// The bytes to send. A sensor takes either checksum at any time, whatever register 30 says.
+    /// The bytes to send. A sensor accepts either checksum at any time, regardless of register 30.
     #[must_use]
     pub fn to_bytes(&self, checksum: ChecksumKind) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -67,7 +67,7 @@ impl Command {
     }
 }
 
-/// What a reply answers: the word behind `VN`.
+/// The kind of command that a reply answers: the word behind `VN`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Verb {
     /// `RRG`
@@ -95,7 +95,7 @@ pub enum Verb {
 }
 
 impl Verb {
-    /// The verb of that header (without `$`): `VNRRG`.
+    /// The verb with that header (without `$`): `VNRRG`.
     #[must_use]
     pub fn from_header(header: &[u8]) -> Option<Self> {
         Some(match header {
@@ -118,18 +118,18 @@ impl Verb {
 /// A reply of the sensor (or a command, which has the same form).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply<'a> {
-    /// What it answers.
+    /// The kind of command it answers.
     pub verb: Verb,
     /// The register, for reads and writes; parsed as a number, since sensors print `08` and manuals `8`.
     pub register: Option<u16>,
-    /// What follows the register (or the verb), without leading comma; empty where nothing does.
+    /// The text behind the register (or the verb), without leading comma; empty if there is none.
     pub values: &'a str,
     /// The line between `$` and `*`.
     pub body: &'a str,
 }
 
 impl<'a> Reply<'a> {
-    /// Reads the part of a line between `$` and `*`; `None` where its verb is unknown or its register no number.
+    /// Reads the part of a line between `$` and `*`; `None` if its verb is unknown or its register no number.
     #[must_use]
     pub fn parse(body: &'a str) -> Option<Self> {
         let (header, rest) = body.split_once(',').unwrap_or((body, ""));
@@ -147,7 +147,7 @@ impl<'a> Reply<'a> {
         Some(Self { verb, register, values, body })
     }
 
-    /// Whether it is the reply to `command` (not: whether the sensor did as told; a refusal is a
+    /// Whether it is the reply to `command` (not whether the sensor executed it; a refusal is a
     /// [`DeviceError`](super::DeviceError)).
     #[must_use]
     pub fn answers(&self, command: &Command) -> bool {
@@ -164,8 +164,8 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// The values of a measurement register that was read (8, 9, 10, 15, 17–20, 27, 54, 80, 115, 239, 240) as the
-    /// measurement they are; `None` for other registers and values that are not numbers.
+    /// The values of a measurement register that was read (8, 9, 10, 15, 17–20, 27, 54, 80, 115, 239, 240) as a
+    /// measurement; `None` for other registers and values that are not numbers.
     #[must_use]
     pub fn measurement(&self) -> Option<Measurement> {
         if self.verb != Verb::ReadRegister {

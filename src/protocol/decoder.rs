@@ -1,20 +1,20 @@
-//! The decoder: bytes in any split → [`Event`]s.
+//! The decoder: converts bytes in any division to [`Event`]s.
 //!
-//! Enters: whatever the port delivers. Leaves: events in the order of the bytes, borrowed from the decoder's buffer.
+//! In: the bytes that the port delivers. Out: events in the order of the bytes, borrowed from the decoder's buffer.
 //!
-//! Promises:
+//! Guarantees:
 //! - The events depend on the bytes alone, not on how they were split into [`Decoder::push`] calls.
-//! - A candidate (a sync byte with what follows) that fails costs one byte: the search goes on behind its first byte, so
-//!   that a broken binary frame never swallows a line that stands inside its length.
+//! - A candidate (a sync byte with what follows) that fails costs one byte: the search continues behind its first byte,
+//!   so that a broken binary frame never hides a line inside its length.
 //! - `bytes_in = frame_bytes + garbage_bytes + pending()`, always.
 //! - Memory is bounded; nothing is allocated per frame.
 //!
-//! How a failure counts: as one frame with [`DiscardCause::Checksum`] where the candidate was a frame by its head, that is a
+//! A failure counts as one frame with [`DiscardCause::Checksum`] if the candidate has the head of a frame. That is a
 //! line that begins with `$VN`, a known word and `,` or `*`, or a binary header that a VN-100 can send (with
-//! [`BinaryAcceptance::Only`]: the one header). Without `Only`, candidates inside the length of one that was already counted
-//! do not count again: payload bytes sometimes look like a header. A right checksum with wrong fields is one frame with
-//! [`DiscardCause::Malformed`]. In both cases the bytes themselves are garbage and are reported as such when they are
-//! skipped. A frame that is not complete yet is pending, not an error.
+//! [`BinaryAcceptance::Only`]: the one header). Without `Only`, candidates inside the length of one that was already
+//! counted do not count again: payload bytes sometimes look like a header. A right checksum with wrong fields is one
+//! frame with [`DiscardCause::Malformed`]. In both cases the bytes themselves are garbage and are reported as such when
+//! they are skipped. A frame that is not complete yet is pending, not an error.
 
 use super::ascii::{self, MAX_LINE_BYTES};
 use super::binary::{self, CRC_BYTES, HeaderBytes, SYNC};
@@ -27,27 +27,27 @@ pub const GARBAGE_RUN_BYTES: usize = 256;
 /// Bytes taken from the input at a time.
 const CHUNK_BYTES: usize = 4096;
 
-/// Which binary frames are looked for.
+/// The binary frames to search for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BinaryAcceptance {
-    /// Every header that a VN-100 can send: for finding out what arrives. Of 1 MB of random bytes about 0.06 frames are
-    /// expected to pass for one by chance.
+    /// Every header that a VN-100 can send: to detect the output. In 1 MB of random bytes about 0.06 frames are
+    /// expected to pass by chance.
     #[default]
     Any,
-    /// This header alone: for capturing. 3.6e-9 false frames per MB of random bytes.
+    /// Only this header: for capturing. 3.6e-9 false frames per MB of random bytes.
     Only(BinaryHeader),
     /// None: a sensor that sends lines.
     Never,
 }
 
-/// How to decode.
+/// Options of the decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DecoderOptions {
-    /// Which binary frames are looked for.
+    /// The binary frames to search for.
     pub binary: BinaryAcceptance,
 }
 
-/// What the decoder found.
+/// The result of decoding.
 #[derive(Debug, PartialEq)]
 pub enum Event<'a> {
     /// A measurement.
@@ -56,9 +56,9 @@ pub enum Event<'a> {
     Reply(Reply<'a>),
     /// An error that the sensor reports.
     DeviceError(DeviceError),
-    /// A line with a right checksum that is nothing of the above; without `$` and checksum.
+    /// A line with a right checksum that is none of the above; without `$` and checksum.
     Other(&'a str),
-    /// Something that is not usable.
+    /// Bytes that are not usable.
     Rejected {
         /// [`DiscardCause::Checksum`] or [`DiscardCause::Malformed`]: one frame, whose bytes follow as garbage.
         /// [`DiscardCause::GarbageBytes`]: bytes of no frame, at most [`GARBAGE_RUN_BYTES`] of them.
@@ -68,7 +68,7 @@ pub enum Event<'a> {
     },
 }
 
-/// What went through a decoder since it was made.
+/// The totals of a decoder since its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DecoderStats {
     /// Bytes pushed.
@@ -79,21 +79,21 @@ pub struct DecoderStats {
     pub lines: u64,
     /// Bytes of good frames and lines, line ends included.
     pub frame_bytes: u64,
-    /// Frames and lines whose checksum was wrong or that were cut.
+    /// Frames and lines with a wrong checksum or that were cut.
     pub bad_checksums: u64,
-    /// Lines whose checksum was right and whose fields were not.
+    /// Lines with a right checksum and wrong fields.
     pub malformed: u64,
     /// Bytes of no good frame.
     pub garbage_bytes: u64,
 }
 
-/// What stands at a candidate's place.
+/// The content at a candidate's place.
 enum Found<'a> {
-    /// More bytes are needed: so many from the candidate's first on.
+    /// More bytes are needed: this many from the candidate's first on.
     Incomplete(usize),
-    /// Nothing; and what it counts as, with its length, where it was a frame by its head.
+    /// No message; with the cause it counts as and its length, if it has the head of a frame.
     Nothing(Option<(DiscardCause, usize)>),
-    /// Something of this length.
+    /// A message of this length.
     Something(Message<'a>, usize),
 }
 
@@ -111,11 +111,11 @@ pub struct Decoder {
     binary: BinaryAcceptance,
     /// Bytes not reported yet: a run of garbage, then the candidate and what follows it.
     buffer: Vec<u8>,
-    /// Where the candidate begins in `buffer`.
+    /// The position of the candidate in `buffer`.
     at: usize,
-    /// The candidate cannot be decided before so many bytes of it are there.
+    /// The candidate cannot be decided before this many of its bytes are present.
     need: usize,
-    /// So many bytes of a candidate line are known to be text.
+    /// This many bytes of a candidate line are known to be text.
     scanned: usize,
     /// Position in the stream of `buffer`'s first byte.
     position: u64,
@@ -142,19 +142,19 @@ impl Decoder {
         }
     }
 
-    /// Changes which binary frames are looked for, from the bytes that are still pending on.
+    /// Changes the binary frames to search for, from the bytes that are still pending on.
     pub fn accept_binary(&mut self, binary: BinaryAcceptance) {
         self.binary = binary;
         self.need = 0;
     }
 
-    /// Which binary frames are looked for.
+    /// The binary frames to search for.
     #[must_use]
     pub fn binary(&self) -> BinaryAcceptance {
         self.binary
     }
 
-    /// What went through so far.
+    /// The totals so far.
     #[must_use]
     pub fn stats(&self) -> DecoderStats {
         self.stats
@@ -167,7 +167,7 @@ impl Decoder {
         self.buffer.len()
     }
 
-    /// Takes bytes and reports what they complete.
+    /// Takes bytes and reports the events that they complete.
     pub fn push(&mut self, bytes: &[u8], sink: &mut impl FnMut(Event<'_>)) {
         self.stats.bytes_in += bytes.len() as u64;
         for chunk in bytes.chunks(CHUNK_BYTES) {
@@ -176,14 +176,14 @@ impl Decoder {
         }
     }
 
-    /// Ends the stream (the port is gone, a reply did not come): what is incomplete will not be completed. Good frames
-    /// behind an incomplete one are still reported; everything else that was pending is garbage. The decoder is ready for
-    /// a new stream; the statistics go on.
+    /// Ends the stream (the port is closed, a reply did not arrive): incomplete messages will not be completed. Good
+    /// frames behind an incomplete one are still reported; everything else that was pending is garbage. The decoder is
+    /// ready for a new stream; the statistics continue.
     pub fn flush(&mut self, sink: &mut impl FnMut(Event<'_>)) {
         self.advance(sink, true);
     }
 
-    /// Goes through the buffer as far as it can be decided.
+    /// Processes the buffer as far as it can be decided.
     fn advance(&mut self, sink: &mut impl FnMut(Event<'_>), ended: bool) {
         let length = self.buffer.len();
         // first byte not reported yet
@@ -291,7 +291,7 @@ fn reject_garbage(
     sink(Event::Rejected { cause: DiscardCause::GarbageBytes, bytes });
 }
 
-/// Looks at a candidate that begins with the sync byte.
+/// Examines a candidate that begins with the sync byte.
 fn examine_frame<'a>(candidate: &[u8], acceptance: BinaryAcceptance, measurement: &mut Measurement) -> Found<'a> {
     let header = match (acceptance, BinaryHeader::read(candidate)) {
         (BinaryAcceptance::Never, _) | (_, HeaderBytes::Invalid) => return Found::Nothing(None),
@@ -311,7 +311,7 @@ fn examine_frame<'a>(candidate: &[u8], acceptance: BinaryAcceptance, measurement
     Found::Something(Message::Frame, length)
 }
 
-/// Words of a line that are known, besides the measurements and verbs.
+/// Known words of a line, besides the measurements and verbs.
 const ERROR_HEADER: &[u8] = b"VNERR";
 /// `VN` and three letters.
 const HEADER_BYTES: usize = 5;
@@ -320,7 +320,7 @@ fn is_known_header(header: &[u8]) -> bool {
     AsciiType::from_header(header).is_some() || Verb::from_header(header).is_some() || header == ERROR_HEADER
 }
 
-/// Looks at a candidate that begins with `$`.
+/// Examines a candidate that begins with `$`.
 fn examine_line<'a>(candidate: &'a [u8], scanned: &mut usize, measurement: &mut Measurement) -> Found<'a> {
     const PREFIX: &[u8] = b"$VN";
     let Some(prefix) = candidate.get(..PREFIX.len()) else {
@@ -356,17 +356,17 @@ fn examine_line<'a>(candidate: &'a [u8], scanned: &mut usize, measurement: &mut 
     }
 }
 
-/// How many bytes from the start are text of a line: printable, and not the `$` of the next one.
+/// The number of bytes from the start that are text of a line: printable, and not the `$` of the next one.
 fn text_bytes(bytes: &[u8]) -> usize {
     let is_text = |byte: &u8| matches!(byte, b' '..=b'~') && *byte != b'$';
     let (blocks, _) = bytes.as_chunks::<16>();
-    // whole blocks first: without an early exit per byte the compiler looks at all sixteen at once
+    // whole blocks first: without an early exit per byte the compiler examines all sixteen at once
     let whole = blocks.iter().take_while(|block| block.iter().fold(true, |all, byte| all & is_text(byte))).count() * 16;
     let rest = bytes.get(whole..).unwrap_or_default();
     whole + rest.iter().position(|byte| !is_text(byte)).unwrap_or(rest.len())
 }
 
-/// What a line with a right checksum says; `None` where its fields are not what its header promises.
+/// Parses the body of a line with a right checksum; `None` if its fields do not match its header.
 fn read_body<'a>(body: &'a [u8], measurement: &mut Measurement) -> Option<Message<'a>> {
     let comma = body.iter().position(|byte| *byte == b',').unwrap_or(body.len());
     let (header, rest) = body.split_at_checked(comma)?;

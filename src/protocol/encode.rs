@@ -1,4 +1,4 @@
-//! Encoding: measurements and text → the bytes a sensor of firmware 2 or 3 sends.
+//! Encoding: converts measurements and text to the bytes that a sensor of firmware 2 or 3 sends.
 
 use super::binary::{Field, SYNC};
 use super::checksum::{crc16, xor8};
@@ -39,7 +39,7 @@ pub fn numbers(out: &mut Vec<u8>, ascii: AsciiType, measurement: &Measurement) {
     }
 }
 
-/// Appends an asynchronous ASCII message. A serial count and a status are added where the measurement has them
+/// Appends an asynchronous ASCII message. A serial count and a status are added if the measurement has them
 /// (`sync_count`, `vpe_status`), in the order of recordings: count, then status. Quantities it lacks are sent as 0.
 pub fn ascii_message(out: &mut Vec<u8>, ascii: AsciiType, measurement: &Measurement, checksum: ChecksumKind) {
     out.push(b'$');
@@ -56,7 +56,7 @@ pub fn ascii_message(out: &mut Vec<u8>, ascii: AsciiType, measurement: &Measurem
     finish_line(out, length, checksum);
 }
 
-/// Appends a binary frame. Numbers become 32-bit floats; what the measurement lacks is sent as 0.
+/// Appends a binary frame. Numbers become 32-bit floats; quantities that the measurement lacks are sent as 0.
 pub fn binary_frame(out: &mut Vec<u8>, header: &BinaryHeader, measurement: &Measurement) {
     out.push(SYNC);
     let start = out.len();

@@ -50,13 +50,13 @@ pub enum DeviceError {
     /// FF
     #[error("the sensor reports error FF, error buffer overflow: some of its errors are lost")]
     ErrorBufferOverflow,
-    /// A code that no manual has.
+    /// A code that occurs in no manual.
     #[error("the sensor reports error {0:02X}, which the manual does not list")]
     Unknown(u8),
 }
 
 impl DeviceError {
-    /// The error of this code.
+    /// The error with this code.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
         match code {
@@ -98,8 +98,8 @@ impl DeviceError {
         }
     }
 
-    /// The error of a code as a sensor prints it: hex (`0C`, `C`, `FF`), or the decimal `10`, `11`, `12`, `255` of firmware
-    /// 2.1, which as hex would be codes that do not exist. `None` where the text is no code.
+    /// The error with a code as a sensor prints it: hex (`0C`, `C`, `FF`), or the decimal `10`, `11`, `12`, `255` of
+    /// firmware 2.1, which as hex would be codes that do not exist. `None` if the text is no code.
     #[must_use]
     pub fn from_text(text: &str) -> Option<Self> {
         let code = match text {
@@ -115,7 +115,7 @@ impl DeviceError {
         Some(Self::from_code(code))
     }
 
-    /// Whether the sensor restarts with it, so that its clock begins at 0 and settings that were not saved are lost.
+    /// Whether the sensor restarts at this error, so that its clock begins at 0 and unsaved settings are lost.
     #[must_use]
     pub fn restarts_sensor(self) -> bool {
         matches!(self, Self::HardFault | Self::WatchdogReset)

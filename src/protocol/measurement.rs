@@ -1,20 +1,20 @@
-//! Measurements: one decoded message with everything it carried, and its way into a [`Sample`].
+//! Measurements: one decoded message with all its content, and its conversion to a [`Sample`].
 
 use super::quantity::QuantitySet;
 use super::{AsciiType, BinaryHeader, Quantity};
 use crate::sample::{Channel, ChannelSet, Sample};
 
-/// Which message a measurement came in, or is to be sent in.
+/// The message of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum MeasurementKind {
     /// An asynchronous ASCII message.
     Ascii(AsciiType),
-    /// A binary output of this header.
+    /// A binary output with this header.
     Binary(BinaryHeader),
 }
 
 impl MeasurementKind {
-    /// What people call it: `VNYMR`, `binary 01,0609`.
+    /// The common name of the output: `VNYMR`, `binary 01,0609`.
     #[must_use]
     pub fn output_name(&self) -> String {
         match self {
@@ -34,7 +34,7 @@ impl MeasurementKind {
             Self::Binary(header) => header.quantities(),
         }
     }
-    /// The channels that its samples have (where every value is finite).
+    /// The channels of its samples (if every value is finite).
     #[must_use]
     pub fn channels(&self) -> ChannelSet {
         self.quantities().iter().flat_map(|quantity| quantity.channels().iter().copied()).collect()
@@ -65,9 +65,9 @@ pub struct Measurement {
     pub kind: MeasurementKind,
     /// TimeStartup, ns since the sensor's reset.
     pub device_time_ns: Option<u64>,
-    /// The serial count of a line (`T…`; register 30 says what it counts), or a binary output's SyncOutCnt.
+    /// The serial count of a line (`T…`; register 30 selects what it counts), or a binary output's SyncOutCnt.
     pub sync_count: Option<u32>,
-    /// VPE status: the status of a line (`S…`, where register 30 has SerialStatus 1), or the binary field.
+    /// VPE status: the status of a line (`S…`, if register 30 has SerialStatus 1), or the binary field.
     pub vpe_status: Option<u16>,
     /// Time since the last SyncIn pulse, ns.
     pub time_sync_in_ns: Option<u64>,
@@ -104,19 +104,19 @@ impl Measurement {
         }
     }
 
-    /// The quantity's numbers, `quantity.components()` of them, where the message carried it.
+    /// The quantity's numbers, `quantity.components()` of them, if the message carried it.
     #[must_use]
     pub fn get(&self, quantity: Quantity) -> Option<&[f64]> {
         self.present.contains(quantity).then(|| &self.values[quantity.range()])
     }
 
-    /// Three numbers of a quantity that has three.
+    /// The three numbers of a quantity with three components.
     #[must_use]
     pub fn vector(&self, quantity: Quantity) -> Option<[f64; 3]> {
         self.get(quantity)?.try_into().ok()
     }
 
-    /// One number of a quantity that has one.
+    /// The number of a quantity with one component.
     #[must_use]
     pub fn scalar(&self, quantity: Quantity) -> Option<f64> {
         let [value] = self.get(quantity)?.try_into().ok()?;
@@ -143,7 +143,7 @@ impl Measurement {
         &self.values[quantity.range()]
     }
 
-    /// Remembers the digits behind the point of a line's number; of several numbers the most count.
+    /// Records the digits behind the point of a line's number; of several numbers the highest count is kept.
     pub(super) fn note_decimals(&mut self, quantity: Quantity, decimals: u8) {
         let noted = &mut self.decimals[quantity as usize];
         *noted = if *noted == NO_DECIMALS { decimals } else { decimals.max(*noted) };
@@ -156,7 +156,7 @@ impl Measurement {
     }
 
     /// Digits behind the point with which the line printed this channel: its resolution is 10⁻ᵈ of the channel's unit.
-    /// `None` for binary messages and absent channels. Firmware 1 prints fewer than firmware 2 and 3.
+    /// `None` for binary messages and absent channels. Firmware 1 prints fewer digits than firmware 2 and 3.
     #[must_use]
     pub fn decimals(&self, channel: Channel) -> Option<u8> {
         // the same precedence as in `to_sample`: the last quantity that fills the channel counts
@@ -170,9 +170,9 @@ impl Measurement {
 
     /// The measurement as a sample that arrived at this host time.
     ///
-    /// Where a message carries a vector both compensated and uncompensated, the uncompensated one is taken for gyroscope,
-    /// accelerometer and magnetometer: from the compensated one the on-board filter has removed its own bias estimate,
-    /// which would take slow noise out of an Allan deviation. Values that are not finite leave their channel absent.
+    /// If a message carries a vector both compensated and uncompensated, the uncompensated one is used for gyroscope,
+    /// accelerometer and magnetometer. The on-board filter has removed its own bias estimate from the compensated one,
+    /// which would remove slow noise from an Allan deviation. Values that are not finite leave their channel absent.
     #[must_use]
     pub fn to_sample(&self, host_mono_ns: u64, host_utc_ns: i64) -> Sample {
         let mut sample = Sample::at(host_mono_ns, host_utc_ns);

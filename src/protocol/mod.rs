@@ -1,10 +1,10 @@
 //! Protocol: the VN-100's serial language, bytes ↔ frames. Pure: no I/O, no clock, no allocation per frame.
 //!
-//! Enters: bytes in any split ([`Decoder`]), or measurements and commands to be sent ([`encode`], [`Command`]).
-//! Leaves: [`Event`]s (measurements, replies, errors of the device, what was rejected, to the byte).
-//! Promises: any split of the input gives the same events; a failed frame costs one byte, never what stands behind it;
-//! the encoder writes byte for byte what firmware 2 and 3 send.
-//! Refuses: binary groups and fields that a VN-100 does not have, lines above 320 bytes, fields that are not numbers.
+//! In: bytes in any division ([`Decoder`]), or measurements and commands to be sent ([`encode`], [`Command`]). Out:
+//! [`Event`]s (measurements, replies, errors of the device, rejected data, to the byte). Guarantees: any division of
+//! the input gives the same events. A failed frame costs one byte, never the data behind it. The encoder writes byte
+//! for byte what firmware 2 and 3 send. Refuses: binary groups and fields that a VN-100 does not have, lines above 320
+//! bytes, fields that are not numbers.
 //!
 //! Sources: VN-100 user manual UM001 rev 2.45 (firmware 3.0.0.0), application note AN110, the official SDK 0.99.0 and
 //! recordings of real sensors; the vectors under `tests/golden/protocol/` name theirs.

@@ -1,4 +1,4 @@
-//! Quantities: the physical things that a VN-100's messages carry, with their size, unit and text format.
+//! Quantities: the physical quantities in a VN-100's messages, with their size, unit and text format.
 
 use crate::sample::Channel;
 
@@ -48,19 +48,19 @@ pub enum Quantity {
     YprUncertainty,
 }
 
-/// How firmware 2 and 3 print a number: C's `%+0<width>.<decimals>f`.
+/// The number format of firmware 2 and 3: C's `%+0<width>.<decimals>f`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AsciiFormat {
-    /// Least number of characters, sign included; a larger number takes more.
+    /// The minimum number of characters, sign included; a larger number takes more.
     pub width: usize,
     /// Digits behind the point: the resolution.
     pub decimals: usize,
 }
 
 impl Quantity {
-    /// How many quantities there are.
+    /// The number of quantities.
     pub const COUNT: usize = 20;
-    /// All of them.
+    /// All quantities.
     pub const ALL: [Self; Self::COUNT] = [
         Self::YawPitchRoll,
         Self::Quaternion,
@@ -83,10 +83,10 @@ impl Quantity {
         Self::AccelNed,
         Self::YprUncertainty,
     ];
-    /// Numbers in all quantities together.
+    /// The number of values in all quantities together.
     pub const TOTAL_LEN: usize = OFFSETS[Self::COUNT];
 
-    /// How many numbers the quantity has.
+    /// The number of values of the quantity.
     #[must_use]
     pub const fn components(self) -> usize {
         match self {
@@ -97,7 +97,7 @@ impl Quantity {
         }
     }
 
-    /// Where its numbers stand among those of all quantities.
+    /// The position of its values among those of all quantities.
     #[must_use]
     pub(super) const fn range(self) -> std::ops::Range<usize> {
         OFFSETS[self as usize]..OFFSETS[self as usize + 1]

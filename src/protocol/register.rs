@@ -1,7 +1,7 @@
 //! Registers whose meaning the program needs: text values ↔ typed values.
 //!
-//! Each type reads the values of a reply ([`Reply::values`](super::Reply)) and prints the values of a write command. A value
-//! that a sensor may have and this program does not know stays available as the reply's text.
+//! Each type reads the values of a reply ([`Reply::values`](super::Reply)) and prints the values of a write command. A
+//! value that is unknown to this program stays available as the reply's text.
 //!
 //! Source: user manual UM001 rev 2.45, chapters 5 and 6.
 
@@ -59,14 +59,14 @@ pub const GYRO_COMPENSATION: u16 = 84;
 /// IMU filtering.
 pub const IMU_FILTER: u16 = 85;
 
-/// Register values that are not what they should be.
+/// Register values of an unexpected form.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("register {register}: `{found}` is not {expected}")]
 #[non_exhaustive]
 pub struct RegisterError {
     /// The register.
     pub register: u16,
-    /// What it should hold.
+    /// The expected form.
     pub expected: &'static str,
     /// The values found.
     pub found: String,
@@ -82,12 +82,12 @@ fn numbers<T: std::str::FromStr + Copy + Default, const N: usize>(values: &str) 
     fields.next().is_none().then_some(numbers)
 }
 
-/// A value of registers 5, 6 or 7, with the serial port where one was named (1 RS-232, 2 TTL).
+/// A value of registers 5, 6 or 7, with the serial port if one was named (1 RS-232, 2 TTL).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PortValue {
     /// Baud rate (register 5), message id (6; see [`AsciiType::from_id`](super::AsciiType::from_id)) or rate in Hz (7).
     pub value: u32,
-    /// The port: a reply carries it only where the command did.
+    /// The port: a reply carries it only if the command did.
     pub port: Option<u8>,
 }
 
@@ -95,7 +95,7 @@ impl PortValue {
     /// Reads the values of register 5, 6 or 7.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not one number and perhaps a port.
+    /// [`RegisterError`] if they are not one number and an optional port.
     pub fn parse(register: u16, values: &str) -> Result<Self, RegisterError> {
         let refuse =
             || RegisterError { register, expected: "a number and perhaps a serial port", found: values.to_owned() };
@@ -113,7 +113,7 @@ impl fmt::Display for PortValue {
     }
 }
 
-/// Register 30: what is added to ASCII messages, which checksum they have, how errors are reported.
+/// Register 30: the additions to ASCII messages, their checksum, and the reporting of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct CommunicationControl {
     /// 0 none, 1 SyncIn count, 2 SyncIn time (µs), 3 SyncOut count, 4 GPS PPS.
@@ -151,7 +151,7 @@ impl CommunicationControl {
     /// Reads the values of register 30.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not seven numbers.
+    /// [`RegisterError`] if they are not seven numbers.
     pub fn parse(values: &str) -> Result<Self, RegisterError> {
         let [serial_count, serial_status, spi_count, spi_status, serial_checksum, spi_checksum, error_mode] =
             numbers(values).ok_or_else(|| RegisterError {
@@ -162,13 +162,13 @@ impl CommunicationControl {
         Ok(Self { serial_count, serial_status, spi_count, spi_status, serial_checksum, spi_checksum, error_mode })
     }
 
-    /// The checksum of what the sensor sends.
+    /// The checksum of the sensor's output.
     #[must_use]
     pub fn checksum(&self) -> super::ChecksumKind {
         if self.serial_checksum == 3 { super::ChecksumKind::Crc16 } else { super::ChecksumKind::Xor8 }
     }
 
-    /// What it adds to the length of ASCII messages.
+    /// Its additions to the length of ASCII messages.
     #[must_use]
     pub fn frame_options(&self) -> super::FrameOptions {
         super::FrameOptions {
@@ -193,7 +193,7 @@ impl fmt::Display for CommunicationControl {
 /// Register 32: synchronization input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SyncControl {
-    /// What a SyncIn pulse does (3: counts).
+    /// The effect of a SyncIn pulse (3: counts).
     pub sync_in_mode: u32,
     /// 0 rising edge, 1 falling edge.
     pub sync_in_edge: u32,
@@ -201,11 +201,12 @@ pub struct SyncControl {
     pub sync_in_skip_factor: u32,
     /// Reserved.
     pub reserved_in: u32,
-    /// What makes a SyncOut pulse: 0 nothing, 1 start of an IMU sample (800 Hz), 2 IMU ready, 3 attitude ready, 6 GPS PPS.
+    /// The source of SyncOut pulses: 0 nothing, 1 start of an IMU sample (800 Hz), 2 IMU ready, 3 attitude ready, 6 GPS
+    /// PPS.
     pub sync_out_mode: u32,
     /// 0 negative pulse, 1 positive.
     pub sync_out_polarity: u32,
-    /// Events skipped between two pulses: with 19 of 800 Hz the counter steps by 1 at 40 Hz.
+    /// Events skipped between two pulses: with 19 of 800 Hz the counter increases by 1 at 40 Hz.
     pub sync_out_skip_factor: u32,
     /// Length of a pulse, ns.
     pub sync_out_pulse_width_ns: u32,
@@ -234,7 +235,7 @@ impl SyncControl {
     /// Reads the values of register 32.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not nine numbers.
+    /// [`RegisterError`] if they are not nine numbers.
     pub fn parse(values: &str) -> Result<Self, RegisterError> {
         let [
             sync_in_mode,
@@ -298,7 +299,7 @@ impl SyncStatus {
     /// Reads the values of register 33.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not three numbers.
+    /// [`RegisterError`] if they are not three numbers.
     pub fn parse(values: &str) -> Result<Self, RegisterError> {
         let [sync_in_count, sync_in_time_us, sync_out_count] = numbers(values).ok_or_else(|| RegisterError {
             register: SYNCHRONIZATION_STATUS,
@@ -318,11 +319,11 @@ impl fmt::Display for SyncStatus {
 /// Registers 75–77: a binary output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct BinaryOutput {
-    /// Where it is sent: 0 nowhere, 1 port 1, 2 port 2, 3 both.
+    /// The port on which it is sent: 0 none, 1 port 1, 2 port 2, 3 both.
     pub async_mode: u8,
     /// The output is sent at 800 Hz / divisor.
     pub rate_divisor: u16,
-    /// What is sent; `None` where no group is selected (the default, `0,0,0`).
+    /// The content; `None` if no group is selected (the default, `0,0,0`).
     pub header: Option<BinaryHeader>,
 }
 
@@ -330,7 +331,7 @@ impl BinaryOutput {
     /// Reads the values of register 75, 76 or 77; groups and fields are hex.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not mode, divisor, groups and one mask per group, or select what a VN-100 does not
+    /// [`RegisterError`] if they are not mode, divisor, groups and one mask per group, or select what a VN-100 does not
     /// have.
     pub fn parse(register: u16, values: &str) -> Result<Self, RegisterError> {
         let refuse = || RegisterError {
@@ -350,7 +351,7 @@ impl BinaryOutput {
         Ok(Self { async_mode, rate_divisor, header })
     }
 
-    /// Its rate in Hz; `None` where the divisor is 0.
+    /// Its rate in Hz; `None` if the divisor is 0.
     #[must_use]
     pub fn rate_hz(&self) -> Option<f64> {
         (self.rate_divisor != 0).then(|| f64::from(super::link::INTERNAL_RATE_HZ) / f64::from(self.rate_divisor))
@@ -384,8 +385,8 @@ pub struct ImuFilter {
 }
 
 impl Default for ImuFilter {
-    /// `0,4,4,4,0,0,3,3,3,0`: the manual's factory table, and what a firmware 3.1 unit's autocorrelation shows (the
-    /// register's own example says 5).
+    /// `0,4,4,4,0,0,3,3,3,0`: the manual's factory table, confirmed by the autocorrelation of a firmware 3.1 unit (the
+    /// register's own example has 5).
     fn default() -> Self {
         Self { windows: [0, 4, 4, 4, 0], modes: [0, 3, 3, 3, 0] }
     }
@@ -395,7 +396,7 @@ impl ImuFilter {
     /// Reads the values of register 85.
     ///
     /// # Errors
-    /// [`RegisterError`] where they are not ten numbers.
+    /// [`RegisterError`] if they are not ten numbers.
     pub fn parse(values: &str) -> Result<Self, RegisterError> {
         let refuse = || RegisterError {
             register: IMU_FILTER,

@@ -1,4 +1,4 @@
-//! The published vectors, recordings where they are at hand, and properties of decoder and encoder together.
+//! The published vectors, recordings if they are available, and properties of decoder and encoder together.
 
 use super::ascii::{Trailer, split_line};
 use super::binary::KNOWN_BITS;
@@ -11,7 +11,7 @@ use serde_json::Value;
 const ASCII_VECTORS: &str = include_str!("../../tests/golden/protocol/ascii.json");
 const BINARY_VECTORS: &str = include_str!("../../tests/golden/protocol/binary.json");
 
-/// An event that owns what it says.
+/// An event that owns its content.
 #[derive(Debug, Clone, PartialEq)]
 enum Owned {
     Measurement(Box<Measurement>),
@@ -31,7 +31,7 @@ fn owned(event: Event<'_>) -> Owned {
     }
 }
 
-/// Everything that comes of the bytes, pushed in pieces, flushed at the end.
+/// All events of the bytes, pushed in pieces, flushed at the end.
 fn decode_pieces<'a>(
     pieces: impl IntoIterator<Item = &'a [u8]>,
     options: DecoderOptions,
@@ -453,7 +453,7 @@ fn a_false_header_is_decided_as_soon_as_its_length_is_there() {
     // all lines inside the false frame are there at once
     assert_eq!(found, (pushed - head.len()) / line.len());
     assert_eq!(decoder.pending(), 0);
-    // and where nothing more comes, a flush decides
+    // and if nothing more comes, a flush decides
     decoder.push(&head, &mut |_| ());
     decoder.push(line, &mut |event| panic!("{event:?}"));
     let mut events = Vec::new();
@@ -498,7 +498,7 @@ fn each_damaged_frame_counts_once() {
         assert_eq!((stats.lines, stats.bad_checksums, stats.garbage_bytes), (2, 1, bad.len() as u64), "{why}");
         assert_eq!(measurements(&events).len(), 2, "{why}");
     }
-    // without its first bytes it cannot be told from garbage
+    // without its first bytes it cannot be distinguished from garbage
     let (_, stats) = decode(&[&good[1..], good].concat());
     assert_eq!((stats.lines, stats.bad_checksums), (1, 0));
 }

@@ -1,10 +1,11 @@
-//! From a recording's items to a capture's records, by the rule of docs/formats.md: a gap is a grid point without a
+//! Converts a recording's items to a capture's records by the rule of docs/formats.md: a gap is a grid point without a
 //! sample. No file is touched here.
 //!
-//! With stamps the grid tells how many samples are missing before each ([`super::grid`]). A rejected line with a stamp takes
-//! the grid point nearest to it, with the cause `checksum` if it failed it, so that a hole beside a rejected line stays a gap
-//! of its own, of the source's. Without stamps only what was rejected is known to be missing: each rejected line that stands
-//! for a sample is one missing sample, not exact, since a spliced line may hold parts of several.
+//! With stamps the grid determines how many samples are missing before each one ([`super::grid`]). A rejected line with
+//! a stamp takes the grid point nearest to it, with the cause `checksum` if its checksum failed. A hole beside a
+//! rejected line thus stays a separate gap, caused by the source. Without stamps only what was rejected is known to be
+//! missing. Each rejected line that stands for a sample is one missing sample, not exact, since a spliced line may hold
+//! parts of several.
 //!
 //! The identity: (samples + missing) periods = last stamp − first stamp + one period, to the jitter of these stamps.
 
@@ -16,33 +17,33 @@ use crate::sample::{
     ChannelSet, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase,
 };
 
-/// Counts what a recording has and what it lacks.
+/// Counts the samples and the missing samples of a recording.
 #[derive(Debug, Clone)]
 pub struct RecordingAccountant {
     rate_hz: f64,
     timebase: Timebase,
     channels: ChannelSet,
     started_utc_ns: i64,
-    /// Whether stamps tell the number of missing samples exactly.
+    /// Whether stamps determine the number of missing samples exactly.
     exact: bool,
     /// Device time and UTC of the last sample.
     last: Option<(Option<u64>, i64)>,
     segment_open: bool,
     segments: u32,
     received: u64,
-    /// Valid measurements so far, those that did not become a sample included.
+    /// Valid measurements so far, including those that did not become a sample.
     frames: u64,
     missing: u64,
     gaps: u64,
     /// Rejected lines since the last sample that stand for a sample.
     between: Between,
-    /// What one entry of the recording is called.
+    /// The name of one entry of the recording.
     entry: &'static str,
     events: usize,
 }
 
 impl RecordingAccountant {
-    /// An accountant of a recording of which nothing was read yet.
+    /// An accountant of a recording of which nothing has been read yet.
     #[must_use]
     pub fn new(info: &RecordingInfo) -> Self {
         Self {
@@ -79,13 +80,13 @@ impl RecordingAccountant {
     pub fn gaps(&self) -> u64 {
         self.gaps
     }
-    /// UTC of the last sample, ns; of the start before it.
+    /// UTC of the last sample, ns; of the start if there is no sample yet.
     #[must_use]
     pub fn last_utc_ns(&self) -> i64 {
         self.last.map_or(self.started_utc_ns, |(_, utc_ns)| utc_ns)
     }
 
-    /// Takes the next item; what it means for the capture is appended to `out`.
+    /// Takes the next item and appends the resulting records of the capture to `out`.
     pub fn take(&mut self, item: Item, out: &mut Vec<Record>) {
         match item {
             Item::Sample(mut sample, missing) => {
@@ -150,7 +151,8 @@ impl RecordingAccountant {
         self.received += 1;
     }
 
-    /// The gaps between the sample before, of this device time and UTC, and this one, before which so many are missing.
+    /// The gaps between the sample before, with this device time and UTC, and this one, before which `missing` samples
+    /// are missing.
     fn gaps_before(
         &mut self,
         (device_ns, utc_ns): (Option<u64>, i64),

@@ -1,27 +1,27 @@
-//! Rejected lines between two samples: where the time they carry puts them.
+//! Rejected lines between two samples, placed by their stamps.
 //!
-//! A spliced line fails its checksum, but its stamp was written by another hand and still tells when a sample stood there.
-//! Steps are counted from stamp to stamp, so that a hole beside a rejected line is that hole and no other.
+//! A spliced line fails its checksum, but its stamp was written by another program and still shows when a sample was
+//! taken. Steps are counted from stamp to stamp, so that a hole beside a rejected line is exactly that hole.
 
-/// Rejected lines whose stamps are kept; more between two samples are counted only.
+/// Rejected lines whose stamps are kept; further ones between two samples are only counted.
 const PLACED_MAX: usize = 1000;
 
-/// What was rejected since the last sample.
+/// The lines rejected since the last sample.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Between {
     /// Stamp, ns, and whether the line failed its checksum; increasing.
     placed: Vec<(i64, bool)>,
-    /// Lines without a stamp that can be used.
+    /// Lines without a usable stamp.
     pub(super) unplaced: u64,
-    /// One of those failed its checksum.
+    /// Whether one of those failed its checksum.
     pub(super) unplaced_checksum: bool,
 }
 
-/// One stamp after another, from the sample before to the sample behind.
+/// One of the stamps from the sample before to the sample behind.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Instant {
     pub(super) stamp_ns: i64,
-    /// What stands there: `None` for the sample behind, else whether the rejected line failed its checksum.
+    /// `None` for the sample behind, else whether the rejected line failed its checksum.
     pub(super) rejected: Option<bool>,
 }
 
@@ -40,7 +40,7 @@ impl Between {
         }
     }
 
-    /// How many lines there were.
+    /// The number of lines.
     pub(super) fn count(&self) -> u64 {
         self.placed.len() as u64 + self.unplaced
     }
@@ -50,7 +50,7 @@ impl Between {
         self.unplaced_checksum || self.placed.iter().any(|(_, checksum)| *checksum)
     }
 
-    /// Forgets lines whose stamps do not lie between the samples' ones: those stamps are wrong.
+    /// Drops lines whose stamps do not lie between the samples' stamps: those stamps are wrong.
     pub(super) fn settle(&mut self, from_ns: i64, to_ns: i64) {
         let before = self.placed.len();
         let mut misplaced_checksum = false;

@@ -1,13 +1,13 @@
-//! Which of several stamps a recording's times come from, and why.
+//! Selects which of several columns of stamps gives a recording's times, with the reason.
 //!
-//! Drivers write the time at which they received a message and the time which they assigned to the measurement. The one
-//! that was assigned is the smoother: arrival comes in bursts. So of the columns that tell the same time (their spans
-//! agree to 1 %: a line number does not) the one with the most regular steps is taken; among equals the last, as drivers
-//! write them in that order. A column that never advances is no time; of columns that tell different ones those since 1970
-//! count before others, and a line number last.
+//! Drivers write the time at which they received a message and the time which they assigned to the measurement. The
+//! assigned time is smoother, because arrival comes in bursts. So of the columns that show the same time (their spans
+//! agree to 1 %; a line number does not) the one with the most regular steps is taken. Among equals the last is taken,
+//! as drivers write them in that order. A column that never advances is no time. Of columns that show different times
+//! those since 1970 have priority over others, and a line number comes last.
 //!
-//! Stamps are of one clock: since 1970 or from another origin, as most are. One of the other kind is a cut or garbled number
-//! ([`super::order`]).
+//! All stamps are of one clock: since 1970 or from another origin, whichever most are. A stamp of the other kind is a
+//! cut or garbled number ([`super::order`]).
 
 use super::error::RecordingError;
 use super::findings::Pairs;
@@ -20,34 +20,34 @@ use crate::sample::Sample;
 use crate::units::NANOS_PER_SECOND;
 use statrs::distribution::{ContinuousCDF as _, Normal};
 
-/// How many samples are looked at.
+/// Samples that are examined.
 const LOOK_AT: usize = 20_000;
-/// A step is regular when it is this near to the median step.
+/// A step is regular if it differs from the median step by at most this share.
 const REGULAR_WITHIN: f64 = 0.1;
-/// Columns tell the same time where their spans agree so well.
+/// Columns show the same time if their spans agree within this share.
 const SAME_SPAN_WITHIN: f64 = 0.01;
-/// So much more regular an earlier column must be to be preferred to a later one.
+/// An earlier column is preferred to a later one if it is more regular by this much.
 const CLEARLY: f64 = 0.02;
 
 /// A recording's column of stamps.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct StampChoice {
-    /// What it is called.
+    /// The column's name.
     pub name: String,
-    /// Its place among the columns of stamps, from 1.
+    /// Its position among the columns of stamps, from 1.
     pub column: usize,
     /// Share of steps within 10 % of the median step, for each column of stamps.
     pub regular: Vec<f64>,
-    /// The two steps that take turns, for each column of stamps that comes in pairs.
+    /// The two alternating steps, for each column of stamps that comes in pairs.
     pub pairs: Vec<Option<Pairs>>,
 }
 
-/// What the rows looked at have.
+/// The properties of the examined rows.
 #[derive(Debug, Default)]
 pub(super) struct Chosen {
-    /// Stamps that a row has.
+    /// The number of stamps in a row.
     pub(super) count: usize,
-    /// The column that counts, from 0; `None` without stamps.
+    /// The index of the selected column, from 0; `None` without stamps.
     pub(super) column: Option<usize>,
     /// Whether its stamps are times since 1970.
     pub(super) unix: bool,
@@ -55,24 +55,25 @@ pub(super) struct Chosen {
     pub(super) pairs: Vec<Option<Pairs>>,
     /// How its stamps may fall behind each other.
     pub(super) falls: Falls,
-    /// The grid on which its stamps lie.
+    /// The grid of its stamps.
     pub(super) grid: Option<StampGrid>,
-    /// The rate that its stamps tell where a told one overrides them, Hz: then they do not count.
+    /// The rate of its stamps, Hz, if a given rate overrides it: then the stamps are not used.
     pub(super) overridden_hz: Option<f64>,
 }
 
-/// How stamps of samples in their order may fall behind each other, though no line is repeated or misplaced.
+/// How stamps of samples in their order may fall behind each other without a repeated or misplaced line.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Falls {
-    /// Several samples have one stamp: it is rounded, or that of their delivery.
+    /// Several samples share one stamp: the stamp is rounded, or is that of their delivery.
     pub(super) equal: bool,
     /// Rounding explains equal stamps, so that a sample may also have the values of the one before it.
     pub(super) alike: bool,
-    /// Jitter puts a stamp up to so much before the last one, ns.
+    /// Jitter puts a stamp at most this much before the last one, ns.
     pub(super) back_ns: i64,
 }
 
-/// How many samples have other values than the one before, and how many the same: with its stamp, and with another.
+/// Counts samples whose values differ from those of the sample before, and samples with the same values: with its
+/// stamp, and with another stamp.
 #[derive(Debug, Default)]
 struct Repeats {
     shared: [u64; 2],
@@ -80,26 +81,28 @@ struct Repeats {
 }
 
 impl Repeats {
-    /// Whether samples of one stamp have the same values no more often than others do: a coarse channel, not a line that was written twice.
+    /// Whether samples of one stamp have the same values no more often than others do. This indicates a coarse channel,
+    /// not a line that was written twice.
     fn by_chance(&self) -> bool {
         let share = |[other, same]: [u64; 2]| same as f64 / (other + same).max(1) as f64;
         self.shared != [0, 0] && share(self.shared) <= 2.0 * share(self.apart) + 0.05
     }
 }
 
-/// Fewer stamps tell nothing of their jitter.
+/// Fewer stamps do not determine their jitter.
 const JITTER_LEAST: usize = 64;
 /// Rounding to this share of the mean step makes equal stamps, if there is jitter too.
 const ROUNDED_FROM: f64 = 0.2;
 /// If this share of the samples has the stamp of the sample before, stamps are those of deliveries.
 const SHARED_FROM: f64 = 0.02;
-/// If this share has it, the column is no time.
+/// If this share has it, the column is not a time.
 const SHARED_MOST: f64 = 0.98;
-/// If this share of the steps falls, the column is no time.
+/// If this share of the steps falls, the column is not a time.
 const FALLING_MOST: f64 = 0.5;
-/// At least this share of the steps that normal jitter would make fall has to fall: bursts spread as well, and none falls.
+/// At least this share of the steps that normal jitter would make fall must fall: bursts spread stamps too, but none of
+/// their steps falls.
 const FALLING_SHARE: f64 = 0.3;
-/// By chance this many steps fewer fall.
+/// The number of falling steps may be lower than expected by this much by chance.
 const FALLING_CHANCE: f64 = 4.0;
 /// The jitters of two neighbours differ by at most this many standard deviations of one.
 const DEVIATIONS: f64 = 8.0;
@@ -107,7 +110,7 @@ const DEVIATIONS: f64 = 8.0;
 const STD_OF_PERCENTILES: f64 = 2.563;
 
 impl Falls {
-    /// Of stamps in the order of their samples, ns.
+    /// Determines this from stamps in the order of their samples, ns.
     fn of(stamps: &[i64], values: &Repeats) -> Self {
         let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
         let span_ns = stamps.first().zip(stamps.last()).map_or(0, |(first, last)| last.saturating_sub(*first));
@@ -132,7 +135,7 @@ impl Falls {
         };
         let jitter_ns = spread_ns / std::f64::consts::SQRT_2;
         let expected = count * Normal::standard().cdf(-mean_ns / (std::f64::consts::SQRT_2 * jitter_ns));
-        // Jitter of an eighth of a step puts no stamp before the last one, however many there are.
+        // Jitter of an eighth of a step never puts a stamp before the last one.
         let rounded_by_ns = if rounded { rounding_ns } else { 0.0 };
         let back_ns = (DEVIATIONS * jitter_ns - mean_ns + rounded_by_ns).max(0.0) as i64;
         let jitters =
@@ -141,7 +144,7 @@ impl Falls {
     }
 }
 
-/// One column of stamps; its steps from the second row on: a first line may be cut, and its first stamp with it.
+/// One column of stamps. Steps count from the second row on: a first line may be cut, and its first stamp with it.
 #[derive(Default)]
 struct Column {
     first: Option<i64>,
@@ -180,7 +183,7 @@ impl Column {
     fn same_time(&self, other: &Self) -> bool {
         (self.span_ns() - other.span_ns()).abs() <= SAME_SPAN_WITHIN * other.span_ns()
     }
-    /// Whether it goes up by whole ones, nearly always by a single one, as the number of a line does.
+    /// Whether the column increases by whole numbers, nearly always by one, as a line number does.
     fn counts(&self) -> bool {
         let counted = self.steps.counted();
         median_of(&counted) == Some(NANOS_PER_SECOND as f64)
@@ -195,7 +198,7 @@ impl Column {
     }
 }
 
-/// The column whose time counts, among those of `rows` rows.
+/// The column whose time is used, among those of `rows` rows.
 fn reference(columns: &[Column], rows: u64) -> Option<usize> {
     let advancing = || (0..columns.len()).rev().filter(|index| columns[*index].steps.total() > 0);
     let differ = advancing().any(|one| advancing().any(|other| !columns[one].same_time(&columns[other])));
@@ -205,7 +208,7 @@ fn reference(columns: &[Column], rows: u64) -> Option<usize> {
     of_several.or_else(|| advancing().next()).or(columns.len().checked_sub(1))
 }
 
-/// Looks at the first rows.
+/// Examines the first rows and selects the column.
 pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let mut by_count: [(u64, [Column; STAMPS_MAX]); STAMPS_MAX + 1] = Default::default();
     let mut looked_at = 0;
@@ -226,7 +229,7 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
             }
         }
     }
-    // Of equally many the richer one: a first line may be cut.
+    // Of equally frequent counts the larger one: a first line may be cut.
     let Some((count, (rows, columns))) = by_count.iter().enumerate().max_by_key(|(count, (rows, _))| (*rows, *count))
     else {
         return Ok(Chosen::default());

@@ -1,12 +1,12 @@
 //! CSV: a header line that names channels and units, rows of numbers (docs/formats.md).
 //!
-//! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted to
-//! the channel's unit once, here. Other columns are ignored and named. A blank cell or NaN leaves its channel absent; a row
-//! with another number of cells, a cell that is no number or no stamp is rejected, and so is a line that ends within quotation
-//! marks: a cell does not run over a line's end, or a mark left open would take the rows behind it along. A rejected row's
-//! stamp still tells when it stood there.
+//! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted
+//! to the channel's unit once, here. Other columns are ignored and reported by name. A blank cell or NaN leaves its
+//! channel absent. A row is rejected if it has another number of cells, or a cell that is no number or no stamp. A line
+//! that ends within quotation marks is rejected as well: a cell does not run over a line's end, or an open mark would
+//! consume the rows behind it. A rejected row's stamp still shows its time.
 //!
-//! Rows of plain numbers are read as they stand; only those with quotation marks are copied. Memory is bounded by the
+//! Rows of plain numbers are read in place; only those with quotation marks are copied. Memory is bounded by the
 //! longest row, 64 KiB.
 
 use super::choice::{Chosen, choose};
@@ -23,8 +23,8 @@ use std::io::{BufRead, Read};
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// A row of all channels has some 300 bytes; foreign columns may make it longer. A longer line is no row: a file does not
-/// decide how much memory is taken by one without end.
+/// A row of all channels has about 300 bytes; foreign columns may make it longer. A longer line is no row: a file must
+/// not determine how much memory a line without end takes.
 const ROW_BYTES: usize = 64 * 1024;
 
 /// The lines of a file, one at a time.
@@ -32,15 +32,15 @@ struct Lines {
     file: PathBuf,
     reader: Box<dyn BufRead>,
     bytes: Vec<u8>,
-    /// The line that is looked at, without its end.
+    /// The current line, without its end.
     current: Range<usize>,
-    /// What follows it in `bytes`, where a carriage return ended it.
+    /// The line that follows it in `bytes`, if a carriage return ended the current line.
     next: usize,
     /// Its number, from 1.
     number: u64,
     /// Lines end with a carriage return alone, as the first one does.
     by_return: bool,
-    /// What was read last ends within a line, not behind it.
+    /// The data read last ends within a line.
     partial: bool,
 }
 
@@ -58,7 +58,7 @@ impl Lines {
         })
     }
 
-    /// Goes to the next line that is not empty; whether there is one.
+    /// Advances to the next line that is not empty; returns whether there is one.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         loop {
             let rest = self.bytes.get(self.next..).unwrap_or_default();
@@ -72,7 +72,7 @@ impl Lines {
                     return Ok(false);
                 }
             } else if self.partial && !rest.contains(&b'\r') {
-                // The line goes on behind what was read.
+                // The line continues behind the data read so far.
                 self.bytes.drain(..self.next);
                 self.next = 0;
                 self.read()?;
@@ -90,7 +90,7 @@ impl Lines {
         }
     }
 
-    /// Passes over lines without a character, a buffer at a time: compressed, there may be hundreds of millions.
+    /// Skips empty lines, a buffer at a time: compressed, there may be hundreds of millions.
     fn pass_empty(&mut self) -> Result<(), RecordingError> {
         while !self.by_return {
             let bytes = match self.reader.fill_buf() {
@@ -107,7 +107,7 @@ impl Lines {
         Ok(())
     }
 
-    /// Reads up to the next line end behind what is there; how many bytes.
+    /// Reads up to the next line end behind the present data; returns how many bytes.
     fn read(&mut self) -> Result<usize, RecordingError> {
         let room = (ROW_BYTES + 1).saturating_sub(self.bytes.len());
         let read = self.reader.by_ref().take(room as u64).read_until(b'\n', &mut self.bytes);
@@ -138,7 +138,7 @@ fn is_end(byte: u8) -> bool {
     byte == b'\n' || byte == b'\r'
 }
 
-/// What a row was found to be.
+/// The result of examining a row.
 enum Found {
     Sample(Option<i64>, Sample),
     /// It has quotation marks.
@@ -150,13 +150,13 @@ enum Found {
 pub(super) struct CsvRows {
     lines: Lines,
     pub(super) header: Header,
-    /// The rate that a comment before the header tells, Hz.
+    /// The rate that a comment before the header states, Hz.
     pub(super) told_rate_hz: Option<f64>,
     decimals: Decimals,
     split: Split,
-    /// The current line is the first row already.
+    /// Whether the current line is the first row already.
     waiting: bool,
-    /// No row became a sample yet.
+    /// Whether no row has become a sample yet.
     unproven: bool,
 }
 
@@ -167,7 +167,7 @@ impl CsvRows {
         let mut told_rate_hz = None;
         let header = loop {
             if !lines.advance()? {
-                // Nothing but comments.
+                // The file contains nothing but comments.
                 break Header::understand("", map, file)?;
             }
             lines.by_return = lines.cut() || lines.by_return;
@@ -189,14 +189,14 @@ impl CsvRows {
         })
     }
 
-    /// Its header tells whether rows have a stamp, the first rows of which clock.
+    /// The header determines whether rows have a stamp; the first rows determine its clock.
     pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
         let column = self.header.stamp.is_some().then_some(0);
         let Chosen { unix, falls, .. } = choose(&mut self)?;
         Ok(Chosen { count: usize::from(column.is_some()), column, unix, falls, ..Chosen::default() })
     }
 
-    /// The current line's stamp and values, where it is numbers and delimiters.
+    /// The current line's stamp and values, if it consists of numbers and delimiters.
     fn plain(&mut self) -> Found {
         let mut sample = Sample::at(0, 0);
         let mut stamp_ns = None;
@@ -225,7 +225,7 @@ impl CsvRows {
         if self.lines.current().contains(&b'"') { Found::Quoted } else { Found::Bad }
     }
 
-    /// The same of a line with quotation marks.
+    /// The same for a line with quotation marks.
     fn quoted(&mut self) -> Found {
         self.split.clear();
         self.split.push(self.lines.current(), self.header.delimiter);
@@ -247,7 +247,8 @@ impl CsvRows {
         if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) }
     }
 
-    /// The stamp of a line that is no row: of one with all its cells, or whole in the first cell of another.
+    /// The stamp of a line that is no row: its own if it has all its cells, else the one in its first cell if that is
+    /// complete.
     fn stamp_of_rejected(&self) -> RowStamps {
         let cells = || self.lines.current().split(|byte| *byte == self.header.delimiter);
         let place = self.header.columns.iter().position(|column| matches!(column, Column::Stamp { .. }));
@@ -260,7 +261,7 @@ impl CsvRows {
         stamp_ns.map(RowStamps::one).unwrap_or_default()
     }
 
-    /// A first row whose numbers have decimal commas: so have all the others.
+    /// Fails if the numbers of the first row have decimal commas, because all others then have them too.
     fn decimal_commas(&self) -> Result<(), RecordingError> {
         if !self.unproven || self.header.delimiter == b',' {
             return Ok(());
@@ -282,7 +283,7 @@ impl CsvRows {
     }
 }
 
-/// Takes a cell; `None` where it is not what its column says.
+/// Takes a cell; `None` if its content does not fit its column.
 fn take(
     column: Column,
     cell: &[u8],
@@ -322,7 +323,7 @@ impl Rows for CsvRows {
             return Ok(None);
         }
         let line = self.lines.number;
-        // A carriage return inside is where a line of an old file ends, whatever could be read across it.
+        // A carriage return inside is where a line of an old file ends, even if the text could be read across it.
         self.lines.cut();
         let mut found = self.plain();
         if matches!(found, Found::Quoted) {

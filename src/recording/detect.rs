@@ -1,4 +1,5 @@
-//! What a file is, by its content: a bag of ROS, raw bytes or lines of a VN-100, CSV. Names and endings do not count.
+//! Detects what a file is by its content: a ROS bag, raw bytes or lines of a VN-100, or CSV. Names and extensions do
+//! not count.
 
 use super::error::RecordingError;
 use super::header::{Header, foreign_names};
@@ -8,15 +9,15 @@ use super::{ros, vn_binary};
 use std::io::Read;
 use std::path::Path;
 
-/// How much of a file is looked at.
+/// How much of a file is examined.
 const LOOK_AT_BYTES: u64 = 64 * 1024;
 /// How many lines from the start may lack `$VN` in a file of raw lines: a recorder's header, a cut first line.
 const LOOK_AT_LINES: usize = 100;
 /// How much of an unrecognised file is shown.
 const SHOWN_CHARS: usize = 60;
 
-/// What a recording is. A further format is a kind here, a file that gives its [`Rows`](super::rows::Rows), and a
-/// `Source`.
+/// The kind of a recording. A further format needs a kind here, a file that implements its [`Rows`](super::rows::Rows),
+/// and a `Source`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -35,7 +36,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What one entry of it is called.
+    /// The name of one of its entries.
     #[must_use]
     pub fn entry(self) -> &'static str {
         match self {
@@ -45,7 +46,7 @@ impl Kind {
         }
     }
 
-    /// What a recording without columns is called; `None` of one that has some.
+    /// The name of a recording without columns; `None` for a kind that has columns.
     pub(super) fn without_columns(self) -> Option<&'static str> {
         match self {
             Self::Csv => None,
@@ -56,7 +57,7 @@ impl Kind {
     }
 }
 
-/// Formats that are recognised in order to say so.
+/// Formats that are recognised only to report that they are not read.
 const NOT_READ_YET: [(&[u8], &str); 6] = [
     (b"#ROSBAG V", "a ROS bag of another version than 2.0"),
     (b"PK\x03\x04", "a ZIP archive"),
@@ -66,7 +67,7 @@ const NOT_READ_YET: [(&[u8], &str); 6] = [
     (b"\x89HDF", "an HDF5 file"),
 ];
 
-/// Turns an error of reading into one that says where.
+/// Adds the position to an error of reading.
 pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> RecordingError {
     if let Some(refusal) = source.get_ref().and_then(|inner| inner.downcast_ref::<Refusal>()) {
         return refused(file, *refusal);
@@ -77,7 +78,7 @@ pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> Reco
     RecordingError::Read { file: file.to_owned(), line, source }
 }
 
-/// The error of a reading that was ended before the file was.
+/// The error of a reading that was ended before the end of the file.
 pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     match refusal {
         Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
@@ -87,10 +88,10 @@ pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     }
 }
 
-/// Finds out what `input` is.
+/// Determines what `input` is.
 ///
 /// # Errors
-/// [`RecordingError`] where it cannot be read or is nothing that can be read, with how it begins.
+/// [`RecordingError`] if it cannot be read or is of no known kind. The error shows how the content begins.
 pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     let file = input.path();
     let mut head = Vec::new();
@@ -116,7 +117,7 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     let mut heads =
         lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());
     let heading = heads.find(|line| !Header::is_comment(line, map)).unwrap_or_default();
-    // A table may have the raw line as a column, or tell of `$VN` in a comment.
+    // A table may have the raw line as a column, or mention `$VN` in a comment.
     if Header::names_channels(&heading, map) {
         return Ok(Kind::Csv);
     }

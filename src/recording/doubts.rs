@@ -1,9 +1,9 @@
-//! Doubts: units that the values contradict. Nothing is ever converted because of one: it is said, with its reason and what
-//! the column would be called.
+//! Doubts: units that the values contradict. A doubt never causes a conversion: it is reported, with its reason and the
+//! name that the column would have.
 //!
-//! What is known of the world judges: gravity is 9.8 m/s² wherever |a| hardly changes, the Earth's field is 0.25 to 0.65
-//! gauss, a gyro turns as far as the accelerometer sees gravity turn, and at rest it is quieter than 0.03 rad/s. A doubt
-//! needs figures that a right unit cannot have; where there is neither rest nor turning there is none. Pure.
+//! The judgement uses known physical facts. Gravity is 9.8 m/s² wherever |a| hardly changes, and the Earth's field is
+//! 0.25 to 0.65 gauss. A gyro turns as far as the accelerometer sees gravity turn, and at rest it is quieter than 0.03
+//! rad/s. A doubt needs values that a right unit cannot have; without rest or turning there is none. Pure.
 
 use super::findings::Doubt;
 use super::header::suffixes;
@@ -13,32 +13,32 @@ use crate::sample::Triad;
 use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::ops::Range;
 
-/// Fewer samples judge nothing.
+/// Fewer samples are not judged.
 const LEAST_SAMPLES: usize = 32;
 /// |a| is gravity's where most samples lie so near the median.
 const STEADY: f64 = 0.03;
-/// What a sensor at rest may make of gravity, of it.
+/// The range of gravity that a sensor at rest may measure, relative to gravity.
 const GRAVITY: Range<f64> = 0.85..1.15;
-/// What the Earth's field is, from the equator to the poles, gauss.
+/// The range of the Earth's field from the equator to the poles, gauss.
 const EARTH_FIELD_GAUSS: Range<f64> = 0.25..0.65;
-/// What an indoor or uncalibrated field may be, gauss.
+/// The range of an indoor or uncalibrated field, gauss.
 const FIELD_GAUSS: Range<f64> = 0.1..2.5;
-/// Every axis of the accelerometer is so steady, of gravity, where the sensor rests.
+/// At rest every axis of the accelerometer is steady to this share of gravity.
 const REST: f64 = 0.01;
-/// Noisier than this at rest no gyro in use is, rad/s: an ADIS16405 has 0.016, a VN-100 0.001.
+/// No gyro in use is noisier than this at rest, rad/s: an ADIS16405 has 0.016, a VN-100 0.001.
 const REST_NOISE_RAD_S: f64 = 0.03;
-/// A VN-100 tells up to 35 rad/s.
+/// A VN-100 measures up to 35 rad/s.
 const RATE_MAX_RAD_S: f64 = 40.0;
-/// Such a share of the samples must be above it.
+/// This share of the samples must be above it.
 const FAST_SHARE: f64 = 0.01;
-/// Turns that are compared, at least, and how well their directions agree.
+/// The minimum number of turns to compare, and how well their directions must agree.
 const LEAST_TURNS: u64 = 5;
 const AGREEMENT: f64 = 0.8;
-/// A ratio within this factor of the expected one is it.
+/// A ratio within this factor of the expected one counts as equal to it.
 const RATIO_WITHIN: f64 = 1.6;
 
-/// The units that these values contradict. `turned_s` is the time of which the turning's angles are in samples: the period
-/// where there are no stamps, else 1 s.
+/// The units that these values contradict. `turned_s` is the time unit of the turning's angles, in s: the period if
+/// there are no stamps, else 1 s.
 pub(super) fn doubts(values: &Values, conversions: &[Conversion], turned_s: f64) -> Vec<Doubt> {
     [gravity(values, conversions), field(values, conversions), rotation(values, conversions, turned_s)]
         .into_iter()
@@ -46,7 +46,7 @@ pub(super) fn doubts(values: &Values, conversions: &[Conversion], turned_s: f64)
         .collect()
 }
 
-/// The unit that a triad's columns were said to have, with its factor; `None` where they differ.
+/// The stated unit of a triad's columns, with its factor; `None` if they differ.
 fn told(triad: Triad, conversions: &[Conversion]) -> Option<(&'static str, f64)> {
     let mut units = triad.channels().into_iter().map(|channel| {
         let converted = conversions.iter().find(|conversion| conversion.channel == channel);
@@ -66,7 +66,7 @@ fn lengths(values: &Values, triad: Triad) -> Vec<f64> {
     values.spread.iter().filter_map(length).collect()
 }
 
-/// The unit, with its suffix, in which this number would be what `fits` takes in the channel's unit.
+/// The unit, with its suffix, in which this number satisfies `fits` in the channel's unit.
 fn fitting(triad: Triad, written: f64, fits: impl Fn(f64) -> bool) -> Option<(&'static str, &'static str)> {
     let [first, ..] = triad.channels();
     let found = suffixes(first).iter().find(|(_, _, factor)| fits(written * factor))?;
@@ -131,7 +131,7 @@ fn rotation(values: &Values, conversions: &[Conversion], turned_s: f64) -> Optio
         if let Some(ratio) = ratio.filter(|ratio| is_near(*ratio, RAD_PER_DEG)) {
             return Some(Doubt::new("gyro", unit, degrees, turned(ratio)));
         }
-        // A gyro that agrees with gravity is right, however much it says.
+        // A gyro that agrees with gravity is right, however large its values.
         if ratio.is_some_and(|ratio| is_near(ratio, 1.0)) {
             return None;
         }
@@ -158,8 +158,8 @@ fn rotation(values: &Values, conversions: &[Conversion], turned_s: f64) -> Optio
     Some(Doubt::new("gyro", unit, Some(("_rad_s", "rad/s")), turned(ratio)))
 }
 
-/// The gyro's noise, rad/s, where the accelerometer says that the sensor rests most of the time. It may still turn about the
-/// vertical: noise is what three neighbouring samples do not agree on, on the middle one of the axes.
+/// The gyro's noise, rad/s, if the accelerometer shows that the sensor rests most of the time. The sensor may still
+/// turn about the vertical. So noise is the disagreement of three neighbouring samples, on the median axis.
 fn noise_at_rest(values: &Values) -> Option<f64> {
     let spreads = |triad: Triad| -> Option<Vec<(f64, f64)>> {
         let of = |channel| Some(values.of(channel)).filter(|of| of.len() >= LEAST_SAMPLES).and_then(median_and_spread);
@@ -179,7 +179,7 @@ fn noise_at_rest(values: &Values) -> Option<f64> {
     Some(STD_OF_SPREAD * axes[1] / 6_f64.sqrt())
 }
 
-/// Four digits of a number, as a person writes it.
+/// A number with four digits, for display.
 pub(super) fn shown(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();

@@ -1,4 +1,4 @@
-//! What can be wrong with a recording as a whole. A single bad line is an item, not an error.
+//! Errors that concern a recording as a whole. A single bad line is an item, not an error.
 
 use crate::sample::Channel;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ pub enum RecordingError {
     Open {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
     /// The file could not be read to its end.
@@ -22,24 +22,24 @@ pub enum RecordingError {
         file: PathBuf,
         /// The last line that was read.
         line: u64,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
-    /// It is something else than a file.
+    /// The path is not a file.
     #[error("{} is {found}, but a recording is read several times: save it to a file and name that", file.display())]
     NoFile {
         /// The path.
         file: PathBuf,
-        /// What it is.
+        /// The kind of object found there.
         found: &'static str,
     },
-    /// Nobody wants it any more.
+    /// The recording is no longer wanted.
     #[error("reading {} was called off", file.display())]
     Unwanted {
         /// The file.
         file: PathBuf,
     },
-    /// Few compressed bytes become too many.
+    /// Few compressed bytes expand to too many.
     #[error(
         "{}: its first {file_bytes} compressed bytes become more than {allowed_bytes}, which no sensor's recording does: \
          decompress it yourself and look at it",
@@ -50,10 +50,10 @@ pub enum RecordingError {
         file: PathBuf,
         /// Bytes of the file that were read.
         file_bytes: u64,
-        /// What they may become.
+        /// The number of bytes they may expand to.
         allowed_bytes: u64,
     },
-    /// The compressed data end too early: the recording was cut.
+    /// The compressed data ends too early: the recording was cut.
     #[error(
         "{} ends in the middle of its compressed data after line {line}: \
          save what is there with `zcat FILE > FILE.txt` and read that",
@@ -65,13 +65,13 @@ pub enum RecordingError {
         /// The last line that was read.
         line: u64,
     },
-    /// There is nothing in it.
+    /// The file is empty.
     #[error("{} is empty: expected raw `$VN…` lines, a CSV, raw bytes of a VN-100, a ROS bag or an MCAP file", file.display())]
     Empty {
         /// The file.
         file: PathBuf,
     },
-    /// The content is none that can be read.
+    /// The content is of no known kind.
     #[error(
         "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
          a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed), \
@@ -81,7 +81,7 @@ pub enum RecordingError {
     Unrecognised {
         /// The file.
         file: PathBuf,
-        /// How it begins.
+        /// The beginning of the content.
         found: String,
     },
     /// The content is of a known kind that this version does not read.
@@ -117,7 +117,7 @@ pub enum RecordingError {
         /// The later one.
         second: String,
     },
-    /// A column that was told of is not there.
+    /// A column that the user named does not exist.
     #[error(
         "{}: no column is {column}; its columns are: {found}. Name one of them, or its position from 1 as in '#3=gyro_x_dps'",
         file.display()
@@ -125,12 +125,12 @@ pub enum RecordingError {
     NoColumn {
         /// The file.
         file: PathBuf,
-        /// What was told.
+        /// The column that was given.
         column: String,
         /// The file's columns.
         found: String,
     },
-    /// A CSV with other names than those of docs/formats.md.
+    /// A CSV whose column names are not those of docs/formats.md.
     #[error(
         "{} looks like a CSV, but none of its columns names a channel with its unit; they are: {found}. Say which is which \
          with --columns 'FOREIGN=NAME,…'; names are {}",
@@ -143,12 +143,12 @@ pub enum RecordingError {
         /// The file's columns.
         found: String,
     },
-    /// Columns were told of a recording that has none.
+    /// Columns were given for a recording that has none.
     #[error("{} is {found}, which has no columns to be told: leave --columns out", file.display())]
     ColumnsOfNoCsv {
         /// The file.
         file: PathBuf,
-        /// What it is.
+        /// Its kind.
         found: &'static str,
     },
     /// Numbers with commas.
@@ -165,7 +165,7 @@ pub enum RecordingError {
         /// The number.
         cell: String,
     },
-    /// A recording without times, and no rate was told.
+    /// The recording has no times, and no rate was given.
     #[error(
         "{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ, or name the column of times with \
          --columns",
@@ -175,7 +175,7 @@ pub enum RecordingError {
         /// The file.
         file: PathBuf,
     },
-    /// The stamps tell no rate.
+    /// The stamps do not determine a rate.
     #[error(
         "{}: its {samples} samples have no two stamps of which the later is greater, \
          so that no rate follows from them; take the stamps out and give --rate HZ",
@@ -187,7 +187,7 @@ pub enum RecordingError {
         /// Samples that were found.
         samples: u64,
     },
-    /// Nothing in it is a sample.
+    /// The recording contains no sample.
     #[error("{} has no sample: {lines} lines, {rejected} of them rejected{first}", file.display())]
     NoSample {
         /// The file.
@@ -199,12 +199,12 @@ pub enum RecordingError {
         /// The first rejected line, its cause and text.
         first: String,
     },
-    /// An SQLite database that is no bag.
+    /// An SQLite database that is not a bag.
     #[error("{} is {found}; expected the tables `topics` and `messages` of a ROS 2 bag", file.display())]
     NoBag {
         /// The file.
         file: PathBuf,
-        /// What it is instead.
+        /// What the database contains instead.
         found: String,
     },
     /// An SQLite database that cannot be read.
@@ -212,7 +212,7 @@ pub enum RecordingError {
     Database {
         /// The file.
         file: PathBuf,
-        /// What SQLite said.
+        /// The error that SQLite reported.
         reason: String,
     },
     /// A bag without a topic that can be read.
@@ -220,13 +220,13 @@ pub enum RecordingError {
     NoTopic {
         /// The file.
         file: PathBuf,
-        /// The topics, with their types and why they are not read.
+        /// The topics, with their types and the reasons why they are not read.
         found: String,
     },
-    /// The told rate is no rate.
+    /// The given rate is invalid.
     #[error("a recording's rate must be a finite number above 0, not {found} Hz")]
     Rate {
-        /// What was told.
+        /// The given rate.
         found: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! Findings: what is remarkable about a recording's times and values, as figures and as sentences.
+//! Findings: notable properties of a recording's times and values, as figures and as sentences.
 
 use super::DEFAULT_VN_RATE_HZ;
 use super::detect::Kind;
@@ -9,15 +9,15 @@ use crate::sample::Channel;
 use crate::units::NANOS_PER_SECOND;
 use std::collections::BTreeMap;
 
-/// A told rate that differs by more from the one found is said.
+/// A given rate is reported if it differs by more than this share from the rate found.
 const TOLD_DIFFERS: f64 = 0.005;
-/// From this share of the samples on, late stamps are no strays but another run.
+/// From this share of the samples on, late stamps are not strays but another run.
 const LATE_FROM: f64 = 0.05;
-/// From this share of repeating samples on they are no chance: a coarse sensor's values repeat now and then.
+/// From this share of samples on, repetitions are not chance: a coarse sensor's values repeat now and then.
 const REPEATED_FROM: f64 = 1e-5;
-/// A sensor that sends less than this share of its default rate was set to it, or not all of it was recorded.
+/// A sensor that sends less than this share of its default rate was set to a lower one, or not all of it was recorded.
 const SLOW: f64 = 0.5;
-/// Jitter and rounding of a smaller share of the period are not worth a sentence.
+/// Jitter and rounding of a smaller share of the period are not reported.
 const JITTER_FROM: f64 = 1e-3;
 const ROUNDED_FROM: f64 = 1e-3;
 
@@ -28,35 +28,35 @@ pub struct Findings {
     pub steps: u64,
     /// The median step, s.
     pub median_step_s: Option<f64>,
-    /// Steps over their time, Hz; below the rate where samples are missing.
+    /// The number of steps over their time, Hz; below the rate if samples are missing.
     pub mean_rate_hz: Option<f64>,
     /// Grid points without a sample.
     pub missing: u64,
-    /// In so many gaps.
+    /// The number of gaps that contain them.
     pub gaps: u64,
     /// From sample to sample across the longest gap, s.
     pub longest_gap_s: Option<f64>,
-    /// When it began, UTC ns; `None` where stamps do not tell the time of day.
+    /// The start of that gap, UTC ns; `None` if stamps do not show the time of day.
     pub longest_gap_utc_ns: Option<i64>,
     /// Stamps that are late by half a period or more, beyond their rounding: the next ones make up for it.
     pub delayed: u64,
-    /// The latest, s.
+    /// The longest delay, s.
     pub longest_delay_s: Option<f64>,
     /// How often stamps left the grid: the clock was set, or the rate changed.
     pub off_grid: u64,
     /// Steps below a tenth of the median step, or of the long one of pairs.
     pub short_steps: u64,
-    /// The two steps that take turns, where stamps come in pairs.
+    /// The two alternating steps, if stamps come in pairs.
     pub pairs: Option<Pairs>,
     /// Stamps that repeat that of the sample before; rejected as duplicates.
     pub frozen_stamps: u64,
-    /// In so many runs.
+    /// The number of runs of such stamps.
     pub frozen_runs: u64,
     /// Repetitions in the longest run.
     pub longest_frozen_run: u64,
     /// Stamps before that of the sample before: out of order; rejected as duplicates.
     pub late_stamps: u64,
-    /// The farthest, s.
+    /// The largest distance, s.
     pub latest_by_s: Option<f64>,
     /// The line (a bag's message) of the first of them.
     pub first_late_line: Option<u64>,
@@ -64,15 +64,15 @@ pub struct Findings {
     pub stray_stamps: u64,
     /// Samples that repeat the one before in every channel.
     pub repeated_samples: u64,
-    /// The rate that is used where a comment in the file told it, Hz.
+    /// The rate in use, Hz, if a comment in the file states it.
     pub commented_rate_hz: Option<f64>,
-    /// How often the sensor's own clock restarted: what was missed there nothing tells.
+    /// How often the sensor's own clock restarted. The number of samples missed there is unknown.
     pub restarts: u64,
-    /// Samples in which a channel has no finite value, of those channels that lack some.
+    /// For each channel that lacks values, the number of samples in which it has no finite value.
     pub absent: BTreeMap<Channel, u64>,
-    /// Samples with a magnetic field above 25 gauss: the unit is not what it was taken for.
+    /// Samples with a magnetic field above 25 gauss: the assumed unit is wrong.
     pub strong_fields: u64,
-    /// The step of each channel's values, where one is seen.
+    /// The step of each channel's values, if one is found.
     pub quantisation: BTreeMap<Channel, Quantisation>,
     /// Units that the values contradict. Nothing was converted because of them.
     pub doubts: Vec<Doubt>,
@@ -101,15 +101,15 @@ pub struct Quantisation {
 /// A unit that the values contradict.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Doubt {
-    /// `accel`, `gyro` or `mag`.
+    /// The triad: `accel`, `gyro` or `mag`.
     pub triad: &'static str,
-    /// The unit that was told, in the file or by its form.
+    /// The unit that the file or its form states.
     pub unit: &'static str,
-    /// The unit that would fit, where one is known.
+    /// The unit that would fit, if one is known.
     pub looks_like: Option<&'static str>,
-    /// How a CSV column of it ends.
+    /// The suffix of a CSV column with that unit.
     pub suffix: Option<&'static str>,
-    /// Why, with figures.
+    /// The reason, with figures.
     pub reason: String,
 }
 
@@ -138,10 +138,10 @@ impl Doubt {
 }
 
 impl RecordingInfo {
-    /// What a person should know about the recording, a sentence each.
+    /// The sentences that a user should read about the recording.
     #[must_use]
     pub fn remarks(&self) -> Vec<String> {
-        // What makes other figures worthless comes first.
+        // Findings that invalidate other figures come first.
         let mut remarks: Vec<String> = self.pairs().into_iter().collect();
         remarks.extend(self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)));
         self.remark_rate(&mut remarks);
@@ -238,7 +238,7 @@ impl RecordingInfo {
         }
     }
 
-    /// What stamps are beside their grid.
+    /// Describes how stamps differ from their grid.
     fn about_grid(&self, grid: &StampGrid) -> Option<String> {
         let found = &self.findings;
         let milliseconds = |nanos: f64| shown(1e-6 * nanos);
@@ -323,7 +323,7 @@ impl RecordingInfo {
         }
     }
 
-    /// Channels that lack values, those that lack equally many together.
+    /// Describes channels that lack values; those that lack equally many are listed together.
     fn absent(&self) -> Vec<String> {
         let mut groups: BTreeMap<u64, Vec<&'static str>> = BTreeMap::new();
         for (channel, count) in &self.findings.absent {
@@ -337,7 +337,7 @@ impl RecordingInfo {
         groups.into_iter().map(say).collect()
     }
 
-    /// Axes of one quantity that came in different units: it may be meant, but seldom is.
+    /// Describes axes of one quantity that came in different units: this may be intended, but seldom is.
     fn mixed_units(&self) -> Vec<String> {
         let mut triads: Vec<(_, Vec<(Channel, &'static str)>)> = Vec::new();
         for channel in self.channels.iter() {
@@ -361,7 +361,7 @@ impl RecordingInfo {
             .collect()
     }
 
-    /// The steps of the values, channels with the same one together.
+    /// Describes the steps of the values; channels with the same step are listed together.
     fn quantisation(&self) -> Option<String> {
         let mut groups: Vec<(&Quantisation, &str, Vec<&'static str>)> = Vec::new();
         for (channel, quantisation) in &self.findings.quantisation {
@@ -394,7 +394,7 @@ fn counted(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// A rate as a person says it: 40.0, 1.0, 0.04245.
+/// A rate for display: 40.0, 1.0, 0.04245.
 fn rate(hz: f64) -> String {
     if hz >= 0.95 { format!("{hz:.1}") } else { shown(hz) }
 }

@@ -1,8 +1,9 @@
-//! A CSV's first lines: which character separates its columns, and what each of them gives.
+//! A CSV's first lines: they determine the delimiter and what each column contains.
 //!
-//! A column is known by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), or by what the user says of it
-//! ([`ColumnMap`]). Comma, semicolon and tab separate; of several in the header line the one counts that makes most
-//! columns known. Lines before the header that begin with `#` or `%` are comments, which may tell a rate. Pure.
+//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), or by the user's map
+//! ([`ColumnMap`]). Comma, semicolon and tab separate columns. Of several in the header line the one that identifies
+//! the most columns is used. Lines before the header that begin with `#` or `%` are comments, which may state a rate.
+//! Pure.
 
 use super::error::RecordingError;
 use super::info::Conversion;
@@ -11,25 +12,25 @@ use crate::sample::{Channel, Triad};
 use crate::units::{GAUSS_PER_TESLA, RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::path::Path;
 
-/// What separates columns, in the order in which they count where names tell nothing.
+/// The delimiters, in the order of priority if names do not decide.
 const DELIMITERS: [u8; 3] = [b'\t', b';', b','];
 /// Names of the columns with stamps, and the decimal places from their unit to a nanosecond.
 const STAMPS: [(&str, usize); 4] = [("time_s", 9), ("time_ms", 6), ("time_us", 3), ("time_ns", 0)];
-/// Columns of a file that a message shows, and characters of each.
+/// The maximum number of a file's columns in a message, and of characters of each.
 const SHOWN: (usize, usize) = (30, 40);
 
-/// What a column gives.
+/// The content of a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Column {
-    /// Times, in a unit of which a nanosecond is so many decimal places away.
+    /// Times in a unit of which a nanosecond is the `places`th decimal.
     Stamp { places: usize },
-    /// A channel's values; times `factor` they are in its unit.
+    /// A channel's values; multiplied by `factor` they are in its unit.
     Value { channel: Channel, factor: f64 },
-    /// Nothing.
+    /// Nothing that is used.
     Ignored,
 }
 
-/// What a name of docs/formats.md means.
+/// The meaning of a name of docs/formats.md.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Target {
     Stamp { places: usize },
@@ -54,7 +55,7 @@ pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static st
     }
 }
 
-/// The channel and unit that a column's name means.
+/// The channel and unit that a column's name denotes.
 pub(super) fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
     Channel::ALL.into_iter().find_map(|channel| {
         let suffix = name.strip_prefix(channel.name())?;
@@ -67,38 +68,38 @@ fn value_of(name: &str) -> Option<Target> {
     known_column(name).map(|(channel, unit, factor)| Target::Value { channel, unit, factor })
 }
 
-/// What a name that the user may give to a foreign column means.
+/// The meaning of a name that the user may give to a foreign column.
 pub(super) fn target(name: &str) -> Option<Target> {
     let stamp = STAMPS.iter().find(|(known, _)| *known == name);
     stamp.map(|(_, places)| Target::Stamp { places: *places }).or_else(|| value_of(name))
 }
 
-/// Those names, in short.
+/// Those names, abbreviated.
 pub(super) fn allowed_names() -> &'static str {
     "time_{s,ms,us,ns}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,tesla,ut}, accel_{x,y,z}_{m_s2,g,mg}, \
      gyro_{x,y,z}_{rad_s,deg_s,dps}, temperature_c and pressure_kpa"
 }
 
-/// A column's name without the space, quotes and byte-order mark that programs put around it.
+/// A column's name without the space, quotes and byte-order mark that some programs put around it.
 pub(super) fn clean(name: &str) -> &str {
     name.trim_matches(|c: char| c.is_whitespace() || c == '\u{FEFF}' || c == '"')
 }
 
-/// A header line, understood.
+/// A parsed header line.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) delimiter: u8,
     pub(super) columns: Vec<Column>,
     pub(super) ignored: Vec<String>,
     pub(super) conversions: Vec<Conversion>,
-    /// What the column of stamps is called, where there is one.
+    /// The name of the column of stamps, if there is one.
     pub(super) stamp: Option<String>,
-    /// Whether the line is no header but the first row: columns are told by their places.
+    /// Whether the line is no header but the first row: columns are identified by their positions.
     pub(super) is_row: bool,
 }
 
 impl Header {
-    /// Understands the line that is the header.
+    /// Parses the header line.
     pub(super) fn understand(line: &str, map: &ColumnMap, file: &Path) -> Result<Self, RecordingError> {
         let line = without_comment_sign(line, map);
         let (delimiter, _) = delimiter(line, map);
@@ -154,12 +155,13 @@ impl Header {
         Ok(header)
     }
 
-    /// Whether a line, as the header of a CSV, names at least one channel with its unit or a column that the user told.
+    /// Whether a line, as the header of a CSV, names at least one channel with its unit or a column that the user
+    /// named.
     pub(super) fn names_channels(line: &str, map: &ColumnMap) -> bool {
         delimiter(without_comment_sign(line, map), map).1 > 0
     }
 
-    /// The same, or may be a row of a table whose columns are told by their places.
+    /// The same, or whether it may be a row of a table whose columns are identified by their positions.
     pub(super) fn is_known(line: &str, map: &ColumnMap) -> bool {
         !map.is_empty() || Self::names_channels(line, map)
     }
@@ -171,7 +173,7 @@ impl Header {
     }
 }
 
-/// The columns' names as a message shows them, where the line has several that are words: then it may be a foreign header.
+/// The columns' names for a message, if several of them are words: then the line may be a foreign header.
 pub(super) fn foreign_names(line: &str) -> Option<String> {
     let cells = cells(line, delimiter(line, &ColumnMap::default()).0);
     let is_word = |cell: &String| {
@@ -181,11 +183,11 @@ pub(super) fn foreign_names(line: &str) -> Option<String> {
     (cells.len() > 1 && cells.iter().all(is_word)).then(|| shown(&cells))
 }
 
-/// What stands before `rate` where samples are meant: not a baud rate, nor that of a gyro's turning.
+/// Words that precede `rate` if it is a sampling rate: not a baud rate, nor a gyro's rate of turn.
 const RATES_OF: [&str; 9] =
     ["sample", "samples", "sampling", "output", "imu", "sensor", "update", "measurement", "acquisition"];
 
-/// The rate that a comment tells: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
+/// The rate that a comment states: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
 pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
     let lower = line.to_ascii_lowercase();
     lower.match_indices("rate").find_map(|(place, rate)| {
@@ -196,7 +198,7 @@ pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
     })
 }
 
-/// The number behind the word, if it is no other unit's.
+/// The number behind the word, unless it has another unit.
 fn rate_behind(behind: &str) -> Option<f64> {
     let is_filler = |c: char| c.is_whitespace() || matches!(c, ':' | '=' | '_' | ',' | ';' | '(' | ')' | '[' | ']');
     let mut words = behind.split(is_filler).filter(|word| !word.is_empty()).skip_while(|word| *word == "hz");
@@ -213,7 +215,7 @@ fn without_comment_sign<'a>(line: &'a str, map: &ColumnMap) -> &'a str {
     }
 }
 
-/// The character that separates the columns of a header line, and how many columns are known by it.
+/// The character that separates the columns of a header line, and the number of columns it identifies.
 fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
     let known = |delimiter: u8| {
         let names = cells(line, delimiter);
@@ -221,12 +223,12 @@ fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
         names.iter().map(|name| clean(name)).filter(|name| known_column(name).is_some() || by_name(name)).count()
     };
     let present = DELIMITERS.into_iter().filter(|delimiter| line.as_bytes().contains(delimiter));
-    // Of equals the first counts.
+    // Of equals the first is taken.
     let counted = present.map(|delimiter| (delimiter, known(delimiter))).rev();
     counted.max_by_key(|(_, known)| *known).unwrap_or_else(|| (b',', known(b',')))
 }
 
-/// A line's cells, those in quotation marks whole.
+/// A line's cells; a cell in quotation marks stays whole.
 fn cells(line: &str, delimiter: u8) -> Vec<String> {
     let mut split = Split::default();
     split.push(line.as_bytes(), delimiter);
@@ -234,7 +236,7 @@ fn cells(line: &str, delimiter: u8) -> Vec<String> {
     split.cells().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect()
 }
 
-/// Whether every column that the user named by its place has a number, or nothing: other columns may hold text.
+/// Whether every column that the user named by its position contains a number or is empty; other columns may hold text.
 fn is_row(cells: &[String], map: &ColumnMap) -> bool {
     let told = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
     let told: Vec<&str> = told.map(|(_, cell)| clean(cell)).collect();
@@ -250,8 +252,8 @@ fn shown(cells: &[String]) -> String {
     names.join(" | ")
 }
 
-/// Splits a row with quotation marks: they stand around a whole cell, may hold the delimiter, and are doubled to stand
-/// for themselves.
+/// Splits a row with quotation marks. They enclose a whole cell, which may hold the delimiter, and a doubled mark
+/// stands for one mark.
 #[derive(Debug, Default)]
 pub(super) struct Split {
     bytes: Vec<u8>,
@@ -259,7 +261,7 @@ pub(super) struct Split {
     quoted: bool,
     /// Behind the quotation mark that closes a cell, or that is the first of two.
     closed: bool,
-    /// At a cell's begin.
+    /// At the beginning of a cell.
     inside: bool,
 }
 
@@ -305,7 +307,7 @@ impl Split {
         cells.into_iter()
     }
 
-    /// Forgets the row.
+    /// Clears the row.
     pub(super) fn clear(&mut self) {
         self.bytes.clear();
         self.ends.clear();

@@ -1,4 +1,4 @@
-//! What is known about a recording as a whole.
+//! The known facts about a recording as a whole.
 
 use super::choice::StampChoice;
 use super::detect::Kind;
@@ -9,11 +9,11 @@ use crate::sample::{Channel, ChannelSet, DiscardCause, Timebase};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Where a recording's times come from.
+/// The source of a recording's times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stamps {
-    /// It has none: the row number at a told or assumed rate.
+    /// There are no stamps: the row number at a given or assumed rate.
     None,
     /// Seconds in a column (or before each raw line), from any origin.
     Relative,
@@ -21,28 +21,28 @@ pub enum Stamps {
     Unix,
 }
 
-/// A column that came in another unit than the channel's.
+/// A column whose unit differs from the channel's.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Conversion {
     /// The channel.
     pub channel: Channel,
     /// The column's name in the file.
     pub column: String,
-    /// The unit it came in.
+    /// The unit in the file.
     pub original_unit: &'static str,
     /// Value in the channel's unit = factor × value in the file.
     pub factor: f64,
 }
 
-/// How many decimals each channel's values were written with.
+/// The number of decimals with which each channel's values were written.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Decimals {
-    /// Most decimals seen; `None` once a value was written with an exponent.
+    /// Most decimals seen; `None` once a value had an exponent.
     seen: [Option<Option<u8>>; Channel::COUNT],
 }
 
 impl Decimals {
-    /// Takes note of one value's text.
+    /// Records the decimals of one value's text.
     pub(super) fn note(&mut self, channel: Channel, text: &str) {
         if self.seen[channel as usize] == Some(None) {
             return;
@@ -55,7 +55,7 @@ impl Decimals {
         self.note_count(channel, decimals);
     }
 
-    /// Takes note of one value's decimals; `None` for one that has none in this sense.
+    /// Records the number of one value's decimals; `None` if the value was written without such a number.
     pub(super) fn note_count(&mut self, channel: Channel, decimals: Option<u8>) {
         let seen = &mut self.seen[channel as usize];
         *seen = Some(match (*seen, decimals) {
@@ -65,7 +65,7 @@ impl Decimals {
         });
     }
 
-    /// The most decimals that a value of the channel was written with; `None` where it has no values or some were written
+    /// The most decimals that a value of the channel was written with; `None` if it has no values or some were written
     /// with an exponent.
     #[must_use]
     pub fn get(&self, channel: Channel) -> Option<u8> {
@@ -73,51 +73,51 @@ impl Decimals {
     }
 }
 
-/// What a first pass over the whole file found.
+/// The result of a first pass over the whole file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingInfo {
     /// The file.
     pub file: PathBuf,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
-    /// Channels that at least one sample has.
+    /// Channels that occur in at least one sample.
     pub channels: ChannelSet,
     /// Decimals of the text, in the file's units.
     pub decimals: Decimals,
-    /// Columns that came in other units.
+    /// Columns in other units.
     pub conversions: Vec<Conversion>,
-    /// Columns that are no channel's: ignored. For raw lines: what stood before `$VN` and was no stamp.
+    /// Columns that belong to no channel and are ignored. For raw lines: the text before `$VN` that is no stamp.
     pub ignored_columns: Vec<String>,
-    /// Where the times come from.
+    /// The source of the times.
     pub stamps: Stamps,
-    /// Which stamps they are, where there are any.
+    /// The selected stamps, if there are any.
     pub stamp_choice: Option<StampChoice>,
-    /// What is remarkable about it.
+    /// The findings.
     pub findings: Findings,
-    /// Samples per second: of the grid on which the stamps lie, told, or assumed.
+    /// Samples per second: from the grid of the stamps, given, or assumed.
     pub rate_hz: f64,
-    /// Whether the rate was neither in the file nor told.
+    /// Whether the rate was neither in the file nor given.
     pub rate_assumed: bool,
-    /// The rate of a comment in the file that was not used because the file has stamps.
+    /// The rate in a comment of the file that was not used because the file has stamps.
     pub unused_rate_hz: Option<f64>,
-    /// The rate of the stamps, Hz, if a told one overrides it.
+    /// The rate of the stamps, Hz, if a given one overrides it.
     pub overridden_rate_hz: Option<f64>,
-    /// The grid on which the stamps lie; `None` without stamps.
+    /// The grid of the stamps; `None` without stamps.
     pub stamp_grid: Option<StampGrid>,
-    /// UTC of the first sample, ns since 1970: its stamp, else when the caller said that it starts.
+    /// UTC of the first sample, ns since 1970: its stamp, else the start that the caller gave.
     pub started_utc_ns: i64,
-    /// Samples that the second pass will give.
+    /// Samples that the second pass will return.
     pub samples: u64,
-    /// Lines that it will reject, by cause (bytes for [`DiscardCause::GarbageBytes`]).
+    /// Lines that the second pass will reject, by cause (bytes for [`DiscardCause::GarbageBytes`]).
     pub rejected: BTreeMap<DiscardCause, u64>,
-    /// The first of them, at most [`super::REJECTED_KEPT`].
+    /// The first rejected lines, at most [`super::REJECTED_KEPT`].
     pub first_rejected: Vec<Rejected>,
     /// First stamp in ns from the file's own origin; 0 without stamps.
     pub(super) first_stamp_ns: i64,
 }
 
 impl RecordingInfo {
-    /// What the segments' times rest on.
+    /// The timebase of the segments.
     #[must_use]
     pub fn timebase(&self) -> Timebase {
         if self.stamps == Stamps::None { Timebase::Rate } else { Timebase::Stamps }

@@ -1,4 +1,4 @@
-//! A recording's bytes, which can be read from the start as often as wanted: a file, or memory.
+//! A recording's bytes, from a file or from memory. They can be read from the start repeatedly.
 
 use super::error::RecordingError;
 use super::mapping::ColumnMap;
@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Read at a time.
+/// Bytes read at a time.
 const BUFFER_BYTES: usize = 128 * 1024;
 
-/// Where a recording lies.
+/// The source of a recording's bytes.
 #[derive(Debug, Clone)]
 pub struct Input {
     path: PathBuf,
@@ -37,30 +37,30 @@ impl Input {
         }
     }
 
-    /// Bytes that are there already; messages call them `name`.
+    /// Bytes in memory; messages refer to them as `name`.
     #[must_use]
     pub fn memory(name: &str, bytes: impl Into<Arc<[u8]>>) -> Self {
         Self { bytes: Some(bytes.into()), ..Self::file(Path::new(name)) }
     }
 
-    /// The same, read only for as long as it is wanted: [`RecordingError::Unwanted`] then ends whatever reads it.
+    /// The same, read only while it is wanted: once it is not, reading ends with [`RecordingError::Unwanted`].
     #[must_use]
     pub fn while_wanted(self, keep_on: KeepOn) -> Self {
         Self { keep_on, ..self }
     }
 
-    /// The same with what the columns of a foreign CSV are.
+    /// The same with a map of the columns of a foreign CSV.
     #[must_use]
     pub fn with_columns(self, columns: ColumnMap) -> Self {
         Self { columns, ..self }
     }
 
-    /// What the columns of a foreign CSV are.
+    /// The map of the columns of a foreign CSV.
     pub(super) fn columns(&self) -> &ColumnMap {
         &self.columns
     }
 
-    /// The same with other bounds for what is compressed.
+    /// The same with other limits for the expansion of compressed data.
     #[cfg(test)]
     pub(super) fn expanding(self, expansion: Expansion) -> Self {
         Self { expansion, ..self }
@@ -72,22 +72,22 @@ impl Input {
         &self.path
     }
 
-    /// Its bytes, where they are in memory.
+    /// Its bytes, if they are in memory.
     pub(super) fn bytes(&self) -> Option<&[u8]> {
         self.bytes.as_deref()
     }
 
-    /// Whether it is still wanted.
+    /// A handle that reports whether the recording is still wanted.
     pub(super) fn keep_on(&self) -> KeepOn {
         self.keep_on.clone()
     }
 
-    /// A meter for a reading of its own.
+    /// A meter for a separate reading.
     pub(super) fn meter(&self) -> Rc<Meter> {
         Meter::new(self.keep_on.clone(), self.expansion)
     }
 
-    /// Its content from the start, decompressed where it is gzip.
+    /// Its content from the start, decompressed if it is gzip.
     pub(super) fn open(&self) -> Result<Box<dyn BufRead>, RecordingError> {
         Ok(self.open_metered()?.0)
     }
@@ -110,11 +110,11 @@ impl Input {
     }
 }
 
-/// Opens a recording's file, which is read several times: a pipe gives its bytes only once, and opening one would wait for
-/// whoever writes it.
+/// Opens a recording's file, which is read several times. A pipe returns its bytes only once, and opening one would
+/// wait for its writer.
 ///
 /// # Errors
-/// [`RecordingError::NoFile`], or [`RecordingError::Open`] with the system's words.
+/// [`RecordingError::NoFile`], or [`RecordingError::Open`] with the system's error.
 pub fn open_regular(path: &Path) -> Result<File, RecordingError> {
     let cannot_open = |source| RecordingError::Open { file: path.to_owned(), source };
     let kind = std::fs::metadata(path).map_err(cannot_open)?.file_type();

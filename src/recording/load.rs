@@ -13,20 +13,20 @@ use std::path::Path;
 pub struct LoadedColumn {
     /// The channel.
     pub channel: Channel,
-    /// One value per sample of the recording, in the channel's unit; 0 where the sample has none.
+    /// One value per sample of the recording, in the channel's unit; 0 if the channel is absent.
     pub values: Vec<f64>,
-    /// Stretches of `values` without a gap in which every sample has the channel. What lies outside is no measurement.
+    /// Stretches of `values` without a gap in which every sample has the channel. Values outside are no measurements.
     pub segments: Vec<Range<usize>>,
 }
 
 /// A recording in memory: 8 bytes per sample and channel, and per stamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedRecording {
-    /// What is known about it.
+    /// The facts about it.
     pub info: RecordingInfo,
     /// The recording's channels in column order, all of the same length.
     pub columns: Vec<LoadedColumn>,
-    /// The samples' stamps since the first one, ns; empty where the recording has none.
+    /// The samples' stamps since the first one, ns; empty if the recording has none.
     pub stamps_ns: Vec<u64>,
     /// Stretches of samples without a gap.
     pub segments: Vec<Range<usize>>,
@@ -59,7 +59,7 @@ pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, Re
     columns(&Recording::open(file, options)?)
 }
 
-/// Reads all samples of a recording that was looked through.
+/// Reads all samples of an opened recording.
 ///
 /// # Errors
 /// [`RecordingError`] as [`Recording::items`].
@@ -114,7 +114,7 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
     })
 }
 
-/// Adds position `at` to the last range, or begins one where it `begins` or the last does not reach it.
+/// Adds position `at` to the last range, or begins a new range if `begins` is set or the last one does not reach it.
 fn extend(ranges: &mut Vec<Range<usize>>, at: usize, begins: bool) {
     match ranges.last_mut() {
         Some(last) if !begins && last.end == at => last.end = at + 1,

@@ -1,9 +1,9 @@
-//! Which column of a foreign CSV is what: `Time [ms]=time_ms,ax=accel_x_g,#3=gyro_x_dps`.
+//! The map from the columns of a foreign CSV to known columns: `Time [ms]=time_ms,ax=accel_x_g,#3=gyro_x_dps`.
 //!
-//! A pair is FOREIGN=NAME. FOREIGN is a header's name, or `#` and a position from 1; NAME is a column of docs/formats.md
-//! (section 4) with its unit, or `time_s`, `time_ms`, `time_us`, `time_ns`. Pairs are separated by commas; the last `=` of a
-//! pair counts, and a comma before which no `=` stands belongs to the name. A name with a comma behind an `=` is given by
-//! its position. Pure.
+//! A pair is FOREIGN=NAME. FOREIGN is a header's name, or `#` and a position from 1. NAME is a column of
+//! docs/formats.md (section 4) with its unit, or `time_s`, `time_ms`, `time_us`, `time_ns`. Pairs are separated by
+//! commas. The last `=` of a pair separates its sides, and a comma that no `=` precedes belongs to the name. A name
+//! with a comma behind an `=` must be given by its position. Pure.
 
 use super::header::{allowed_names, target};
 use std::fmt;
@@ -11,7 +11,7 @@ use std::fmt;
 /// The foreign side of a pair.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Foreign {
-    /// A column by its place, from 1.
+    /// A column by its position, from 1.
     Position(usize),
     /// A column by its name in the header line.
     Name(String),
@@ -26,14 +26,14 @@ impl fmt::Display for Foreign {
     }
 }
 
-/// What columns are, where their own names do not say it. Empty: all names speak for themselves.
+/// The meaning of columns whose own names do not state it. Empty: no column is mapped.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ColumnMap {
-    /// Sorted: the same pairs in another order are the same map.
+    /// Sorted, so that the same pairs in another order make the same map.
     pairs: Vec<(Foreign, String)>,
 }
 
-/// Why pairs of columns cannot be understood.
+/// The reasons why pairs of columns are invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ColumnsError {
@@ -55,7 +55,7 @@ pub enum ColumnsError {
         /// Its name.
         name: String,
     },
-    /// A position that is none.
+    /// The position is invalid.
     #[error("columns: {pair:?}: positions count from #1")]
     NoPosition {
         /// The pair.
@@ -66,18 +66,18 @@ pub enum ColumnsError {
     Twice {
         /// The column.
         foreign: String,
-        /// What it is said to be.
+        /// Its first meaning.
         first: String,
-        /// What else.
+        /// Its second meaning.
         second: String,
     },
 }
 
 impl ColumnMap {
-    /// Understands texts of pairs; several are as one.
+    /// Parses texts of pairs; several texts count as one.
     ///
     /// # Errors
-    /// [`ColumnsError`] with the pair and what is allowed.
+    /// [`ColumnsError`] with the pair and the allowed values.
     pub fn parse<T: AsRef<str>>(texts: &[T]) -> Result<Self, ColumnsError> {
         let mut pairs: Vec<(Foreign, String)> = Vec::new();
         for text in texts {
@@ -91,7 +91,7 @@ impl ColumnMap {
                     begun.push(',');
                 }
             }
-            // A comma at the end is none too many.
+            // A trailing comma is allowed.
             let rest = begun.trim_matches(|c: char| c == ',' || c.is_whitespace());
             if !rest.is_empty() {
                 return Err(ColumnsError::NoPair { pair: rest.to_owned() });
@@ -106,24 +106,24 @@ impl ColumnMap {
         Ok(Self { pairs })
     }
 
-    /// Whether nothing is said.
+    /// Whether the map is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }
 
-    /// The pairs, each as it would be written.
+    /// The pairs, each in its written form.
     pub fn pairs(&self) -> impl Iterator<Item = String> + '_ {
         self.pairs.iter().map(|(foreign, name)| format!("{foreign}={name}"))
     }
 
-    /// What the column of this name at this place, from 1, is said to be, with the pair's place in the map.
+    /// The meaning of the column with this name at this position, from 1, with the pair's index in the map.
     pub(super) fn of(&self, position: usize, name: &str) -> Option<(usize, &str)> {
         let is = |foreign: &Foreign| match foreign {
             Foreign::Position(at) => *at == position,
             Foreign::Name(known) => known == name,
         };
-        // Sorted: a position, which says it most exactly, comes first.
+        // Sorted: a position, which is the most exact, comes first.
         let found = self.pairs.iter().position(|(foreign, _)| is(foreign))?;
         self.pairs.get(found).map(|(_, name)| (found, name.as_str()))
     }
@@ -133,13 +133,13 @@ impl ColumnMap {
         self.pairs.iter().map(|(foreign, _)| foreign)
     }
 
-    /// Whether columns are told by their places alone, so that no header line is needed.
+    /// Whether all columns are given by position, so that no header line is needed.
     pub(super) fn is_by_position(&self) -> bool {
         !self.is_empty() && self.foreign().all(|foreign| matches!(foreign, Foreign::Position(_)))
     }
 }
 
-/// The pairs as one text, which [`ColumnMap::parse`] understands as the same.
+/// The pairs as one text, which [`ColumnMap::parse`] parses to the same map.
 impl fmt::Display for ColumnMap {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(&self.pairs().collect::<Vec<_>>().join(","))
@@ -184,7 +184,7 @@ mod tests {
             pairs(&["Time [ms]=time_ms,ax=accel_x_g, GyroX(dps) = gyro_x_dps"]),
             [of("GyroX(dps)", "gyro_x_dps"), of("Time [ms]", "time_ms"), of("ax", "accel_x_g")]
         );
-        // A name with a comma, one with an equals sign; several options are as one; a comma at the end does no harm.
+        // A name with a comma, one with an equals sign; several options count as one; a trailing comma does no harm.
         assert_eq!(
             pairs(&["Time, ms=time_ms,a=b=gyro_x_dps,", "#12=accel_z_m_s2"]),
             [of("#12", "accel_z_m_s2"), of("Time, ms", "time_ms"), of("a=b", "gyro_x_dps")]

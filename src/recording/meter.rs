@@ -1,19 +1,20 @@
-//! The meter of one reading: ends it when nobody wants it any more, and when compressed bytes become out of all proportion.
+//! The meter of one reading. It ends the reading when it is no longer wanted, and when compressed bytes expand out of
+//! all proportion.
 //!
-//! Memory is bounded elsewhere (a line, a row, a message); what a few compressed bytes may become is time and rows. So of
-//! every reading are counted the bytes that the file gave and those that were made of them by decompression.
+//! Memory is bounded elsewhere (a line, a row, a message). The expansion of a few compressed bytes costs time and rows.
+//! So the bytes read from the file and the bytes that decompression produced are counted for every reading.
 
 use std::cell::Cell;
 use std::io::{BufRead, Read};
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Asked now and then while a recording is read: whether it is still wanted.
+/// Called now and then while a recording is read, to determine whether it is still wanted.
 #[derive(Clone)]
 pub struct KeepOn(Arc<dyn Fn() -> bool + Send + Sync>);
 
 impl KeepOn {
-    /// Whatever this answers.
+    /// Uses the result of `wanted`.
     pub fn asking(wanted: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self(Arc::new(wanted))
     }
@@ -37,21 +38,21 @@ impl std::fmt::Debug for KeepOn {
     }
 }
 
-/// What decompression may make of a file.
+/// Limits for the expansion of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Expansion {
-    /// So many bytes whatever the file's size.
+    /// Bytes allowed whatever the file's size.
     pub(super) free_bytes: u64,
-    /// So many more for each byte of the file. A sensor's text becomes ten times smaller at best.
+    /// Additional bytes allowed for each byte of the file. A sensor's text becomes ten times smaller at best.
     pub(super) ratio: u64,
-    /// Never more than this.
+    /// The absolute maximum.
     pub(super) most_bytes: u64,
 }
 
-/// What recordings may become (docs/cli.md).
+/// The limits for recordings (docs/cli.md).
 pub(super) const EXPANSION: Expansion = Expansion { free_bytes: 256 << 20, ratio: 100, most_bytes: 1 << 40 };
 
-/// Why a reading was ended before the file was.
+/// The reason why a reading ended before the end of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Refusal {
     #[error("nobody wants it any more")]
@@ -66,10 +67,10 @@ impl From<Refusal> for std::io::Error {
     }
 }
 
-/// How often, in bytes, it is asked whether the reading is still wanted.
+/// The interval in bytes at which the meter checks whether the reading is still wanted.
 const ASK_BYTES: u64 = 64 * 1024;
 
-/// Counts one reading. Once it has refused it refuses for ever: a reader that goes on after damage must not go on here.
+/// Counts one reading. A refusal is permanent: a reader that continues after damage must not continue here.
 #[derive(Debug)]
 pub(super) struct Meter {
     keep_on: KeepOn,
@@ -92,7 +93,7 @@ impl Meter {
         })
     }
 
-    /// Why it refuses to go on, if it does.
+    /// The reason for the refusal, if any.
     pub(super) fn refused(&self) -> Option<Refusal> {
         self.refused.get()
     }
@@ -125,7 +126,7 @@ impl Meter {
     }
 }
 
-/// The file's own bytes, counted.
+/// A reader that counts the file's own bytes.
 pub(super) struct FileBytes {
     pub(super) bytes: Box<dyn BufRead>,
     pub(super) meter: Rc<Meter>,
@@ -151,7 +152,7 @@ impl Read for FileBytes {
     }
 }
 
-/// Bytes that a decompressor gives, counted.
+/// A reader that counts the bytes that a decompressor returns.
 pub(super) struct Expanded<R> {
     pub(super) bytes: R,
     pub(super) meter: Rc<Meter>,

@@ -1,17 +1,17 @@
-//! Recordings: files of samples that somebody else wrote, read as if they had been captured.
+//! Recordings: files of samples that other programs wrote, read as if they had been captured.
 //!
-//! In: a path to CSV (docs/formats.md), raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1 or
-//! ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a
-//! first pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](crate::sample::Record)s
-//! ([`account`]), or whole columns ([`load_columns`]).
+//! In: a path to CSV (docs/formats.md) or raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1
+//! or ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a first pass over the file, then its samples one by one
+//! ([`Recording::items`]), [`Record`](crate::sample::Record)s ([`account`]), or whole columns ([`load_columns`]).
 //!
-//! Promises: memory does not grow with the file (but for [`load_columns`]); what is compressed becomes no more than
-//! [`RecordingError::Expands`] tells; a reading that is no longer wanted ends within 64 KiB ([`KeepOn`]); no line is dropped without being counted, with
-//! its number, cause and text; samples are never reordered: one whose stamp is not later than the one before is rejected as
-//! a duplicate, one whose stamp lies ahead of those that follow as malformed. Values are those of the text, converted only where the column's unit is not the channel's.
+//! Guarantees: memory does not grow with the file (except with [`load_columns`]). Compressed data expands to no more
+//! than [`RecordingError::Expands`] states. A reading that is no longer wanted ends within 64 KiB ([`KeepOn`]). No line
+//! is dropped without being counted, with its number, cause and text. Samples are never reordered: one whose stamp is
+//! not later than the one before is rejected as a duplicate, one whose stamp lies ahead of those that follow as
+//! malformed. Values are those of the text, converted only if the column's unit is not the channel's.
 //!
-//! Times: of several stamps the smoothest counts ([`choice`]). A sample's `device_time_ns` is its stamp counted from the first one; its UTC is the stamp where stamps are
-//! seconds since 1970, else counted from [`Options::started_utc_ns`].
+//! Times: of several stamps the smoothest is used ([`choice`]). A sample's `device_time_ns` is its stamp counted from
+//! the first one. Its UTC is the stamp if stamps are seconds since 1970, else counted from [`Options::started_utc_ns`].
 
 pub mod account;
 pub mod choice;
@@ -74,37 +74,38 @@ use stamps::UNIX_FROM_NS;
 use std::path::Path;
 use survey::Survey;
 
-/// The rate at which raw `$VN…` lines are taken when nothing tells it: register 7's default (docs/formats.md).
+/// The rate assumed for raw `$VN…` lines if nothing states it: register 7's default (docs/formats.md).
 pub const DEFAULT_VN_RATE_HZ: f64 = 40.0;
 /// Rejected lines that are kept with their text.
 pub const REJECTED_KEPT: usize = 100;
-/// A told rate that is nearer to that of the stamps is theirs by another clock; one farther off overrides them.
+/// A given rate that is closer than this to that of the stamps is theirs by another clock; one farther off overrides
+/// them.
 const RATE_NEAR: f64 = 0.01;
-/// A grid that so large a share of the stamps leave is not that of the whole recording.
+/// If a larger share of the stamps leaves the grid, it is not that of the whole recording.
 const SLIPS_MOST: f64 = 2e-3;
 
-/// What the caller knows about a recording.
+/// The caller's knowledge about a recording.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
-    /// Samples per second. Of a recording with stamps it overrides theirs; stamps that are farther off than 1 % do not
-    /// count at all.
+    /// Samples per second. For a recording with stamps it overrides theirs; stamps that differ by more than 1 % are not
+    /// used at all.
     pub rate_hz: Option<f64>,
-    /// UTC of its start, ns since 1970, where it has no stamps since 1970: the time of the import, say.
+    /// UTC of its start, ns since 1970, used if it has no stamps since 1970: for example the time of the import.
     pub started_utc_ns: i64,
-    /// Definitions of messages that a bag does not bring along.
+    /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageDefinition>,
 }
 
 /// One line's outcome.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Item {
-    /// A sample with its times, and how many samples are missing before it; `None` where no stamps tell.
+    /// A sample with its times, and the number of samples missing before it; `None` if no stamps determine it.
     Sample(Sample, Option<u64>),
-    /// A line that is none.
+    /// A line that is no sample.
     Rejected(Rejected),
 }
 
-/// A recording that was looked through once.
+/// A recording after its first pass.
 #[derive(Debug)]
 pub struct Recording {
     input: Input,
@@ -113,15 +114,15 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Looks through the whole file: what it is, its channels, rate, counts.
+    /// Reads the whole file once and determines its kind, channels, rate and counts.
     ///
     /// # Errors
-    /// [`RecordingError`] where it is nothing that can be read, has no sample, or tells no rate.
+    /// [`RecordingError`] if it is of no known kind, has no sample, or no rate can be determined.
     pub fn open(file: &Path, options: Options) -> Result<Self, RecordingError> {
         Self::read(Input::file(file), options)
     }
 
-    /// As [`Self::open`], of bytes that lie anywhere.
+    /// As [`Self::open`], for any input.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -195,7 +196,7 @@ impl Recording {
         Ok(Self { info, layout, input })
     }
 
-    /// What the first pass found.
+    /// The result of the first pass.
     #[must_use]
     pub fn info(&self) -> &RecordingInfo {
         &self.info
@@ -204,7 +205,7 @@ impl Recording {
     /// The second pass: samples and rejected lines in the file's order.
     ///
     /// # Errors
-    /// [`RecordingError`] where the file cannot be opened any more.
+    /// [`RecordingError`] if the file can no longer be opened.
     pub fn items(&self) -> Result<Items, RecordingError> {
         Ok(Items {
             source: self.layout.open(&self.input)?,
@@ -228,7 +229,7 @@ pub struct Items {
     first_stamp_ns: i64,
     started_utc_ns: i64,
     period_ns: f64,
-    /// Without stamps: the next sample's place, rejected lines counted.
+    /// Without stamps: the next sample's position, rejected lines included.
     position: u64,
     failed: bool,
 }
@@ -259,7 +260,7 @@ impl Items {
                     let since_start_ns = match stamp_ns {
                         Some(stamp_ns) => {
                             let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
-                            // Times increase, whatever rounding and jitter do.
+                            // Times increase, regardless of rounding and jitter.
                             let since_start_ns = self.last_ns.map_or(0, |last| since_start_ns.max(last + 1));
                             self.last_ns = Some(since_start_ns);
                             sample.device_time_ns = u64::try_from(since_start_ns).ok();
@@ -289,7 +290,7 @@ impl Iterator for Items {
     }
 }
 
-/// How a recording is read: found once, the same for every pass.
+/// How a recording is read: determined once, the same for every pass.
 #[derive(Debug)]
 struct Layout {
     kind: Kind,
@@ -320,7 +321,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Finds the grid of the first stamps, unless the told rate overrides them.
+    /// Finds the grid of the first stamps, unless the given rate overrides them.
     fn find_grid(&mut self, input: &Input, told_hz: Option<f64>) -> Result<(), RecordingError> {
         if self.chosen.column.is_none() {
             return Ok(());
@@ -381,7 +382,7 @@ impl Source {
             Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
         }
     }
-    /// Channels that the file claims to have.
+    /// Channels that the file declares.
     fn claimed(&self) -> ChannelSet {
         let Self::Csv(rows) = self else { return ChannelSet::default() };
         let channel = |column: &header::Column| match column {
@@ -394,7 +395,7 @@ impl Source {
     fn restarts(&self) -> u64 {
         if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
     }
-    /// The rate that the file itself tells of samples without stamps, Hz.
+    /// The rate that the file itself states for samples without stamps, Hz.
     fn told_rate_hz(&self) -> Option<f64> {
         match self {
             Self::Csv(rows) => rows.told_rate_hz,

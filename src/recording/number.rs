@@ -1,19 +1,21 @@
-//! Numbers: decimal text to binary floats, bit for bit what `str::parse` gives, with how many decimals the text has.
+//! Numbers: converts decimal text to binary floats, bit for bit as `str::parse` does, and counts the decimals of the
+//! text.
 //!
-//! A sensor's numbers are short: up to 2⁵³ without the point, up to 22 decimals. Those are exact as an integer and a power of
-//! ten, so that one division rounds once, as the standard asks. All other text is left to `str::parse`. Pure.
+//! A sensor's numbers are short: up to 2⁵³ without the point, up to 22 decimals. Those are exact as an integer and a
+//! power of ten, so that one division rounds once, as the standard requires. All other text is left to `str::parse`.
+//! Pure.
 
 /// Powers of ten that a double holds exactly.
 const POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
     1e21, 1e22,
 ];
-/// Digits that fit 64 bits whatever they are.
+/// Digits that always fit into 64 bits.
 const DIGITS_MAX: usize = 19;
 /// Integers up to this are exact as doubles.
 const EXACT_MAX: u64 = 1 << 53;
 
-/// A number that was read, and how many decimals it was written with.
+/// A parsed number, and its number of decimals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Plain {
     pub(super) value: f64,
@@ -34,7 +36,7 @@ pub(super) fn parse_plain(text: &[u8]) -> Option<Plain> {
     for (place, byte) in digits.iter().enumerate() {
         let digit = byte.wrapping_sub(b'0');
         if digit <= 9 {
-            // What would not fit has more digits than are taken.
+            // A number that would overflow has more digits than are accepted.
             mantissa = mantissa.wrapping_mul(10).wrapping_add(u64::from(digit));
         } else if *byte == b'.' && point.is_none() {
             point = Some(place);
@@ -56,7 +58,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What `str::parse` says of the text that was taken must be the same bits.
+    /// For accepted text the result must have the same bits as that of `str::parse`.
     fn same(text: &str) -> bool {
         let Some(plain) = parse_plain(text.as_bytes()) else { return true };
         let decimals = text.find('.').map_or(0, |point| text.len() - point - 1);

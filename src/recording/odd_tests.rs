@@ -1,4 +1,4 @@
-//! Odd files: what is broken in them costs itself alone and is said.
+//! Odd files: a broken part costs only itself and is reported.
 
 use super::*;
 use crate::sample::{Channel, DiscardCause};
@@ -32,7 +32,7 @@ fn a_quotation_mark_left_open_costs_its_own_line() {
     }
     let recording = read(text.as_bytes(), at_40_hz()).unwrap();
     assert_eq!((recording.info().samples, lines_rejected(&recording)), (4999, vec![12]));
-    // Two of them, and as the last: nothing between is taken along.
+    // Two of them, one at the end: nothing in between is consumed.
     let text = "gyro_x_rad_s,note\n1,\"a\n2,b\n3,\"c\n4,d\n5,\"";
     let recording = read(text.as_bytes(), at_40_hz()).unwrap();
     assert_eq!((recording.info().samples, lines_rejected(&recording)), (2, vec![2, 4, 6]));
@@ -154,7 +154,7 @@ fn a_line_number_or_a_constant_beside_the_time_is_no_time() {
         assert_eq!((info.rate_hz, info.samples), (40.0, 400), "{}", &text[..40]);
         assert_eq!(info.stamp_choice.as_ref().unwrap().column, column, "{}", &text[..40]);
     }
-    // Alone it is what there is.
+    // Alone, the column is used.
     let text = lines(&|index, _| index.to_string());
     assert_eq!(read(text.as_bytes(), Options::default()).unwrap().info().rate_hz, 1.0);
 }

@@ -1,10 +1,11 @@
-//! The order of a recording's samples: their stamps are of one clock and increase, but for rounding and jitter ([`Falls`]). What is of another clock, lies ahead of
-//! those that follow, or is not later than the sample before is rejected.
+//! The order of a recording's samples: their stamps are of one clock and increase, except for rounding and jitter
+//! ([`Falls`]). A sample is rejected if its stamp is of another clock, lies ahead of those that follow, or is not later
+//! than the sample before.
 //!
-//! Which of two stamps that contradict each other is wrong, only the following ones tell: after `1 2 900 3 4 5` it is 900,
-//! after `1 2 4 3 5` it is 3. So a sample is judged with the [`WINDOW`] stamped ones behind it at hand, and counts if it is
-//! one of a longest increasing run among them; of equal runs the one that keeps it. Rejected thus is never more than by
-//! taking each stamp at its word.
+//! Only the following stamps show which of two contradictory ones is wrong: after `1 2 900 3 4 5` it is 900, after `1 2
+//! 4 3 5` it is 3. So a sample is judged with the [`WINDOW`] stamped ones behind it at hand. It is accepted if it
+//! belongs to a longest increasing run among them; of equal runs the one that contains it counts. This never rejects
+//! more samples than accepting each stamp in turn would.
 
 use super::choice::{Chosen, Falls};
 use super::error::RecordingError;
@@ -14,24 +15,25 @@ use crate::sample::{DiscardCause, Sample};
 use crate::units::NANOS_PER_SECOND;
 use std::collections::VecDeque;
 
-/// Stamped samples that are looked at together: up to seven stamps in a row may be wrong.
+/// Stamped samples that are examined together: up to seven stamps in a row may be wrong.
 const WINDOW: usize = 16;
-/// Rows of any kind that wait for their judgement at most: memory does not grow with what is rejected between samples.
+/// The maximum number of rows of any kind that wait for their judgement: memory does not grow with what is rejected
+/// between samples.
 const WAITING_MAX: usize = 256;
 
-/// A row, with the stamp that counts.
+/// A row, with the selected stamp.
 #[derive(Debug)]
 pub(super) enum Entry {
     Sample {
         stamp_ns: Option<i64>,
         sample: Sample,
     },
-    /// With its stamp, where it stands for a sample and its stamp is later than that of the sample before.
+    /// With its stamp, if it stands for a sample and its stamp is later than that of the sample before.
     Rejected(Rejected, Option<i64>),
     Aside,
 }
 
-/// A row that is not judged yet.
+/// A row that has not been judged yet.
 #[derive(Debug)]
 enum Waiting {
     /// A sample with a stamp of the recording's clock.
@@ -52,18 +54,18 @@ enum Waiting {
 /// Keeps stamps increasing.
 #[derive(Debug)]
 pub(super) struct Order {
-    /// Which stamp of a row counts; `None`: the recording has none.
+    /// The index of the selected stamp; `None` if the recording has none.
     column: Option<usize>,
     /// Whether stamps are times since 1970.
     unix: bool,
     falls: Falls,
     last_stamp_ns: Option<i64>,
-    /// The last sample, where equal stamps may be of different ones.
+    /// The last sample, if equal stamps may belong to different samples.
     last_sample: Option<Sample>,
     waiting: VecDeque<Waiting>,
-    /// How many of those have a stamp.
+    /// The number of those that have a stamp.
     stamped: usize,
-    /// How many of those fall behind the one before: with none the waiting stamps increase.
+    /// The number of those that fall behind the one before: if none does, the waiting stamps increase.
     falling: usize,
     /// The stamp read last.
     newest_stamp_ns: Option<i64>,
@@ -86,7 +88,7 @@ impl Order {
         }
     }
 
-    /// What becomes of the next row; `None` at the end.
+    /// The outcome of the next row; `None` at the end.
     pub(super) fn next_entry(&mut self, rows: &mut dyn Rows) -> Result<Option<Entry>, RecordingError> {
         loop {
             let needs_more = match self.waiting.front() {
@@ -112,7 +114,7 @@ impl Order {
         }
     }
 
-    /// The row with the stamp that counts, if that is one of the recording's clock.
+    /// The row with the selected stamp, if that is of the recording's clock.
     fn read(&self, row: Row) -> Waiting {
         let stamp_of = |stamps: super::stamps::RowStamps| self.column.and_then(|column| stamps.get(column));
         let malformed = |line, text: &str| Rejected::new(line, DiscardCause::Malformed, text, true);
@@ -162,7 +164,7 @@ impl Order {
                     let rejected = Rejected::new(line, DiscardCause::Malformed, &text, true);
                     return Entry::Rejected(Rejected { astray: true, ..rejected }, None);
                 }
-                // A stamp that jitter put back does not make room for another one.
+                // A stamp that jitter moved back does not make room for another one.
                 self.last_stamp_ns = Some(self.last_stamp_ns.map_or(stamp_ns, |last| last.max(stamp_ns)));
                 if self.falls.equal && !self.falls.alike {
                     self.last_sample = Some(sample.clone());
@@ -193,13 +195,13 @@ impl Order {
     }
 }
 
-/// Whether a stamp may be that of a sample behind the one with the other.
+/// Whether a sample with stamp `stamp_ns` may follow one with stamp `before_ns`.
 fn follows(falls: Falls, before_ns: i64, stamp_ns: i64) -> bool {
     let by_ns = stamp_ns.saturating_sub(before_ns);
     by_ns > 0 || (falls.equal && by_ns >= -falls.back_ns)
 }
 
-/// The length of the longest increasing run among the stamps, others left out.
+/// The length of the longest increasing run among the stamps, if others are omitted.
 fn longest_run(stamps: impl Iterator<Item = i64>, falls: Falls) -> usize {
     // The smallest stamp with which a run of each length can end.
     let mut ends: Vec<i64> = Vec::with_capacity(WINDOW);
@@ -237,7 +239,7 @@ mod tests {
         }
     }
 
-    /// The stamps that count, and the causes of what does not.
+    /// The accepted stamps, and the causes of the rejections.
     fn judged(stamps: &[i64]) -> (Vec<i64>, Vec<DiscardCause>) {
         let chosen = Chosen { count: 1, column: Some(0), ..Chosen::default() };
         let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.iter(), Decimals::default()));
@@ -252,7 +254,7 @@ mod tests {
         (kept, causes)
     }
 
-    /// What taking each stamp at its word would keep.
+    /// The stamps that are kept if each stamp is accepted in turn.
     fn greedy(stamps: &[i64]) -> Vec<i64> {
         let mut kept: Vec<i64> = Vec::new();
         for stamp_ns in stamps {
@@ -270,7 +272,7 @@ mod tests {
             let mut stamps = clean.clone();
             stamps[place] = 1_000_000_000;
             let (kept, causes) = judged(&stamps);
-            // Behind the last but one stands a single stamp: which of the two is wrong cannot be known.
+            // A single stamp follows the last but one: which of the two is wrong cannot be known.
             let expected = if place == 998 { DiscardCause::Duplicate } else { DiscardCause::Malformed };
             assert_eq!((kept.len(), causes.as_slice()), (999, [expected].as_slice()), "{place}");
             assert_eq!(kept.contains(&1_000_000_000), place == 998);
@@ -287,7 +289,7 @@ mod tests {
     fn what_is_late_is_rejected_as_before() {
         assert_eq!(judged(&[1, 2, 4, 3, 5]), (vec![1, 2, 4, 5], vec![DiscardCause::Duplicate]));
         assert_eq!(judged(&[1, 2, 2, 3]), (vec![1, 2, 3], vec![DiscardCause::Duplicate]));
-        // A clock that was set back: what was recorded first stands.
+        // A clock that was set back: the samples recorded first stay.
         let stamps: Vec<i64> = (100..200).chain(150..260).collect();
         assert_eq!(judged(&stamps).0, (100..260).collect::<Vec<_>>());
         // A long hole is no outlier.

@@ -1,14 +1,14 @@
-//! Pairs: stamps that come two at a time, as where two messages are received at once: a short step and a long one take
-//! turns. Pure.
+//! Pairs: stamps that come two at a time, for example if two messages are received at once. Short and long steps
+//! alternate. Pure.
 
 use super::findings::Pairs;
 use super::stamps::median_of;
 use crate::units::NANOS_PER_SECOND;
 
-/// A step below this share of the long one is a short one; one that differs so much from the one before changes between
-/// short and long.
+/// A step below this share of the long one is short. A step that differs by this factor from the one before changes
+/// between short and long.
 pub(super) const SHORT: f64 = 0.1;
-/// Stamps come in pairs where so large a share of the steps changes between short and long.
+/// Stamps come in pairs if this share of the steps changes between short and long.
 const PAIRED_FROM: f64 = 0.75;
 
 /// How often the steps of a column of stamps change between short and long.
@@ -27,12 +27,13 @@ impl Pairing {
         self.steps += 1;
     }
 
-    /// The two lengths that take turns, where they do; `counted` are the distinct steps and how often each came, increasing.
+    /// The two alternating lengths, if there are such. `counted` are the distinct steps and how often each came,
+    /// increasing.
     pub(super) fn pairs(&self, counted: &[(u64, u64)]) -> Option<Pairs> {
         if self.changes as f64 <= PAIRED_FROM * self.steps as f64 {
             return None;
         }
-        // Half of the steps are long: three quarters up there is a typical one.
+        // Half of the steps are long: the upper quartile is a typical one.
         let long_ns = upper_quartile(counted)?;
         let split = counted.partition_point(|(step, _)| (*step as f64) < SHORT * long_ns);
         let (short, long) = counted.split_at(split);

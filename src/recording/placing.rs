@@ -1,7 +1,7 @@
-//! Placing: the entries of a recording with the grid point of each stamp. Pure.
+//! Placing: assigns a grid point to each stamped entry of a recording. Pure.
 //!
-//! Whether a long step is a gap is known only behind it ([`super::grid`]), so entries wait: at most [`PENDING_MAX`] samples,
-//! and as many rejected lines between them.
+//! Whether a long step is a gap is known only after it ([`super::grid`]), so entries wait: at most [`PENDING_MAX`]
+//! samples, and as many rejected lines between them.
 
 use super::choice::Chosen;
 use super::error::RecordingError;
@@ -10,7 +10,7 @@ use super::order::{Entry, Order};
 use super::rows::Rows;
 use std::collections::VecDeque;
 
-/// Gives the samples that [`Order`] lets through their places on the grid.
+/// Assigns the samples that [`Order`] accepts to their places on the grid.
 #[derive(Debug)]
 pub(super) struct Placing {
     order: Order,

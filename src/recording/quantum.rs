@@ -1,29 +1,29 @@
 //! Quantum: the step of which nearly all values of a channel are multiples, found from the values alone.
 //!
-//! Values on a grid differ by multiples of its step from each other. So the small differences between neighbouring values
-//! are tried as steps, the largest first: a step is fitted to the values from the nearest to the farthest, so that a small
-//! error of its own cannot grow to half a step. It counts where 98 of 100 values lie on the grid and so many distinct ones
-//! that chance would not do it. Pure.
+//! Values on a grid differ by multiples of its step. So the small differences between neighbouring values are tried as
+//! steps, the largest first. A step is fitted to the values from the nearest to the farthest, so that its own small
+//! error cannot grow to half a step. It is accepted if 98 of 100 values lie on the grid, with more distinct values than
+//! chance would produce. Pure.
 
-/// Fewer values tell nothing.
+/// Fewer values do not determine a step.
 const LEAST_VALUES: usize = 32;
-/// A value that lies farther from the grid, in steps, is beside it.
+/// A value that lies farther from the grid, in steps, is off the grid.
 const BESIDE: f64 = 0.25;
-/// Values lie scattered where the spread of their distances from the grid, of one that is even between its points, is larger:
-/// a grid of another step that was rounded again makes a fifth at most.
+/// Values are scattered if the spread of their distances from the grid is larger than this, relative to that of an even
+/// distribution between its points. A grid of another step that was rounded again reaches a fifth at most.
 const SCATTERED: f64 = 0.25;
-/// Gaps are of one length, rounded again, where they differ by no more from one.
+/// Gaps count as equal, rounded again, if they differ from one by no more than this.
 const ALIKE: f64 = 0.3;
-/// Values from which distances are taken, as a share of all: one that was rounded again may lie badly.
+/// Values from which distances are measured, as a share of all: a value that was rounded again may be off.
 const ORIGINS: [f64; 3] = [0.5, 0.45, 0.55];
-/// Values that may lie beside the grid.
+/// The share of values that may be off the grid.
 const BESIDE_SHARE: f64 = 0.02;
-/// The greatest chance of being on a grid by accident.
+/// The highest accepted probability of being on a grid by accident.
 const CHANCE: f64 = 1e-6;
-/// Differences that are no greater, of the greatest value, are rounding of the arithmetic.
+/// Differences up to this share of the greatest value are rounding of the arithmetic.
 const ROUNDING: f64 = 1e-13;
 
-/// The step of these finite values, or `None` where there is none to be seen.
+/// The step of these finite values, or `None` if there is none.
 pub(super) fn step_of(values: &[f64]) -> Option<f64> {
     if values.len() < LEAST_VALUES {
         return None;
@@ -56,7 +56,7 @@ pub(super) fn step_of(values: &[f64]) -> Option<f64> {
     candidates.into_iter().find_map(|step| origins.iter().find_map(|distances| fitted(distances, step)))
 }
 
-/// The mean of the gaps, the smallest first, that are about as large as this one.
+/// The mean of the gaps that are about as large as this one; `gaps` is sorted, the smallest first.
 fn mean_about(gaps: &[f64], gap: f64) -> f64 {
     let begin = gaps.partition_point(|other| *other < (1.0 - ALIKE) * gap);
     let end = gaps.partition_point(|other| *other <= (1.0 + ALIKE) * gap);
@@ -64,7 +64,7 @@ fn mean_about(gaps: &[f64], gap: f64) -> f64 {
     alike.iter().sum::<f64>() / alike.len().max(1) as f64
 }
 
-/// The step near this one that the distances, the smallest first, are multiples of.
+/// The step near this one of which the distances are multiples; `distances` is sorted, the smallest first.
 fn fitted(distances: &[f64], first: f64) -> Option<f64> {
     let may_be_beside = (BESIDE_SHARE * distances.len() as f64) as usize;
     let (mut step, mut squares, mut products, mut beside) = (first, 0.0, 0.0, 0_usize);
@@ -81,7 +81,7 @@ fn fitted(distances: &[f64], first: f64) -> Option<f64> {
             step = products / squares;
         }
     }
-    // Once more with the step that was found.
+    // Repeated with the step that was found.
     let (mut on, mut sum, mut squares, mut distinct) = (0_usize, 0.0, 0.0, Vec::new());
     for distance in distances {
         let multiple = (distance / step).round();
@@ -96,8 +96,8 @@ fn fitted(distances: &[f64], first: f64) -> Option<f64> {
     distinct.sort_unstable();
     distinct.dedup();
     let nearly_all = distances.len() - on <= may_be_beside;
-    // Two values make a step of their own; each other one lies within the spread of the errors by accident with this chance.
-    // What is common to all errors is that of the value from which distances are taken.
+    // Two values define a step; each other one lies within the spread of the errors by accident with this probability.
+    // The error common to all is that of the value from which distances are measured.
     let variance = (squares / on as f64 - (sum / on as f64).powi(2)).max(0.0);
     let spread = (12.0 * variance).sqrt().min(1.0);
     let chance = spread.max(ROUNDING).powi(i32::try_from(distinct.len()).unwrap_or(i32::MAX).saturating_sub(2));
@@ -168,7 +168,7 @@ mod tests {
         for seed in 0..200 {
             let values = noise(100 + seed, 4096);
             assert_eq!(step_of(&values), None, "{seed}");
-            // Nor where a few values repeat.
+            // Nor if a few values repeat.
             let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
             let few: Vec<f64> = (0..1000).map(|_| values[random.random_range(0..6)]).collect();
             assert_eq!(step_of(&few), None, "{seed}");

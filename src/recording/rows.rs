@@ -1,34 +1,35 @@
-//! Rows: what every kind of recording is read as, before times and rates are known.
+//! Rows: the common form in which every kind of recording is read, before times and rates are known.
 
 use super::error::RecordingError;
 use super::info::Decimals;
 use super::stamps::RowStamps;
 use crate::sample::{DiscardCause, Sample};
 
-/// How much of a rejected line is kept.
+/// The number of characters of a rejected line that are kept.
 const TEXT_CHARS: usize = 256;
 
 /// A line that did not become a sample.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Rejected {
-    /// Its number in the (decompressed) file, from 1; of a bag: of the message, among those of its topic.
+    /// Its number in the (decompressed) file, from 1; for a bag the number of the message among those of its topic.
     pub line: u64,
-    /// Why.
+    /// The cause.
     pub cause: DiscardCause,
     /// Its text, at most 256 characters.
     pub text: String,
     /// Bytes of the line.
     #[serde(skip)]
     pub bytes: u64,
-    /// Whether it stands where a sample should be: without stamps, one sample is then missing there.
+    /// Whether it takes the place of a sample: without stamps, one sample is then missing there.
     #[serde(skip)]
     pub stands_for_sample: bool,
-    /// When it stood: since the recording's first stamp, and UTC, ns. `None` where no stamp tells.
+    /// Its time: since the recording's first stamp, and UTC, ns. `None` if no stamp shows it.
     #[serde(skip)]
     pub at: Option<(u64, i64)>,
     #[serde(skip)]
     pub(super) stamps: RowStamps,
-    /// By how much its stamp lies before that of the last sample, ns; 0 where it repeats it. `None` where that is not why.
+    /// By how much its stamp lies before that of the last sample, ns; 0 if it repeats it. `None` if this is not the
+    /// cause.
     #[serde(skip)]
     pub(super) late_ns: Option<u64>,
     /// Whether its stamp is of another clock, or far ahead of those that follow.
@@ -51,19 +52,19 @@ impl Rejected {
         }
     }
 
-    /// Of a line as it stands in the file, of which the bytes are counted, whether they are text or not.
+    /// Makes it from a line of the file, whose bytes are counted, whether they are text or not.
     pub(super) fn of_line(line: u64, cause: DiscardCause, bytes: &[u8], stands_for_sample: bool) -> Self {
         let text = String::from_utf8_lossy(bytes.get(..4 * TEXT_CHARS).unwrap_or(bytes));
         Self { bytes: bytes.len() as u64, ..Self::new(line, cause, &text, stands_for_sample) }
     }
 
-    /// With the stamps that the line carries.
+    /// Adds the stamps that the line carries.
     pub(super) fn stamped(mut self, stamps: RowStamps) -> Self {
         self.stamps = stamps;
         self
     }
 
-    /// What it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
+    /// The amount that it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
     #[must_use]
     pub fn amount(&self) -> u64 {
         if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }

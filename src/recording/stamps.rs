@@ -1,22 +1,24 @@
-//! Stamps: decimal text to integer nanoseconds without loss, and the median of the steps between them in bounded memory.
+//! Stamps: converts decimal text to integer nanoseconds without loss, and computes the median of the steps between them
+//! in bounded memory.
 
 use crate::units::NANOS_PER_SECOND;
 
-/// Stamps in seconds above this are taken as time since 1970 (it is March 1973; no recording runs three years).
+/// Stamps in seconds above this are taken as time since 1970 (it corresponds to March 1973; no recording runs three
+/// years).
 pub(super) const UNIX_FROM_NS: i64 = 100_000_000 * NANOS_PER_SECOND as i64;
 
 /// Decimal places from a second to a nanosecond.
 const NANO_PLACES: usize = 9;
 
-/// Seconds as decimal text to nanoseconds, rounded at the tenth decimal; `None` where the text is no number or the time
-/// lies beyond 292 years.
+/// Converts seconds as decimal text to nanoseconds, rounded at the tenth decimal; `None` if the text is no number or
+/// the time lies beyond 292 years.
 pub(super) fn parse_seconds(text: &str) -> Option<i64> {
     parse_stamp(text.as_bytes(), NANO_PLACES)
 }
 
 /// The same in any unit of which a nanosecond is the `places`th decimal: 9 for seconds, 6 for ms, 3 for µs, 0 for ns.
 ///
-/// Not by way of `f64`, which resolves a time since 1970 to 240 ns only.
+/// This does not use `f64`, which resolves a time since 1970 to 240 ns only.
 pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
     let (negative, digits) = match text.first()? {
         b'-' => (true, &text[1..]),
@@ -27,7 +29,7 @@ pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
     let (whole, fraction) = point.map_or((digits, &[][..]), |point| (&digits[..point], &digits[point + 1..]));
     let plain = |part: &[u8]| part.iter().all(u8::is_ascii_digit);
     if whole.is_empty() && fraction.is_empty() || !plain(whole) || !plain(fraction) {
-        // Exponents, and what is no number.
+        // Exponents, and text that is no number.
         let nanos = std::str::from_utf8(text).ok()?.parse::<f64>().ok()? * 10_f64.powi(places as i32);
         return (nanos.abs() < i64::MAX as f64).then_some(nanos.round() as i64);
     }
@@ -43,10 +45,10 @@ pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
     Some(if negative { -total } else { total })
 }
 
-/// Stamps of one row that are kept.
+/// The maximum number of stamps kept per row.
 pub(super) const STAMPS_MAX: usize = 4;
 
-/// The stamps that a row carries, ns, in the order in which they stand there; of more than [`STAMPS_MAX`] the last ones.
+/// The stamps that a row carries, ns, in their order in the row; of more than [`STAMPS_MAX`] the last ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct RowStamps {
     nanos: [i64; STAMPS_MAX],
@@ -80,19 +82,19 @@ const DISTINCT_MAX: usize = 1 << 18;
 /// Leading bits of a step that are kept when there are more (a relative error of 6e-8 at first).
 const KEPT_BITS: u32 = 24;
 
-/// Steps that are gathered before they are sorted into the table.
+/// Steps that are gathered before they are merged into the table.
 const GATHERED: usize = 1 << 15;
 
-/// The median of steps: exact for up to [`DISTINCT_MAX`] distinct ones, beyond that to a relative 6e-8 or, for ever more
-/// scattered ones, worse by powers of two. Memory stays below 16 MB.
+/// The median of steps. It is exact for up to [`DISTINCT_MAX`] distinct ones; beyond that its relative error is 6e-8
+/// or, for ever more scattered ones, worse by powers of two. Memory stays below 16 MB.
 ///
-/// A regular recording repeats one step: it is counted as it comes. Others are gathered, sorted and merged by the ten
-/// thousand, which costs a third of looking each one up.
+/// A regular recording repeats one step, which is counted directly. Other steps are gathered, sorted and merged by the
+/// ten thousand, which costs a third of looking each one up.
 #[derive(Debug, Default)]
 pub(super) struct StepMedian {
     /// Distinct steps and how often each came, increasing.
     counts: Vec<(u64, u64)>,
-    /// Not merged yet, with how often each came in a row.
+    /// Steps not merged yet, with how often each came in a row.
     gathered: Vec<(u64, u64)>,
     total: u64,
     /// Leading bits kept; `None` keeps all.
@@ -118,7 +120,7 @@ impl StepMedian {
         self.counts = self.merged(gathered);
         while self.counts.len() > DISTINCT_MAX {
             self.kept_bits = Some(self.kept_bits.map_or(KEPT_BITS, |bits| bits - 1));
-            // Rounding keeps the order.
+            // Rounding preserves the order.
             let coarse = std::mem::take(&mut self.counts);
             for (step, count) in coarse {
                 push(&mut self.counts, rounded(step, self.kept_bits), count);
@@ -170,7 +172,7 @@ fn push(table: &mut Vec<(u64, u64)>, step: u64, count: u64) {
     }
 }
 
-/// The median of what a table of increasing steps counts; of an even number the mean of the middle two.
+/// The median of the steps counted in an increasing table; of an even number the mean of the middle two.
 pub(super) fn median_of(counted: &[(u64, u64)]) -> Option<f64> {
     let total: u64 = counted.iter().map(|(_, count)| count).sum();
     let at = |rank: u64| {
@@ -184,7 +186,7 @@ pub(super) fn median_of(counted: &[(u64, u64)]) -> Option<f64> {
     (total > 0).then(|| 0.5 * (at((total - 1) / 2) + at(total / 2)))
 }
 
-/// `step` with all but its leading bits replaced by the middle of what they may be.
+/// `step` with all but its leading bits replaced by the middle of their range.
 fn rounded(step: u64, kept_bits: Option<u32>) -> u64 {
     let length = u64::BITS - step.leading_zeros();
     match kept_bits {

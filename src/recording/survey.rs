@@ -1,4 +1,4 @@
-//! The survey: what a first pass over a recording counts.
+//! The survey: the counts of a first pass over a recording.
 
 use super::between::Between;
 use super::choice::Chosen;
@@ -20,19 +20,19 @@ use crate::units::NANOS_PER_SECOND;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-/// The decimals of text are a step where the greatest value has no more digits: beyond that they are a double's.
+/// The decimals of text are a step if the greatest value has no more digits: beyond that they are a double's.
 const DIGITS_MAX: f64 = 1e9;
-/// A step is the decimals' own where it is below so many of theirs.
+/// A step is that of the decimals if it is below this many of theirs.
 const DECIMALS_OWN: f64 = 1.5;
-/// A step that lies so near a multiple of the decimals' is that multiple.
+/// A step that lies this close to a multiple of the decimals' is that multiple.
 const MULTIPLE_WITHIN: f64 = 0.02;
 
-/// A stamp that is so much later than its rounding makes it is delayed, periods.
+/// A stamp is delayed if it is this much later than its rounding explains, periods.
 const DELAYED: f64 = 0.5;
 /// A grid with a period below this share of another one's is finer.
 const FINER: f64 = 0.9;
 
-/// What the first pass counts.
+/// The counts of the first pass.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     lines: u64,
@@ -40,14 +40,15 @@ pub(super) struct Survey {
     pub(super) samples: u64,
     pub(super) channels: ChannelSet,
     pub(super) first_stamp_ns: Option<i64>,
-    /// From stamp to stamp, those of rejected lines included.
+    /// Steps from stamp to stamp, including those of rejected lines.
     pub(super) steps: StepMedian,
     pairing: Pairing,
-    /// Samples missing by the grid, the gaps in which they are, and the longest gap: its points, ns when it begins.
+    /// Samples missing by the grid, the gaps that contain them, and the longest gap: its points, and the ns at which it
+    /// begins.
     missing: u64,
     gaps: u64,
     longest_gap: Option<(u64, i64)>,
-    /// Stamps that are late by half a period or more, and the latest, periods.
+    /// Stamps that are late by half a period or more, and the longest delay, periods.
     delayed: (u64, f64),
     /// The mean period, ns, and how often stamps left the grid.
     outcome: Option<(f64, u64)>,
@@ -56,7 +57,7 @@ pub(super) struct Survey {
     last_stamp_ns: Option<i64>,
     between: Between,
     frozen: Frozen,
-    /// Stamps before that of the last sample, and the farthest, ns.
+    /// Stamps before that of the last sample, and the largest distance, ns.
     late: (u64, u64),
     first_late_line: Option<u64>,
     present: Present,
@@ -157,13 +158,13 @@ impl Survey {
         self.last_stamps_ns.push_back(stamp_ns);
     }
 
-    /// The mean period of the stamps, ns; `None` if they tell none.
+    /// The mean period of the stamps, ns; `None` if they do not determine one.
     pub(super) fn period_ns(&self) -> Option<f64> {
         self.outcome.map(|(period_ns, _)| period_ns)
     }
 
-    /// The grid of the last stamps, if those before left the one of the first stamps and this one is finer: a recording
-    /// whose rate rose.
+    /// The grid of the last stamps, if earlier ones left the grid of the first stamps and this one is finer: a
+    /// recording whose rate rose.
     pub(super) fn another_grid(&self, first: Option<&StampGrid>) -> Option<StampGrid> {
         let (_, slips) = self.outcome?;
         if slips as f64 <= SLIPS_MOST * self.samples as f64 {
@@ -220,7 +221,7 @@ impl Survey {
         self.pairing.add(step_ns);
     }
 
-    /// What is remarkable, now that the rate is known.
+    /// The findings, once the rate is known.
     pub(super) fn findings(
         &self,
         rate_hz: f64,
@@ -270,14 +271,14 @@ impl Survey {
         }
     }
 
-    /// In how many samples each of these channels is absent, where in some.
+    /// For each of these channels that is absent in some samples, the number of those samples.
     pub(super) fn absent(&self, of: ChannelSet) -> BTreeMap<Channel, u64> {
         let counts = self.present.counts();
         let absent = of.iter().map(|channel| (channel, self.samples - counts[channel as usize]));
         absent.filter(|(_, count)| *count > 0).collect()
     }
 
-    /// The step of each channel's values, where one is seen.
+    /// The step of each channel's values, if one is found.
     fn quantisation(&self, conversions: &[Conversion], decimals: &Decimals) -> BTreeMap<Channel, Quantisation> {
         let of = |channel: Channel| {
             let converted = conversions.iter().find(|conversion| conversion.channel == channel);
@@ -315,11 +316,11 @@ fn step_as_written(values: &[f64], decimals: Option<u8>) -> Option<f64> {
     match found {
         Some(found) if found > DECIMALS_OWN * of_text => {
             let multiple = (found / of_text).round();
-            // Multiplied and divided by whole powers of ten the step is the number that a person would write.
+            // Multiplied and divided by whole powers of ten, the step becomes the number that a user would write.
             let written = multiple / 10_f64.powi(i32::from(decimals.unwrap_or(0)));
             Some(if (found / of_text - multiple).abs() < MULTIPLE_WITHIN { written } else { found })
         }
-        // Of few distinct values nothing can be said.
+        // Few distinct values allow no conclusion.
         None if values.iter().any(|value| Some(value) != values.first()) => Some(of_text),
         None => None,
         Some(_) => Some(of_text),

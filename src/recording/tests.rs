@@ -1,4 +1,4 @@
-//! The room as its callers see it, on files made here and, where `VN100D_REAL_DATA` names them, on real ones.
+//! The room as its callers see it, on files generated here and, if `VN100D_REAL_DATA` names them, on real ones.
 
 use super::*;
 use crate::sample::{Channel, DiscardCause, Gap, GapCause, Record, Timebase};
@@ -125,7 +125,8 @@ fn a_gap_is_a_grid_point_without_a_sample_and_not_a_step_that_is_made_up_for() {
     assert!((loaded.duration_s() - 16.0 / 40.0).abs() < 0.01);
 }
 
-/// Whole milliseconds at 400 Hz for 600 s were "333.33 Hz, 720 s"; with 3 ms of jitter 7,236 samples were invented.
+/// Whole milliseconds at 400 Hz for 600 s were once reported as "333.33 Hz, 720 s"; with 3 ms of jitter 7,236 samples
+/// were invented.
 #[test]
 fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
@@ -166,7 +167,7 @@ fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
     assert!((loaded.duration_s() - 600.0).abs() < 0.011, "{}", loaded.duration_s());
 }
 
-/// The rate of a recording whose stamps, s, are written with so many decimals; none of its samples may be lost.
+/// The rate of a recording whose stamps, s, are written with this many decimals; none of its samples may be lost.
 fn rate_of(stamps_s: impl Iterator<Item = f64>, decimals: usize) -> (f64, u64) {
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
     let mut count = 0;
@@ -184,7 +185,8 @@ fn rate_of(stamps_s: impl Iterator<Item = f64>, decimals: usize) -> (f64, u64) {
     (loaded.info.rate_hz, loaded.missing)
 }
 
-/// Each was taken for a duplicate: 1024 Hz in whole ms was "1000 Hz" with 2.3 % rejected, pairs of one stamp half their rate.
+/// Each was once taken for a duplicate: 1024 Hz in whole ms was reported as "1000 Hz" with 2.3 % rejected, pairs of one
+/// stamp as half their rate.
 #[test]
 fn samples_that_share_a_stamp_by_rounding_or_delivery_all_count() {
     let is = |(found_hz, missing): (f64, u64), rate_hz: f64| {
@@ -201,7 +203,7 @@ fn samples_that_share_a_stamp_by_rounding_or_delivery_all_count() {
     }
 }
 
-/// At 200 Hz with 1 ms of jitter one stamp in five thousand lies before the last one: it was rejected.
+/// At 200 Hz with 1 ms of jitter one stamp in five thousand lies before the last one; such samples were once rejected.
 #[test]
 fn rare_falls_by_jitter_are_no_misplaced_samples() {
     let mut state = 5_u64;
@@ -238,7 +240,7 @@ fn a_told_rate_overrides_the_stamps_and_says_so() {
     }
 }
 
-/// A recording that begins at 40 Hz and goes on at 80 Hz has 80 Hz, and its begin lacks every other sample.
+/// A recording that begins at 40 Hz and continues at 80 Hz has 80 Hz, and its beginning lacks every other sample.
 #[test]
 fn a_rate_that_rises_is_that_of_the_whole_recording() {
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
@@ -513,7 +515,7 @@ fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines
     let of = |cause| loaded.gaps.iter().filter(|gap| gap.cause == cause).collect::<Vec<_>>();
     let missing = |gaps: &[&Gap]| gaps.iter().map(|gap| gap.missing).sum::<u64>();
     let (source, checksum) = (of(GapCause::Source), of(GapCause::Checksum));
-    // Its driver was throttled: steps of 25.77 ms and of 42 ms. What is missing fills the span of the stamps.
+    // Its driver was throttled: steps of 25.77 ms and of 42 ms. The missing samples fill the span of the stamps.
     assert!((loaded.info.rate_hz - 38.8).abs() < 0.1, "{}", loaded.info.rate_hz);
     assert!((1_060..1_100).contains(&loaded.missing), "{}", loaded.missing);
     assert!((loaded.duration_s() - 127.85).abs() < 0.03, "{}", loaded.duration_s());
@@ -563,7 +565,7 @@ fn a_csv_row_without_end_is_refused_before_it_fills_the_memory() {
     }
 }
 
-/// What `expansion` allows is counted over the whole reading, so that it can be small here.
+/// The limits of `expansion` are counted over the whole reading, so that they can be small here.
 fn small_bounds(bytes: Vec<u8>) -> Input {
     let expansion = meter::Expansion { free_bytes: 100_000, ratio: 20, most_bytes: 1 << 30 };
     Input::memory("bomb", bytes).expanding(expansion)
@@ -575,7 +577,7 @@ fn few_compressed_bytes_that_become_very_many_are_refused() {
     let error = Recording::read(small_bounds(gzip(rows(10_000_000).as_bytes())), Options::default()).unwrap_err();
     assert!(matches!(error, RecordingError::Expands { .. }), "{error}");
     assert!(error.to_string().starts_with("bomb: its first "), "{error}");
-    // The same amount of what a sensor sends is none.
+    // The same amount of a sensor's data does not exceed them.
     let mut text = String::from("time_s,gyro_x_rad_s\n");
     for row in 0..20_000_u64 {
         text += &format!("{}.{:03},{}\n", row / 40, row % 40 * 25, row * 7919 % 100_003);

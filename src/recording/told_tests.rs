@@ -1,4 +1,5 @@
-//! What is told of a recording: how foreign columns are understood, what is found odd, and that nothing is where nothing is.
+//! Reports about a recording: how foreign columns are understood, which oddities are found, and that none are reported
+//! without cause.
 
 use super::*;
 use crate::sample::{Channel, DiscardCause};
@@ -25,7 +26,7 @@ fn says_not(remarks: &[String], word: &str) {
     assert!(remarks.iter().all(|remark| !remark.contains(word)), "{word}: {remarks:#?}");
 }
 
-/// Noise that is the same in every run, of a standard deviation near 1.
+/// Noise that is the same in every run, with a standard deviation near 1.
 fn noise(state: &mut u64) -> f64 {
     let mut sum = 0.0;
     for _ in 0..12 {
@@ -60,7 +61,7 @@ fn rows(rocks: bool) -> Vec<[f64; 9]> {
         .collect()
 }
 
-/// Those as a CSV whose columns claim the channels' units, with the values times these factors.
+/// Those as a CSV whose columns claim the channels' units, with the values multiplied by these factors.
 fn claimed(rocks: bool, [gyro, accel, mag]: [f64; 3]) -> String {
     let mut text = format!(
         "time_s,{},accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,mag_x_gauss,mag_y_gauss,mag_z_gauss\n",
@@ -98,7 +99,7 @@ fn a_unit_that_the_values_contradict_is_said_with_the_one_that_fits_and_nothing_
     says(&told(&claimed(false, [1.0, 1.0, 100.0])), &["mag does not look like gauss", "mag_x_ut", "|m| is 47"]);
 }
 
-/// About the vertical gravity tells no turning: what a rate table does is no noise.
+/// About the vertical, gravity shows no turning: the motion of a rate table is no noise.
 #[test]
 fn turning_about_the_vertical_is_no_noise() {
     let mut text = format!("time_s,{},accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n", GYRO.join(","));
@@ -184,7 +185,7 @@ fn foreign_columns_are_what_the_user_says_by_name_or_place_whatever_divides_them
                 .all(|rate| (rate - std::f64::consts::PI).abs() < 1e-15)
         );
     }
-    // By place no header line is needed; with a pair by name there is one.
+    // With positions no header line is needed; with a pair by name there is one.
     let bare = "1000000,0.5,7\n1025000,0.25,8\n1050000,0.75,9\n";
     let recording = read(bare, &["#1=time_us", "#2=gyro_y_rad_s"], Options::default()).unwrap();
     assert_eq!((recording.info().samples, recording.info().rate_hz), (3, 40.0));
@@ -226,7 +227,7 @@ fn a_csv_that_was_cut_loses_its_last_row_alone() {
     assert_eq!(recording.info().first_rejected[0].line, lines);
 }
 
-/// Garbage of ten gigabytes is refused as soon as its begin was looked at, or read in little memory.
+/// Garbage of ten gigabytes is refused as soon as its beginning was examined, or read in little memory.
 #[test]
 fn ten_gigabytes_of_garbage_are_refused_at_once_with_file_and_place() {
     let folder = tempfile::tempdir().unwrap();
@@ -258,7 +259,7 @@ fn ten_gigabytes_of_garbage_are_refused_at_once_with_file_and_place() {
     }
 }
 
-/// Of each real recording the facts that its README states are found, and no unit is doubted.
+/// For each real recording the facts that its README states are found, and no unit is doubted.
 #[test]
 fn of_real_recordings_the_facts_are_told_and_no_unit_is_doubted() {
     let Some(folder) = crate::skip::real_data("") else { return };

@@ -1,19 +1,20 @@
-//! Turning: whether the gyro and the accelerometer agree about how far the sensor turned.
+//! Turning: determines whether the gyro and the accelerometer agree about how far the sensor turned.
 //!
-//! Gravity is fixed in the world, so a sensor that turns by a small angle θ sees its direction g change by g × θ. Every
-//! [`HOP`] samples the direction is taken anew; once it has turned by [`TURNED`] the change is compared with what the gyro
-//! says. The ratio of the two is near 1 where the gyro's unit is right and π/180 where degrees were taken for radians.
-//! Turns that the accelerometer has seen are compared, not what the gyro says of rest: noise is no turning. Pure.
+//! Gravity is fixed in the world, so a sensor that turns by a small angle θ sees its direction g change by g × θ. The
+//! direction is determined every [`HOP`] samples. Once it has turned by [`TURNED`], the change is compared with the
+//! gyro's angle. The ratio of the two is near 1 if the gyro's unit is right, and π/180 if degrees were taken for
+//! radians. Only turns that the accelerometer has seen are compared, not the gyro's values at rest: noise is no
+//! turning. Pure.
 
 use crate::sample::{Channel, Sample};
 
-/// Samples of which one direction of gravity is the mean.
+/// The number of samples whose mean is one direction of gravity.
 const HOP: u32 = 8;
-/// A change of direction that counts, rad: little enough to be a vector, too much for noise.
+/// The change of direction that is compared, rad: small enough to be a vector, too large to be noise.
 const TURNED: f64 = 0.2;
-/// Hops after which the gyro's own bias would have turned too far: the comparison begins anew.
+/// The number of hops after which the gyro's own bias would have turned too far: the comparison begins again.
 const HOPS_MAX: u32 = 64;
-/// A step over which nobody knows how the sensor turned, s.
+/// The longest step over which the turning is known, s.
 const STEP_MAX_S: f64 = 2.0;
 
 type Vector = [f64; 3];
@@ -21,7 +22,7 @@ type Vector = [f64; 3];
 /// Sums of comparisons.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Turns {
-    /// How many.
+    /// The number of comparisons.
     pub(super) count: u64,
     seen_told: f64,
     seen_seen: f64,
@@ -29,7 +30,7 @@ pub(super) struct Turns {
 }
 
 impl Turns {
-    /// How many times as far as the gyro says the sensor turned, and how well directions agree (1: exactly).
+    /// The ratio of the sensor's turning to that of the gyro, and how well directions agree (1: exactly).
     pub(super) fn ratio(&self) -> Option<(f64, f64)> {
         let ratio = self.seen_told / self.told_told;
         let agreement = self.seen_told / (self.seen_seen * self.told_told).sqrt();
@@ -117,7 +118,7 @@ fn cross(one: Vector, other: Vector) -> Vector {
 mod tests {
     use super::*;
 
-    /// A sensor that rocks about two axes, with its gyro in units of which `per_rad` are a radian.
+    /// A sensor that rocks about two axes, with its gyro in units of which `per_rad` make a radian.
     fn rocking(per_rad: f64, stamped: bool) -> Turns {
         let mut turning = Turning::default();
         let (mut gravity, step_s) = ([0.0, 0.0, -9.8], 0.01);

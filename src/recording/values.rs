@@ -1,26 +1,26 @@
-//! Values: what a first pass keeps of a recording's numbers, in memory that does not grow with it.
+//! Values: the part of a recording's numbers that a first pass keeps, in memory that does not grow with it.
 //!
-//! Kept are at most [`KEPT`] samples, spread evenly over the whole record, for what is seen in the distribution of values;
-//! and running counts for what lies between neighbours. Pure.
+//! It keeps at most [`KEPT`] samples, spread evenly over the whole record, to examine the distribution of values. It
+//! also keeps running counts for comparisons between neighbours. Pure.
 
 use super::turning::Turning;
 use crate::sample::{Channel, Sample, Triad};
 
 /// Samples that are kept.
 const KEPT: usize = 4096;
-/// More than this a VN-100 cannot tell (its range is 2.5), gauss: a magnetic field whose unit is wrong.
+/// A VN-100 cannot measure more than this (its range is 2.5), gauss: a magnetic field whose unit is wrong.
 const MAG_MAX_GAUSS: f64 = 25.0;
 /// Of normal noise, the standard deviation over the median distance from the median.
 pub(super) const STD_OF_SPREAD: f64 = 1.4826;
 /// The channels of a magnetic field.
 const FIELD: [Channel; 3] = [Channel::MagX, Channel::MagY, Channel::MagZ];
 
-/// What is known of the values so far.
+/// The facts about the values so far.
 #[derive(Debug, Default)]
 pub(super) struct Values {
     /// Samples spread over the record.
     pub(super) spread: Vec<Sample>,
-    /// One of so many samples is kept, less one; a power of two less one.
+    /// One less than the number of samples of which one is kept, which is a power of two.
     mask: u64,
     seen: u64,
     /// Samples that repeat the one before in every channel.
@@ -28,8 +28,8 @@ pub(super) struct Values {
     /// Samples with a field of more than [`MAG_MAX_GAUSS`].
     pub(super) strong_fields: u64,
     pub(super) turning: Turning,
-    /// By how much the gyro's axes bend at each of the kept samples: the difference of its steps from the one before and
-    /// to it.
+    /// The curvature of the gyro's axes at each of the kept samples: the difference between the step to it and the step
+    /// before.
     pub(super) bends: Vec<Option<[f64; 3]>>,
     last: Option<Sample>,
     before_last: Option<Sample>,
@@ -55,7 +55,7 @@ impl Values {
 
     fn keep(&mut self, sample: &Sample) {
         if self.spread.len() == KEPT {
-            // Every second one makes room for as many again.
+            // Every second one is removed to make room for as many new ones.
             let mut place = 0;
             self.spread.retain(|_| {
                 place += 1;

@@ -1,8 +1,9 @@
-//! Raw bytes of a VN-100's serial line: binary frames, with lines between them or not.
+//! Raw bytes of a VN-100's serial line: binary frames, with or without lines between them.
 //!
-//! The decoder that reads a port reads them, so that checksums decide and a damaged frame costs itself alone. Stamps are the
-//! sensor's own time (TimeStartup) where the output carries it. Where that clock restarts, the sensor was reset: time goes on
-//! one step behind the last sample, since nothing tells how long it was away, and the restart is counted.
+//! The decoder that reads a port reads them, so that checksums decide and a damaged frame costs only itself. Stamps are
+//! the sensor's own time (TimeStartup) if the output carries it. If that clock restarts, the sensor was reset. Time
+//! then continues one step behind the last sample, since the length of the absence is unknown, and the restart is
+//! counted.
 
 use super::detect::read_error;
 use super::error::RecordingError;
@@ -16,11 +17,11 @@ use std::collections::VecDeque;
 use std::io::BufRead;
 use std::path::PathBuf;
 
-/// Frames at the start of a file that make it one of raw bytes: one may be chance.
+/// The number of frames at the start of a file that identify it as raw bytes: one may be chance.
 const FRAMES_MIN: u64 = 3;
 /// Bytes of a rejected frame that are shown.
 const SHOWN_BYTES: usize = 80;
-/// A clock that goes back by more than this was restarted, ns: frames of one sensor never overtake each other.
+/// A clock that goes back by more than this has restarted, ns: frames of one sensor never overtake each other.
 const RESTART_NS: u64 = 500_000_000;
 
 /// Whether the beginning of a file holds binary frames.
@@ -54,18 +55,18 @@ pub(super) struct BinaryRows {
     ended: bool,
 }
 
-/// The sensor's time over restarts.
+/// The sensor's time, continued across restarts.
 #[derive(Debug, Default)]
 struct DeviceClock {
     last_ns: Option<u64>,
-    /// Added since the last restart.
+    /// The offset added since the last restart.
     offset_ns: u64,
     step_ns: u64,
     restarts: u64,
 }
 
 impl DeviceClock {
-    /// Time since the first restart's clock began.
+    /// The time since the sensor's clock first began.
     fn stamp_ns(&mut self, device_ns: u64) -> i64 {
         let mut now_ns = device_ns.saturating_add(self.offset_ns);
         if let Some(last_ns) = self.last_ns {
@@ -104,7 +105,7 @@ impl BinaryRows {
     fn read(&mut self) -> Result<(), RecordingError> {
         let bytes = self.reader.fill_buf().map_err(|source| read_error(&self.file, self.at, source))?;
         let (found, clock, decimals) = (&mut self.found, &mut self.clock, &mut self.decimals);
-        // What is rejected was read by now, if not where it begins.
+        // Rejected data has been read by now, but its beginning is not known exactly.
         let at = self.at + 1;
         let mut take = |event: Event<'_>| match event {
             Event::Measurement(measurement) => {
@@ -146,7 +147,7 @@ impl BinaryRows {
 }
 
 fn row(line: u64, mut sample: Sample, clock: &mut DeviceClock) -> Row {
-    // Set again, counted from the first stamp, where stamps are what counts.
+    // The time is set again, counted from the first stamp, if the stamps are used.
     let device_ns = sample.device_time_ns.take();
     let stamps = device_ns.map(|device_ns| RowStamps::one(clock.stamp_ns(device_ns))).unwrap_or_default();
     Row::Sample { line, stamps, sample }

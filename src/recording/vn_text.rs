@@ -1,12 +1,12 @@
 //! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
 //!
-//! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are stamps
-//! in seconds; which of several counts is decided in [`super::choice`]. Other text there is ignored and named.
+//! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are
+//! stamps in seconds; [`super::choice`] selects one of several. Other text there is ignored and reported.
 //!
-//! The checksum decides, by the same decoder that reads a port: a line whose checksum fails is rejected, nothing in it is
-//! guessed at; only a complete good message behind a spliced one is still a sample. Valid messages without a measurement
-//! (replies to commands) are passed over, measurements of none of our channels rejected. How many stamps most lines have is
-//! what every line must have: one with fewer is rejected.
+//! The checksum decides, by the same decoder that reads a port. A line whose checksum fails is rejected, and nothing in
+//! it is guessed. Only a complete good message behind a spliced one is still a sample. Valid messages without a
+//! measurement (replies to commands) are skipped, and measurements of other channels than ours are rejected. Every line
+//! must have as many stamps as most lines have: one with fewer is rejected.
 
 use super::detect::read_error;
 use super::error::RecordingError;
@@ -19,14 +19,14 @@ use crate::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 
-/// Longest line that is kept together; what follows is read as another line. Messages are shorter than 300 bytes.
+/// Longest line that is kept whole; the rest is read as another line. Messages are shorter than 300 bytes.
 const LINE_BYTES: u64 = 4096;
-/// What every message begins with.
+/// The beginning of every message.
 const START: &[u8] = b"$VN";
-/// Name, in the list of ignored columns, of text before the message that is no stamp.
+/// The name of text before the message that is no stamp, in the list of ignored columns.
 const UNREAD_PREFIX: &str = "text before $VN";
 
-/// What a line's message says.
+/// The content of a line's message.
 pub(super) enum Message {
     /// A measurement with its values.
     Measurement(Sample),
@@ -42,12 +42,12 @@ pub(super) struct VnRows {
     reader: Box<dyn BufRead>,
     line: u64,
     bytes: Vec<u8>,
-    /// How many stamps a measurement has; `None` takes them as they come.
+    /// The number of stamps of a measurement; `None` accepts any number.
     stamp_count: Option<usize>,
     ignored: Vec<String>,
     decimals: Decimals,
     decoder: Decoder,
-    /// What is still to be given of the line read last.
+    /// The row of the line read last that is still to be returned.
     waiting: Option<Row>,
 }
 
@@ -66,12 +66,12 @@ impl VnRows {
         })
     }
 
-    /// What of the lines read so far was ignored.
+    /// The ignored parts of the lines read so far.
     pub(super) fn ignored(&self) -> &[String] {
         &self.ignored
     }
 
-    /// Reads one line into `bytes`; whether there was one.
+    /// Reads one line into `bytes`; returns whether there was one.
     fn read_line(&mut self) -> Result<bool, RecordingError> {
         self.bytes.clear();
         let read = self.reader.by_ref().take(LINE_BYTES).read_until(b'\n', &mut self.bytes);
@@ -100,7 +100,7 @@ impl VnRows {
                 return Row::Rejected(garbage(DiscardCause::UnexpectedFormat));
             }
             Message::Measurement(sample) => sample,
-            // Nothing in the line stands at its stamps but what was rejected.
+            // Nothing but the rejected part belongs to the line's stamps.
             Message::Other => return bad.map_or(Row::Aside, |bad| Row::Rejected(bad.stamped(stamps))),
             Message::Nothing => {
                 let bad = bad.map(|bad| bad.stamped(stamps));
@@ -146,7 +146,7 @@ pub(super) fn line_decoder() -> Decoder {
     Decoder::new(DecoderOptions { binary: BinaryAcceptance::Never })
 }
 
-/// Reads a line from its `$`: what it says, and why a part of it was rejected.
+/// Reads a line from its `$`: returns its content, and why a part of it was rejected.
 pub(super) fn read_message(
     line: &[u8],
     decoder: &mut Decoder,
@@ -161,19 +161,19 @@ pub(super) fn read_message(
             }
             message = Message::Measurement(sample);
         }
-        // The bytes of what was rejected follow as garbage; they count once.
+        // The bytes of a rejected message follow as garbage; they count once.
         Event::Rejected { cause: DiscardCause::GarbageBytes, .. } => {}
         Event::Rejected { cause, .. } => bad = bad.or(Some(cause)),
         _ => message = Message::Other,
     };
     decoder.push(line, &mut take);
     decoder.push(b"\r\n", &mut take);
-    // Lines are read one by one: nothing of one may complete another.
+    // Lines are read one by one: a part of one must not complete another.
     decoder.flush(&mut take);
     (message, bad)
 }
 
-/// A message without the quotation marks behind it, and the line end that some programs write out: it was a table's cell.
+/// A message without the quotation marks and the written-out line end behind it, which it has if it was a table's cell.
 fn unquoted(message: &[u8]) -> &[u8] {
     let bare =
         |message: &'_ [u8]| message.len() - message.iter().rev().take_while(|byte| b"\"'".contains(byte)).count();
@@ -182,7 +182,7 @@ fn unquoted(message: &[u8]) -> &[u8] {
     message.strip_suffix(br"\r").unwrap_or(message)
 }
 
-/// The stamps before a message; whether something that is no stamp stands there too: then none of it counts.
+/// The stamps before a message, and whether there is also something that is no stamp: then none of it is used.
 fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
     let mut stamps = RowStamps::default();
     let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };

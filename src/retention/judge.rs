@@ -1,30 +1,30 @@
-//! The judge of the clock: whether it can tell the ages of captures, and whether it has stepped.
+//! The judge of the clock: determines whether the clock can show the ages of captures, and whether it has stepped.
 
 use super::Candidate;
 use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
 use std::time::Duration;
 
-/// Why ages cannot be told by the clock, so that nothing is announced or deleted for its age.
+/// The reason why the clock does not determine ages, so that nothing is announced or deleted for its age.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Distrust {
     /// It was never set: it shows a time before this program was written.
     Unset,
-    /// A capture ended at a time that by the clock is yet to come.
+    /// A capture ended at a time that the clock has not reached yet.
     Behind {
         /// Its id.
         capture: i64,
-        /// When it was there whole, UTC ns.
+        /// The time since which it is complete, UTC ns.
         since_utc_ns: i64,
     },
-    /// It shows so much later a time than any that was believed that it must be confirmed.
+    /// The clock shows a time so much later than any trusted one that it must be confirmed.
     FarAhead {
-        /// The latest time that is believed: of a capture's end, or what the clock itself showed before it stepped, UTC ns.
+        /// The latest trusted time: of a capture's end, or the clock's own before it stepped, UTC ns.
         newest_utc_ns: i64,
     },
 }
 
 impl Distrust {
-    /// As the status names it.
+    /// The name in the status.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -35,74 +35,74 @@ impl Distrust {
     }
 }
 
-/// The longest time without a capture that is believed of a clock nobody has confirmed.
+/// The longest time without a capture that is accepted from an unconfirmed clock.
 pub const ABSENCE: Duration = Duration::from_secs(30 * 86_400);
 
-/// So long a clock that is too far ahead has to run without a step until captures that it has dated speak for it: a machine
-/// that woke with a wrong date is corrected sooner.
+/// A clock that is too far ahead must run for this long without a step until captures that it has dated confirm it: a
+/// machine that woke with a wrong date is corrected sooner.
 pub const STANDING: Duration = Duration::from_secs(86_400);
 
-/// By so much a time server may set a clock back without anything being wrong with it, ns.
+/// A time server may set a correct clock back by this much, ns.
 const SLACK_NS: i64 = 60_000_000_000;
 
-/// Civil time that moved against the monotonic clock by more between two looks has stepped, ns.
+/// The clock has stepped if civil time moved against the monotonic clock by more than this between two looks, ns.
 const STEP_NS: u64 = 60_000_000_000;
 
-/// What the clocks show at a look.
+/// The clocks at a look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Moment {
     /// Civil time, UTC ns.
     pub utc_ns: i64,
-    /// Of a clock that never steps, ns.
+    /// The time of a clock that never steps, ns.
     pub mono_ns: u64,
     /// Whether a time server is known to have set the civil clock since the machine started.
     pub synchronised: bool,
 }
 
-/// How the clock is to be taken at a look.
+/// The judgement of the clock at a look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Verdict {
-    /// Why it tells no ages, where it does not.
+    /// The reason why it does not determine ages, if there is one.
     pub distrust: Option<Distrust>,
-    /// It has jumped since the last look, or is believed again: what was announced counts from now.
+    /// It has jumped since the last look, or is trusted again: the notice of announcements begins now.
     pub stepped: bool,
-    /// Only a second look tells whether the clock is being set: nothing is due at the first.
+    /// Only a second look shows whether the clock is being set: nothing is due at the first.
     pub is_first: bool,
 }
 
-/// Judges the clock at each look, by the captures and by what it showed before.
+/// Judges the clock at each look, by the captures and by its earlier times.
 ///
-/// A machine whose battery is empty wakes in 1970, one whose real-time clock is wrong in any year; both are online for a while
-/// before a time server corrects them, and most time servers leave no mark that they did. So a clock that is believed stays
-/// so as long as it does not step, however long nothing is recorded; at the start and after a step the captures decide that
-/// were there when it was last believed, as far as they still are: one that is made by a wrong clock does not make it right,
-/// and one whose date is wrong stands in nobody's way once it is deleted.
+/// A machine whose battery is empty wakes in 1970, and one whose real-time clock is wrong in any year. Both are online
+/// for a while before a time server corrects them, and most time servers leave no mark that they did. So a trusted
+/// clock stays trusted as long as it does not step, however long nothing is recorded. At the start and after a step the
+/// captures decide that existed when it was last trusted, as far as they still exist: a capture made by a wrong clock
+/// does not make it right, and one with a wrong date has no effect once it is deleted.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Judge {
     last: Option<Look>,
 }
 
-/// What is kept of the last look.
+/// The state kept from the last look.
 #[derive(Debug, Clone, Copy)]
 struct Look {
     /// Civil minus monotonic time, ns.
     offset_ns: i64,
-    /// The monotonic time since when that has not jumped.
+    /// The monotonic time since which that has not jumped.
     stands_since_mono_ns: u64,
     distrust: Option<Distrust>,
-    /// What the clock showed when it was last believed.
+    /// The clock's time when it was last trusted.
     believed_utc_ns: Option<i64>,
-    /// Captures that are there whole since later were dated by a clock that was not believed.
+    /// Captures that were completed later than this were dated by an untrusted clock.
     known_until_utc_ns: Option<i64>,
 }
 
 impl Judge {
-    /// The verdict of `now`, which the next one starts from.
+    /// The verdict at `now`, from which the next one starts.
     pub fn look(&mut self, now: Moment, captures: &[Candidate]) -> Verdict {
         // Saturating: a clock that is years wrong must not stop this.
         let offset_ns = now.utc_ns.saturating_sub(i64::try_from(now.mono_ns).unwrap_or(i64::MAX));
         let moved = self.last.is_some_and(|last| offset_ns.saturating_sub(last.offset_ns).unsigned_abs() > STEP_NS);
-        // What runs has not ended.
+        // A running capture has not ended.
         let ends = || captures.iter().filter(|capture| !capture.open).map(|capture| capture.since_utc_ns);
         let before = self.last.unwrap_or(Look {
             offset_ns,
@@ -124,7 +124,7 @@ impl Judge {
         let mut look = Look { offset_ns, stands_since_mono_ns, distrust, ..before };
         if distrust.is_none() {
             look.believed_utc_ns = Some(now.utc_ns);
-            // One that is dated later than a clock that is believed has a wrong date.
+            // A capture that is dated later than a trusted clock has a wrong date.
             look.known_until_utc_ns = ends().filter(|end| *end <= now.utc_ns.saturating_add(SLACK_NS)).max();
         }
         let is_first = self.last.is_none();
@@ -133,7 +133,7 @@ impl Judge {
     }
 }
 
-/// Why what the clock shows cannot be; `stands`: it has run for [`STANDING`] without a step.
+/// The reason why the clock's time is implausible; `stands`: it has run for [`STANDING`] without a step.
 fn implausible(now_utc_ns: i64, captures: &[Candidate], before: &Look, stands: bool) -> Option<Distrust> {
     let latest_utc_ns = now_utc_ns.saturating_add(SLACK_NS);
     let absence_ns = i64::try_from(ABSENCE.as_nanos()).unwrap_or(i64::MAX);
@@ -192,7 +192,7 @@ mod tests {
             let Self { utc_ns, mono_ns, synchronised, .. } = *self;
             self.judge.look(Moment { utc_ns, mono_ns, synchronised }, captures)
         }
-        /// Only whether it is believed.
+        /// Returns only the distrust.
         fn distrust(&mut self, captures: &[Candidate]) -> Option<Distrust> {
             self.look(captures).distrust
         }
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(at(NOW - 1, Some(NOW), false), None, "a time server sets a clock back by a moment");
         assert_eq!(at(NOW + 31 * DAY, Some(NOW), false), Some(Distrust::FarAhead { newest_utc_ns: NOW }));
         assert_eq!(at(i64::MAX, Some(-DAY), false), Some(Distrust::FarAhead { newest_utc_ns: -DAY }));
-        // A time server's word counts: then a capture's own date was wrong, or nothing was recorded for long.
+        // A time server is trusted: then a capture's own date was wrong, or nothing was recorded for long.
         assert_eq!(at(NOW - DAY, Some(NOW), true), None);
         assert_eq!(at(NOW + 4000 * DAY, Some(NOW), true), None);
     }
@@ -253,7 +253,7 @@ mod tests {
             assert_eq!(world.pass(HOUR).look(&[old.clone(), new]).distrust, None, "{open}");
             assert_eq!(world.pass(HOUR).look(std::slice::from_ref(&old)), Verdict::default());
         }
-        // Nothing speaks for it; and a step begins the day anew.
+        // Nothing confirms it; and a step begins the day again.
         let mut world = World::at(begin);
         assert_eq!(world.distrust(std::slice::from_ref(&old)), far);
         assert_eq!(world.pass(10 * DAY).distrust(std::slice::from_ref(&old)), far);
@@ -281,7 +281,7 @@ mod tests {
         }
         let later = world.utc_ns + HOUR;
         assert_eq!(world.set(later).distrust(&both), None, "nor after another step");
-        // It was wrong before the daemon started: nobody can know, but deleting the capture helps at once.
+        // It was wrong before the daemon started: this cannot be known, but deleting the capture helps at once.
         let mut world = World::at(NOW + HOUR);
         let behind = Some(Distrust::Behind { capture: 2, since_utc_ns: NOW + FAR });
         assert_eq!(world.distrust(&both), behind);
@@ -291,7 +291,7 @@ mod tests {
         assert_eq!(world.pass(HOUR).distrust(&both), None);
     }
 
-    /// The step that ends the distrust is a step: what was announced before the wrong date is announced anew after it.
+    /// The step that ends the distrust is a step: what was announced before the wrong date is announced again after it.
     #[test]
     fn what_was_announced_before_an_implausible_date_is_announced_anew_after_it() {
         let limits = Limits {
@@ -321,7 +321,8 @@ mod tests {
         assert!(!plan(&captures, world.utc_ns, &verdict, &limits)[0].is_due);
     }
 
-    /// Which ones are too many follows from no clock: `keep-mib` holds by a wrong one too, and so does its notice.
+    /// Which captures are too many does not depend on the clock: `keep-mib` applies with a wrong one too, and so does
+    /// its notice.
     #[test]
     fn size_is_kept_by_a_clock_that_is_not_believed_and_the_first_made_go_first() {
         let limits =

@@ -1,10 +1,11 @@
-//! Retention: which captures are to be deleted, when, and why. Pure: captures, the time and the limits in, a plan out.
+//! Retention: determines which captures are to be deleted, when, and why. Pure: captures, the time and the limits in, a
+//! plan out.
 //!
-//! Promised, for any captures, limits and clock (tests/properties below): one that runs, waits or is pinned is never in
-//! the plan; the oldest go first; no more go than the limits ask for; nothing is due that has not been announced for the
-//! whole notice. A clock that is not to be trusted (it steps, it went back, the daemon was away past the date) begins the
-//! notice anew, and one that shows an implausible date ([`Judge`]) tells no ages at all: too late a deletion costs space,
-//! too early a one costs a night.
+//! Guarantees, for any captures, limits and clock (tests/properties below): a capture that runs, waits or is pinned is
+//! never in the plan. The oldest are deleted first. No more are deleted than the limits require. Nothing is due that
+//! has not been announced for the whole notice. A clock that is not trusted (it steps, it went back, the daemon was
+//! absent past the date) begins the notice again. A clock with an implausible date ([`Judge`]) determines no ages at
+//! all: a late deletion costs space, an early one costs a night.
 
 mod judge;
 
@@ -13,14 +14,14 @@ use std::time::Duration;
 
 pub use judge::{Distrust, Judge, Moment, Verdict};
 
-/// What captures may take.
+/// The limits for captures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Older ones go; without limit where absent.
+    /// Older captures are deleted; unlimited if absent.
     pub keep: Option<Duration>,
-    /// All together take no more than so many bytes; without limit where absent.
+    /// All captures together take no more than this many bytes; unlimited if absent.
     pub keep_bytes: Option<u64>,
-    /// How long before its deletion one is announced, at least.
+    /// The minimum time between an announcement and the deletion.
     pub notice: Duration,
 }
 
@@ -32,33 +33,33 @@ impl Limits {
     }
 }
 
-/// A capture, as far as it matters here.
+/// The facts about a capture that retention needs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
     /// Its id.
     pub id: i64,
-    /// Since when it is there whole: its end (of a recording of years ago its import), UTC ns.
+    /// The time since which it is complete: its end (of a recording of years ago its import), UTC ns.
     pub since_utc_ns: i64,
-    /// What it takes.
+    /// Its size in bytes.
     pub bytes: u64,
     /// Whether it runs or waits.
     pub open: bool,
     /// Whether it is kept from deletion.
     pub pinned: bool,
-    /// What was announced: when it was said, and not before when it is deleted, UTC ns.
+    /// The announcement: its time, and the earliest time of the deletion, UTC ns.
     pub announced: Option<Announcement>,
 }
 
-/// What was said of a deletion.
+/// The announcement of a deletion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Announcement {
-    /// When it was said, UTC ns.
+    /// The time of the announcement, UTC ns.
     pub said_utc_ns: i64,
-    /// Not deleted before, UTC ns.
+    /// The earliest time of the deletion, UTC ns.
     pub delete_at_utc_ns: i64,
 }
 
-/// Which limit is exceeded.
+/// The limit that is exceeded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reason {
     /// `keep-days`
@@ -68,7 +69,7 @@ pub enum Reason {
 }
 
 impl Reason {
-    /// As status and messages name it.
+    /// The name in status and messages.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -78,31 +79,33 @@ impl Reason {
     }
 }
 
-/// A capture that is going to be deleted.
+/// A capture whose deletion is planned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Planned {
     /// Its id.
     pub id: i64,
-    /// What it takes, bytes.
+    /// Its size in bytes.
     pub bytes: u64,
-    /// Why.
+    /// The reason.
     pub reason: Reason,
-    /// When it was said, and when it goes.
+    /// The times of the announcement and of the deletion.
     pub announcement: Announcement,
-    /// Whether that was said only now.
+    /// Whether the announcement is new.
     pub is_new: bool,
     /// Whether its time has come.
     pub is_due: bool,
 }
 
-/// The captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) what was announced counts from
-/// now; by one that is not believed none goes for its age, and those that were made first are the oldest.
+/// The captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) the notice of
+/// announcements begins now. With an untrusted clock none is deleted for its age, and those that were made first are
+/// the oldest.
 #[must_use]
 pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: &Limits) -> Vec<Planned> {
     let tells_ages = verdict.distrust.is_none();
     let mut oldest_first: Vec<&Candidate> =
         captures.iter().filter(|capture| !capture.open && !capture.pinned).collect();
-    // A capture of a clock of 1970 must not pass for the oldest while that clock still runs: ids follow the making.
+    // A capture dated by a clock of 1970 must not count as the oldest while that clock still runs: ids follow the order
+    // of creation.
     oldest_first.sort_by_key(|capture| (if tells_ages { capture.since_utc_ns } else { 0 }, capture.id));
     let mut total: u64 = captures.iter().fold(0, |sum, capture| sum.saturating_add(capture.bytes));
     let mut planned: Vec<Planned> = Vec::new();
@@ -123,7 +126,8 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: 
         total -= capture.bytes.min(total);
         let standing = capture.announced.filter(|announcement| {
             !verdict.stepped
-                // Said by this clock, and not longer past its time than its notice was: else nobody may have seen it.
+                // Announced by this clock, and not longer past its time than its notice was: otherwise it may not have
+                // been seen.
                 && announcement.said_utc_ns <= now_utc_ns
                 && announcement.delete_at_utc_ns >= announcement.said_utc_ns.saturating_add(notice_ns)
                 && now_utc_ns <= announcement.delete_at_utc_ns.saturating_add(notice_ns.max(LATE_NS))
@@ -132,7 +136,7 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: 
             said_utc_ns: now_utc_ns,
             delete_at_utc_ns: wanted_at.max(now_utc_ns.saturating_add(notice_ns)),
         });
-        // For its size none goes while an older one still waits: that one may turn out to be enough.
+        // None is deleted for its size while an older one still waits: that one may turn out to be enough.
         let in_turn = reason == Reason::Age || planned.iter().all(|older| older.is_due);
         planned.push(Planned {
             id: capture.id,
@@ -146,7 +150,7 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: 
     planned
 }
 
-/// How late the daemon may come to a deletion that was announced, at least: a restart does not begin its notice anew.
+/// The minimum lateness with which the daemon may do an announced deletion: a restart does not begin its notice again.
 const LATE_NS: i64 = 3_600_000_000_000;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What retention promises, for any captures, limits and clock.
+//! The guarantees of retention, for any captures, limits and clock.
 
 use super::*;
 use proptest::prelude::*;
@@ -15,7 +15,7 @@ fn limits(keep_days: Option<u64>, keep_bytes: Option<u64>) -> Limits {
     Limits { keep: keep_days.map(|days| Duration::from_secs(days * 86_400)), keep_bytes, notice: NOTICE }
 }
 
-/// The plan by a clock that is believed.
+/// The plan with a trusted clock.
 fn plan(captures: &[Candidate], now_utc_ns: i64, stepped: bool, limits: &Limits) -> Vec<Planned> {
     super::plan(captures, now_utc_ns, &Verdict { stepped, ..Verdict::default() }, limits)
 }
@@ -157,7 +157,7 @@ proptest! {
         if limits.is_unlimited() {
             prop_assert!(planned.is_empty());
         }
-        // The same once more, with what was announced written down, brings nothing new.
+        // The same once more, with the announcements recorded, yields nothing new.
         for one in &planned {
             captures[one.id as usize - 1].announced = Some(one.announcement);
         }

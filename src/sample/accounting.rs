@@ -1,15 +1,15 @@
-//! Accounting: turns a stream of samples into segments and gaps, so that every missing sample is counted once. Pure.
+//! Accounting: converts a stream of samples to segments and gaps, so that every missing sample is counted once. Pure.
 //!
-//! In: samples in the order of their arrival, interruptions of the connection, frames that were rejected.
-//! Out: [`Record::Segment`], [`Record::Sample`] and [`Record::Gap`].
+//! In: samples in the order of their arrival, interruptions of the connection, rejected frames. Out:
+//! [`Record::Segment`], [`Record::Sample`] and [`Record::Gap`].
 //!
-//! With the sensor's clock ([`Timebase::Device`]) a step of k periods means k − 1 missing samples, exactly; a step back
-//! beyond [`REORDER_WINDOW_NS`] is a reset and begins a new epoch, across which `missing` follows from the host's clock.
-//! Without it ([`Timebase::Arrival`]) a sample counts as missing only when the stream stays late: arrivals are late by
-//! latency, never early, and a burst that catches up lost nothing. Until that is decided, and whether the rate is still the
-//! same, the samples concerned are held back.
+//! With the sensor's clock ([`Timebase::Device`]) a step of k periods means k − 1 missing samples, exactly. A step back
+//! beyond [`REORDER_WINDOW_NS`] is a reset and begins a new epoch, across which `missing` follows from the host's
+//! clock. Without it ([`Timebase::Arrival`]) a sample counts as missing only when the stream stays late: arrivals are
+//! late by latency, never early, and a burst that catches up lost nothing. The samples concerned are held until this,
+//! and whether the rate is still the same, is decided.
 //!
-//! `ticks` decides about samples with the sensor's ticks, `arrival` about those without; what both share is here.
+//! `ticks` decides about samples with the sensor's ticks, `arrival` about those without; the common part is here.
 //! Tested by the properties below: received + missing = sent, for any losses, jitter and bursts.
 
 mod arrival;
@@ -30,18 +30,18 @@ pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
 /// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times what both may).
 const DRIFT: f64 = 500e-6;
 
-/// What came of one sample.
+/// The result for one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Observation {
-    /// It was taken (or is held until it is clear whether samples are missing before it).
+    /// It was taken (or is held until it is known whether samples are missing before it).
     Taken,
-    /// Its device time was there already.
+    /// A sample with its device time exists already.
     Duplicate,
     /// A later one was taken before it.
     OutOfOrder,
-    /// It was taken, and the sensor's clock had started again before it.
+    /// It was taken, and the sensor's clock restarted before it.
     AfterReset,
-    /// It was taken, and the sensor's clock had been set ahead before it, by so much more than the host's went on, ns.
+    /// It was taken, and the sensor's clock was set ahead before it, by this much more than the host's advanced, ns.
     ClockAhead(u64),
     /// It was taken, and the last dozen came at another rate than before.
     RateChanged {
@@ -52,35 +52,35 @@ pub enum Observation {
     },
 }
 
-/// What the arrivals of samples without time say of the rate, for whoever can ask the sensor.
+/// The doubt about the rate that the arrivals of samples without time raise, for a caller that can query the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RateDoubt {
-    /// They do not come at the rate, and it is open whether samples are lost or the rate is another one.
+    /// The samples do not arrive at the rate; it is undecided whether samples are lost or the rate has changed.
     Open,
-    /// They came at another rate for long enough: it was adopted.
+    /// The samples came at another rate for long enough: it was adopted.
     Changed,
 }
 
-/// The end of what is accounted for: where the next sample is measured from.
+/// The end of the accounted samples, from which the next sample is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Position {
     /// Device time of the last sample.
     pub device_time_ns: Option<u64>,
     /// Serial count of the last sample.
     pub sync_count: Option<u32>,
-    /// Host monotonic time of the last sample; 0 where it belongs to another boot of the machine.
+    /// Host monotonic time of the last sample; 0 if it belongs to another boot of the machine.
     pub host_mono_ns: u64,
     /// Host UTC of the last sample.
     pub host_utc_ns: i64,
 }
 
-/// Counts what a capture has and what it lacks.
+/// Counts the received and the missing samples of a capture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Accountant {
     rate_hz: f64,
     timebase: Timebase,
     last: Option<Position>,
-    /// Rate of the last sample's segment, Hz: another than `rate_hz` where that was told and nothing came since.
+    /// Rate of the last sample's segment, Hz: differs from `rate_hz` if that was announced and no sample came since.
     last_rate_hz: f64,
     /// A segment is open and the next sample may continue it.
     open: Option<Segment>,
@@ -89,32 +89,32 @@ pub struct Accountant {
     received: u64,
     missing: u64,
     gaps: u64,
-    /// The connection was interrupted since the last sample, and why.
+    /// The cause of an interruption of the connection since the last sample.
     interrupted: Option<GapCause>,
-    /// Why samples may be missing although the connection stands: a rejected frame, a stalled host.
+    /// The reason why samples may be missing although the connection is open: a rejected frame, a stalled host.
     suspicion: Option<GapCause>,
-    /// What the host did to itself: the cause of gaps seen by samples that arrive until then, monotonic ns.
+    /// The host's own trouble: the cause of gaps shown by samples that arrive until then, monotonic ns.
     host_trouble: Option<(GapCause, u64)>,
-    /// Samples whose steps are of one wrong length: another rate, or losses?
+    /// Samples whose steps have one wrong length: another rate, or losses.
     trial: Trial,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
-    /// What was seen at a sample that was held.
+    /// The observation at a sample that was held.
     told: Option<Observation>,
     arrival: Arrival,
-    /// Not yet told to whoever can ask the sensor.
+    /// The doubt not yet passed to the caller that can query the sensor.
     doubt: Option<RateDoubt>,
-    /// How late a host may read for reasons of its own, ns: lateness below it says nothing about the sensor.
+    /// The host's own lateness in reading, ns: a shorter delay shows nothing about the sensor.
     host_jitter_ns: f64,
     backward: u32,
-    /// How much later than the quickest of its epoch the last sample was read, ns.
+    /// By how much the last sample was read later than the quickest of its epoch, ns.
     late_ns: f64,
     /// For how long no sample has come earlier than the quickest so far, ns of the sensor's clock.
     on_line_ns: f64,
 }
 
 impl Accountant {
-    /// An accountant of a capture that has nothing yet. `rate_hz` is above 0.
+    /// An accountant of a new capture. `rate_hz` is above 0.
     #[must_use]
     pub fn new(rate_hz: f64, timebase: Timebase) -> Self {
         Self {
@@ -143,17 +143,17 @@ impl Accountant {
         }
     }
 
-    /// The same, for a host that may read late by up to `host_jitter_ns` for reasons of its own.
+    /// The same, for a host whose own lateness in reading is up to `host_jitter_ns`.
     ///
-    /// At real time the host's jitter is below a period. Where time runs faster it is magnified by the speed, and without
-    /// the sensor's clock a silence shorter than it cannot be told from it.
+    /// At real time the host's jitter is below a period. If time runs faster, the jitter is multiplied by the speed.
+    /// Without the sensor's clock a shorter silence cannot be distinguished from it.
     #[must_use]
     pub fn with_host_jitter(self, host_jitter_ns: f64) -> Self {
         Self { host_jitter_ns, ..self }
     }
 
-    /// An accountant that goes on where an earlier one stopped: `segments`, `epoch`, `received`, `missing`, `gaps` and
-    /// the last sample's position as the database has them. What is missing until the next sample has `cause`.
+    /// An accountant that continues where an earlier one stopped. `segments`, `epoch`, `received`, `missing`, `gaps`
+    /// and the last sample's position are those in the database. Samples missing until the next one have `cause`.
     #[must_use]
     pub fn resume(
         rate_hz: f64,
@@ -182,7 +182,7 @@ impl Accountant {
         self.received + self.held()
     }
 
-    /// Samples that are held until it is clear whether some are missing before them.
+    /// Samples that are held until it is known whether some are missing before them.
     #[must_use]
     pub fn held(&self) -> u64 {
         (self.arrival.held.len() + self.trial.held.len()) as u64
@@ -212,7 +212,7 @@ impl Accountant {
         self.rate_hz
     }
 
-    /// What the times rest on.
+    /// The timebase of the samples.
     #[must_use]
     pub fn timebase(&self) -> Timebase {
         self.timebase
@@ -230,30 +230,31 @@ impl Accountant {
         self.last
     }
 
-    /// The cause that a gap would have if one showed now.
+    /// The cause that a gap would have if one appeared now.
     #[must_use]
     pub fn interruption(&self) -> Option<GapCause> {
         self.interrupted
     }
 
-    /// The connection is interrupted: samples missing until the next one have this cause. The first cause stands.
+    /// Interrupts the connection: samples missing until the next one have this cause. The first cause is kept.
     pub fn interrupt(&mut self, cause: GapCause, out: &mut Vec<Record>) {
         self.settle(out);
         if self.last.is_some() {
-            // What follows from the host's own standstill is its doing.
+            // The host is the cause of whatever follows from its own standstill.
             let cause = self.host_trouble.map_or(cause, |(cause, _)| cause);
             self.interrupted.get_or_insert(cause);
         }
     }
 
-    /// The host stood or slept: gaps that samples arriving until `until_mono_ns` show are its doing.
+    /// Records that the host stood still or slept: it is the cause of gaps that samples arriving until `until_mono_ns`
+    /// show.
     pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
         if self.host_trouble.is_none_or(|(_, until_ns)| until_ns < until_mono_ns) {
             self.host_trouble = Some((cause, until_mono_ns));
         }
     }
 
-    /// What is in doubt about the rate, since the last call.
+    /// The doubt about the rate since the last call, if any.
     pub fn take_doubt(&mut self) -> Option<RateDoubt> {
         self.doubt.take()
     }
@@ -263,12 +264,12 @@ impl Accountant {
         std::mem::take(&mut self.refused)
     }
 
-    /// A frame was rejected, or the host did not run for a while: a likely cause of the next gap.
+    /// Records a rejected frame, or a host that did not run for a while: a likely cause of the next gap.
     pub fn suspect(&mut self, cause: GapCause) {
         self.suspicion.get_or_insert(cause);
     }
 
-    /// The stream goes on at another rate or with other times, from the next sample, in a new segment.
+    /// Continues the stream at another rate or with other times, from the next sample, in a new segment.
     pub fn change(&mut self, rate_hz: f64, timebase: Timebase, out: &mut Vec<Record>) {
         self.settle(out);
         if (rate_hz, timebase) != (self.rate_hz, self.timebase) {
@@ -294,7 +295,7 @@ impl Accountant {
         if seen == Observation::Taken { self.told.take().unwrap_or(seen) } else { seen }
     }
 
-    /// Decides on samples that are held; to be called before the capture ends.
+    /// Decides about held samples; must be called before the capture ends.
     pub fn settle(&mut self, out: &mut Vec<Record>) {
         self.end_trial(out);
         if !self.arrival.held.is_empty() {
@@ -302,7 +303,7 @@ impl Accountant {
         }
     }
 
-    /// Counts `missing` samples between the last one and `to_utc_ns`, where the capture ends without a further sample.
+    /// Counts `missing` samples between the last one and `to_utc_ns`, if the capture ends without a further sample.
     pub fn close_with_gap(&mut self, missing: u64, to_utc_ns: i64, out: &mut Vec<Record>) {
         self.settle(out);
         let cause = self.cause();
@@ -321,9 +322,9 @@ impl Accountant {
         );
     }
 
-    /// A gap between the last sample and this one. It ends when this one would have come without delay, and is as long as the
-    /// sensor's clock says, else the host's monotonic one or what is missing: two samples that are read at once, and civil time
-    /// that was stepped or set in between, tell no length.
+    /// A gap between the last sample and this one. It ends when this one would have come without delay. Its length is
+    /// that of the sensor's clock, else that of the host's monotonic one or of the missing samples. Two samples that
+    /// are read at once do not determine a length, nor does civil time that was stepped or set in between.
     fn gap(
         &self,
         last: &Position,
@@ -353,14 +354,14 @@ impl Accountant {
         out.push(Record::Gap(gap));
     }
 
-    /// The most likely cause of a gap that shows now.
+    /// The most likely cause of a gap that appears now.
     fn cause(&self) -> GapCause {
         let host = self.host_trouble.map(|(cause, _)| cause);
         self.interrupted.or(host).or(self.suspicion).unwrap_or(GapCause::Silent)
     }
 
     fn gap_by_host(&mut self, last: &Position, sample: &Sample, host_ns: f64, cause: GapCause, out: &mut Vec<Record>) {
-        // A gap has the rate of what was before it.
+        // A gap has the rate of the samples before it.
         let missing = (host_ns / period_ns(self.last_rate_hz)).round() as u64;
         if missing > 1 {
             let cause = self.interrupted.or(self.host_trouble.map(|(cause, _)| cause)).unwrap_or(cause);
@@ -372,7 +373,7 @@ impl Accountant {
     fn take(&mut self, sample: Sample, out: &mut Vec<Record>) {
         self.interrupted = None;
         self.suspicion = None;
-        // A count that was promised and does not come is none.
+        // An announced count that does not arrive is none.
         let timebase = match self.timebase {
             Timebase::SyncCounter if sample.sync_count.is_none() => Timebase::Arrival,
             timebase => timebase,
@@ -408,7 +409,7 @@ impl Accountant {
     }
 }
 
-/// Whether the host's monotonic clock tells how far the two samples are apart.
+/// Whether the host's monotonic clock determines the distance of the two samples.
 fn is_one_boot(last: &Position, sample: &Sample) -> bool {
     last.host_mono_ns > 0 && sample.host_mono_ns >= last.host_mono_ns
 }
@@ -423,11 +424,11 @@ pub fn host_elapsed_ns(last: &Position, mono_ns: u64, utc_ns: i64) -> f64 {
     }
 }
 
-/// Civil time before 2025 is that of a host whose clock nobody has set, UTC ns.
+/// Civil time before 2025 is that of a host whose clock has not been set, UTC ns.
 pub const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
 
-/// Civil time from one instant to a later one, ns; 0 where it went back, or where the clock was set in between and nobody
-/// knows how long it was: what the sensor's own clock shows is then all that counts.
+/// Civil time from one instant to a later one, ns; 0 if it went back, or if the clock was set in between so that the
+/// duration is unknown. Then only the sensor's own clock counts.
 fn civil_elapsed_ns(from_utc_ns: i64, to_utc_ns: i64) -> f64 {
     if from_utc_ns < UTC_UNSET_BEFORE_NS && to_utc_ns >= UTC_UNSET_BEFORE_NS {
         return 0.0;

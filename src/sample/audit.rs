@@ -1,21 +1,22 @@
-//! Audit: whether a capture's numbers agree with each other and with the sensor's own ticks. Pure.
+//! Audit: checks whether a capture's numbers agree with each other and with the sensor's own ticks. Pure.
 //!
-//! Two identities, each of numbers that were counted apart from each other:
+//! There are two identities, each of independently counted numbers:
 //!
 //! 1. `received = committed + in flight + discarded`. `received` is counted where valid measurements leave the decoder,
 //!    before anything decides about them; `committed` are rows; `in flight` is what is held or waits for its commit;
 //!    `discarded` are valid measurements that did not become a sample, by cause ([`super::DiscardCause::is_frame`]).
 //! 2. `expected = committed + Σ gap.missing`. `expected` follows from the first and the last tick of each stretch: the
-//!    segments of one epoch with one rate and one timebase. Between stretches (a reset, another rate, another format) and
-//!    behind the last sample only host time tells what is missing, and arrival times tell nothing that could be checked
-//!    against: both enter `expected` as they were recorded, and [`Report::unchecked`] says how many and why.
+//!    segments of one epoch with one rate and one timebase. Between stretches (a reset, another rate, another format)
+//!    and behind the last sample only host time determines the missing samples, and arrival times provide nothing to
+//!    check against. Both enter `expected` as they were recorded, and [`Report::unchecked`] states how many and why.
 //!
-//! First and last tick tell how many samples there should be only if all of them lie on one grid: the last one a whole number
-//! of periods behind the first. Where another rate came and went while nothing arrived, or a reset was not seen, the ticks
-//! go on between two places of that grid, and the distance across is no number of samples: two and a half periods may be
-//! three, two such distances are five periods and may be six. So a distance that is no whole number of periods is rounded by
-//! itself, its gap is checked against it, and the ticks behind it count on a grid of their own. Whole ones are never rounded
-//! apart: a gap that counts one too few is found however many segments lie between first and last.
+//! First and last tick determine the number of samples only if all of them lie on one grid: the last one a whole number
+//! of periods behind the first. If another rate came and went while nothing arrived, or a reset was missed, the ticks
+//! continue between two places of that grid, and the distance across is no number of samples. Two and a half periods
+//! may be three; two such distances are five periods and may be six. So a distance that is no whole number of periods
+//! is rounded by itself, its gap is checked against it, and the ticks behind it count on a separate grid. Whole ones
+//! are never rounded separately: a gap that counts one too few is found however many segments lie between first and
+//! last.
 //!
 //! The definition is in one place: [`audit_in_order`]. The store feeds it row by row from one snapshot of the database, tests
 //! from memory ([`audit`]).
@@ -31,7 +32,7 @@ pub const STRETCHES_SHOWN: usize = 100;
 /// Two segments whose distance is further than this share of a period from a whole number of periods are on two grids.
 const OFF_GRID: f64 = 0.05;
 
-/// A segment, as far as the audit needs it.
+/// The facts about a segment that the audit needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentFacts {
     /// Number within the capture, from 1.
@@ -44,14 +45,14 @@ pub struct SegmentFacts {
     pub samples: u64,
     /// Output rate in Hz.
     pub rate_hz: f64,
-    /// What its times rest on.
+    /// The timebase of its times.
     pub timebase: Timebase,
     /// The sensor's tick at its first and at its last sample: device time in ns ([`Timebase::Device`]) or the serial count
     /// ([`Timebase::SyncCounter`]).
     pub ticks: Option<(u64, u64)>,
 }
 
-/// A gap, as far as the audit needs it.
+/// The facts about a gap that the audit needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GapFacts {
     /// `seq` of the first sample after it.
@@ -60,10 +61,10 @@ pub struct GapFacts {
     pub missing: u64,
 }
 
-/// What was counted.
+/// The counts of a capture.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CountFacts {
-    /// Valid measurements that left the decoder while the capture was on; `None` where nobody counted them.
+    /// Valid measurements that left the decoder during the capture; `None` if they were not counted.
     pub received: Option<u64>,
     /// Rows of table `sample`.
     pub committed: u64,
@@ -141,8 +142,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// The same capture while it runs: the first identity as of the instant at which `received` measurements had come in,
-    /// `committed` of them were on disk and `in_flight` on their way there.
+    /// The same report for a running capture: the first identity at the instant at which `received` measurements had
+    /// arrived, `committed` of them were on disk and `in_flight` on their way there.
     #[must_use]
     pub fn at_this_instant(
         self,
@@ -166,7 +167,7 @@ impl Report {
     }
 }
 
-/// `received` − `committed` − `in_flight` − `discarded`; what is wrong with it is said.
+/// Computes `received` − `committed` − `in_flight` − `discarded`; violations are reported.
 fn first_identity(
     received: Option<u64>,
     committed: u64,
@@ -200,11 +201,11 @@ pub fn audit(segments: &[SegmentFacts], gaps: &[GapFacts], counts: CountFacts) -
     }
 }
 
-/// The same of segments in the order of their numbers and gaps in the order of `before_seq`, one after the other: however
-/// many there are, one stretch and what the report lists are in memory.
+/// As [`audit`], for segments in the order of their numbers and gaps in the order of `before_seq`, one after the other.
+/// However many there are, only one stretch and the entries of the report are in memory.
 ///
 /// # Errors
-/// The first that either of them answers.
+/// The first error of either of them.
 pub fn audit_in_order<E>(
     segments: impl IntoIterator<Item = Result<SegmentFacts, E>>,
     gaps: impl IntoIterator<Item = Result<GapFacts, E>>,
@@ -233,7 +234,7 @@ pub fn audit_in_order<E>(
     walk.finish(counts)
 }
 
-/// A list that stays short: what does not fit is counted.
+/// A list of bounded length: further entries are counted.
 struct Listed<T> {
     first: Vec<T>,
     more: u64,
@@ -261,19 +262,19 @@ impl Listed<String> {
     }
 }
 
-/// Segments of one epoch, rate and timebase that follow each other, as far as they have come.
+/// Consecutive segments of one epoch, rate and timebase, as far as they have been read.
 struct Open {
     first_seq: u64,
     first: SegmentFacts,
     last: SegmentFacts,
     samples: u64,
-    /// The first tick of the grid that the last segment stands on.
+    /// The first tick of the grid of the last segment.
     grid_from: Option<u64>,
     /// Periods from the stretch's first tick to `grid_from`.
     before_grid: u64,
 }
 
-/// How many periods there are from one tick to a later one of the sensor's clock.
+/// The number of periods from one tick to a later one of the sensor's clock.
 fn periods(from: u64, to: u64, rate_hz: f64) -> f64 {
     to.wrapping_sub(from) as f64 / period_ns(rate_hz)
 }
@@ -301,7 +302,7 @@ impl Open {
         }
         self.last = segment.clone();
     }
-    /// The stretch, without what is missing in it.
+    /// The stretch, without its missing samples.
     fn stretch(&self) -> Stretch {
         let Self { first, last, .. } = self;
         let expected = first.ticks.zip(last.ticks).and_then(|((from, _), (_, to))| match first.timebase {
@@ -327,7 +328,7 @@ impl Open {
     }
 }
 
-/// What has been gone through.
+/// The state of the check so far.
 struct Walk<G> {
     gaps: G,
     next_gap: Option<GapFacts>,

@@ -60,7 +60,7 @@ impl Triad {
 }
 
 impl Channel {
-    /// How many channels there are.
+    /// The number of channels.
     pub const COUNT: usize = 14;
     /// All channels in column order.
     pub const ALL: [Self; Self::COUNT] = [
@@ -113,15 +113,15 @@ impl Channel {
             Self::Pressure => "pressure",
         }
     }
-    /// The channel of that name.
+    /// The channel with that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|channel| channel.name() == name)
     }
-    /// The channels of a list of names with commas between, each once.
+    /// The channels of a comma-separated list of names, each once.
     ///
     /// # Errors
-    /// [`ChannelError::Unknown`] names the first that is none.
+    /// [`ChannelError::Unknown`] with the first unknown name.
     pub fn list(names: &str) -> Result<Vec<Self>, ChannelError> {
         let mut channels = Vec::new();
         for name in names.split(',').map(str::trim) {
@@ -133,10 +133,10 @@ impl Channel {
         }
         Ok(channels)
     }
-    /// Those that are wanted of those that a capture has; all of these where nothing is said.
+    /// The wanted channels of those that a capture has; all of these if none are named.
     ///
     /// # Errors
-    /// [`ChannelError::Absent`] names the first that it does not have.
+    /// [`ChannelError::Absent`] with the first that it does not have.
     pub fn chosen(wanted: Option<&[Self]>, has: &[Self]) -> Result<Vec<Self>, ChannelError> {
         let channels = wanted.unwrap_or(has).to_vec();
         match channels.iter().find(|channel| !has.contains(channel)) {
@@ -144,7 +144,7 @@ impl Channel {
             None => Ok(channels),
         }
     }
-    /// The name of its column where the unit is part of it (docs/formats.md): `gyro_x_rad_s`.
+    /// The name of its column in files that include the unit (docs/formats.md): `gyro_x_rad_s`.
     #[must_use]
     pub fn column_name(self) -> String {
         format!("{}{}", self.name(), self.csv_suffix())
@@ -195,9 +195,9 @@ impl Channel {
             None => 3,
         }
     }
-    /// A power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit: fixes the
-    /// fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s² (VN-100 data sheet),
-    /// with room for other sensors.
+    /// A power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit. It fixes
+    /// the fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s² (VN-100 data
+    /// sheet), with room for other sensors.
     #[must_use]
     pub fn range_exponent(self) -> u32 {
         match self.triad() {
@@ -216,25 +216,25 @@ impl std::fmt::Display for Channel {
     }
 }
 
-/// How much of a name that is no channel's is repeated.
+/// The number of characters of an unknown name that are repeated.
 const NAME_CHARS: usize = 40;
 
-/// Why channels that were asked for are not given.
+/// The reasons why requested channels are not returned.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChannelError {
     /// There is no such channel.
     #[error("there is no `{found}`: channels are {}", names(&Channel::ALL))]
     Unknown {
-        /// What was asked for, its beginning.
+        /// The beginning of the requested name.
         found: String,
     },
-    /// The capture does not have it.
+    /// The capture does not have the channel.
     #[error("the capture has no `{channel}`: it has {}", names(has))]
     Absent {
-        /// What was asked for.
+        /// The requested channel.
         channel: Channel,
-        /// What it has.
+        /// The channels of the capture.
         has: Vec<Channel>,
     },
 }
@@ -254,7 +254,7 @@ impl ChannelSet {
     pub fn insert(&mut self, channel: Channel) {
         self.0 |= 1 << channel as u8;
     }
-    /// Takes a channel out.
+    /// Removes a channel.
     pub fn remove(&mut self, channel: Channel) {
         self.0 &= !(1 << channel as u8);
     }

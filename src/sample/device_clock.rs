@@ -1,4 +1,4 @@
-//! Device clock: the sensor's clock against the host's, from arrival times. Pure.
+//! Device clock: compares the sensor's clock with the host's, from arrival times. Pure.
 //!
 //! A measurement arrives late by its latency and never early, so that the truth lies under the points (device time,
 //! arrival − device time). The estimate is the line under all points that is closest to them on average: the edge of their
@@ -11,11 +11,11 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Bins that are kept at most.
+/// The maximum number of bins.
 const BINS: usize = 256;
-/// Width of a bin at first, ns.
+/// The initial width of a bin, ns.
 const BIN_NS: u64 = 500_000_000;
-/// Before so much time of the sensor nothing is said of its rate, s.
+/// Until this much time of the sensor has passed, its rate is not estimated, s.
 const SPAN_S: f64 = 5.0;
 
 /// The sensor's clock as the host sees it.
@@ -61,13 +61,13 @@ pub struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// Takes note of a measurement of this run of the sensor's clock; another run begins a new estimate. Which run it is the
-    /// accounting decides ([`super::Accountant::epoch`]), with a number that tells one capture from the next.
+    /// Takes a measurement of this run of the sensor's clock; another run begins a new estimate. The accounting
+    /// determines the run ([`super::Accountant::epoch`]), with a number that distinguishes one capture from the next.
     pub fn note(&mut self, run: (i64, u32), device_ns: u64, host_mono_ns: u64) {
         if self.run != run {
             *self = Self { run, ..Self::default() };
         }
-        // Repeated or late within its run: it tells nothing of how quick an arrival can be.
+        // Repeated or late within its run: it does not show how quick an arrival can be.
         if self.first.is_some() && (device_ns.wrapping_sub(self.last_device_ns) as i64) <= 0 {
             return;
         }
@@ -115,7 +115,7 @@ impl DeviceClock {
         self.bins = joined;
     }
 
-    /// What is known so far; `None` before there is enough.
+    /// The present estimate; `None` before there is enough data.
     #[must_use]
     pub fn estimate(&self) -> Option<ClockEstimate> {
         let (device_0, host_0) = self.first?;
@@ -248,7 +248,7 @@ mod tests {
         (clock.estimate(), accountant.epoch())
     }
 
-    /// The accounting alone decides where a run begins: back to zero, back by less than a second, ahead by an hour.
+    /// Only the accounting decides where a run begins: back to zero, back by less than a second, ahead by an hour.
     #[test]
     fn a_clock_that_starts_again_begins_a_new_estimate_where_the_accounting_says_so() {
         for again_ns in [0, 59_500_000_000, 3_660_000_000_000] {

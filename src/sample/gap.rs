@@ -62,7 +62,7 @@ impl GapCause {
             Self::Source => "source",
         }
     }
-    /// The cause of that name.
+    /// The cause with that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|cause| cause.name() == name)
@@ -75,16 +75,16 @@ pub struct Gap {
     /// `seq` of the first sample after the gap: the gap lies between `before_seq − 1` and `before_seq`.
     /// Equal to the number of samples received so far; a gap at a capture's end has no sample after it.
     pub before_seq: u64,
-    /// When the last sample before the gap stood, UTC ns.
+    /// The time of the last sample before the gap, UTC ns.
     pub from_utc_ns: i64,
-    /// When the first sample after the gap stood (or the capture ended), UTC ns.
+    /// The time of the first sample after the gap (or of the capture's end), UTC ns.
     pub to_utc_ns: i64,
-    /// The sensor's clock at both ends, where one epoch spans the gap.
+    /// The sensor's clock at both ends, if one epoch spans the gap.
     pub device_ns: Option<(u64, u64)>,
-    /// How many samples are missing.
+    /// The number of missing samples.
     pub missing: u64,
     /// Whether `missing` follows from the sensor's own clock; otherwise from the host's.
     pub missing_exact: bool,
-    /// Why.
+    /// The cause.
     pub cause: GapCause,
 }

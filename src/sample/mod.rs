@@ -23,8 +23,8 @@ pub struct Sample {
     pub host_mono_ns: u64,
     /// The same instant in UTC, ns since 1970; 0 for a recording without host time.
     pub host_utc_ns: i64,
-    /// Its number among all valid measurements that the capture has received, from 1, discarded ones included; 0 where
-    /// nobody counts.
+    /// Its number among all valid measurements that the capture has received, from 1, discarded ones included; 0 if
+    /// they are not counted.
     pub frame: u64,
     channels: ChannelSet,
     values: [f64; Channel::COUNT],
@@ -53,12 +53,12 @@ impl Sample {
             self.channels.remove(channel);
         }
     }
-    /// The channel's value, where the sample has one.
+    /// The channel's value, if the sample has one.
     #[must_use]
     pub fn get(&self, channel: Channel) -> Option<f64> {
         self.channels.contains(channel).then(|| self.values[channel as usize])
     }
-    /// Whether both have the same channels with the same values, whatever their times.
+    /// Whether both have the same channels with the same values, regardless of their times.
     #[must_use]
     pub fn same_values(&self, other: &Self) -> bool {
         self.channels == other.channels && self.channels.iter().all(|channel| self.get(channel) == other.get(channel))

@@ -31,7 +31,7 @@ pub struct Segment {
     pub first_seq: u64,
     /// Output rate in Hz.
     pub rate_hz: f64,
-    /// What its times rest on.
+    /// The timebase of its times.
     pub timebase: Timebase,
     /// Channels its samples carry.
     pub channels: ChannelSet,
@@ -39,7 +39,7 @@ pub struct Segment {
     pub first_device_time_ns: Option<u64>,
     /// Host UTC of its first sample.
     pub first_utc_ns: i64,
-    /// The boot of the host that the monotonic times of its samples belong to, where that is known.
+    /// The boot of the host that the monotonic times of its samples belong to, if known.
     pub boot_id: Option<String>,
 }
 
@@ -95,13 +95,13 @@ impl DiscardCause {
             Self::Probing => "probing",
         }
     }
-    /// Whether what was discarded is a valid measurement, one of those that `received` counts; the other causes are of
+    /// Whether the discarded data is a valid measurement, one of those that `received` counts; the other causes are of
     /// bytes that never became one.
     #[must_use]
     pub fn is_frame(self) -> bool {
         !matches!(self, Self::Checksum | Self::GarbageBytes | Self::Malformed)
     }
-    /// The cause of that name.
+    /// The cause with that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|cause| cause.name() == name)
@@ -150,16 +150,16 @@ impl EventKind {
     }
 }
 
-/// Something worth remembering that is neither sample nor gap.
+/// A notable event that is neither sample nor gap.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EventRecord {
-    /// When, UTC ns.
+    /// The time, UTC ns.
     pub utc_ns: i64,
-    /// What kind.
+    /// The kind of event.
     pub kind: EventKind,
-    /// One sentence for a person.
+    /// One sentence for the user.
     pub message: String,
-    /// Details for a program (a JSON object), where there are any.
+    /// Details for a program (a JSON object), if there are any.
     pub detail: Option<serde_json::Value>,
 }
 
@@ -191,39 +191,39 @@ pub enum Record {
     Gap(Gap),
     /// An event.
     Event(EventRecord),
-    /// Something arrived that did not become a sample.
+    /// Data arrived that did not become a sample.
     Discarded {
-        /// Why.
+        /// The cause.
         cause: DiscardCause,
-        /// How many frames (bytes for [`DiscardCause::GarbageBytes`]).
+        /// The number of frames (bytes for [`DiscardCause::GarbageBytes`]).
         count: u64,
     },
-    /// The sensor's clock against the host's in this epoch, as estimated now; the latest one stands.
+    /// The sensor's clock compared with the host's in this epoch, as estimated now; the latest estimate is valid.
     DeviceClock {
         /// One run of the sensor's clock.
         epoch: u32,
         /// The estimate.
         estimate: ClockEstimate,
     },
-    /// The host's civil time had not been set and was set by so much: times of this capture before `before_utc_ns` are
-    /// corrected.
+    /// The host's civil time had not been set and was set by this much: times of this capture before `before_utc_ns`
+    /// are corrected.
     UtcSet {
-        /// By so much, ns.
+        /// The amount, ns.
         by_ns: i64,
         /// Times before this are of the clock as it was, UTC ns.
         before_utc_ns: i64,
-        /// The present boot of the host: what an earlier one wrote lies off by another amount. `None`: not known.
+        /// The present boot of the host: the times of an earlier one are off by another amount. `None`: not known.
         boot_id: Option<String>,
         /// Samples before this were taken before that clock was set back.
         since_seq: Option<u64>,
     },
     /// The sensor's description and registers as read when (re)connected; stored with the capture.
     Configuration(serde_json::Value),
-    /// The end; nothing of this capture follows but what is discarded for coming later.
+    /// The end; nothing of this capture follows except late discards.
     Ended {
-        /// How.
+        /// The kind of end.
         how: CaptureEnd,
-        /// When, UTC ns.
+        /// The time, UTC ns.
         utc_ns: i64,
     },
 }

@@ -1,4 +1,4 @@
-//! One channel's chain: from its response to a motion (or its level at rest) to what is sent.
+//! One channel's chain: from its response to a motion (or its level at rest) to the values that are sent.
 
 use super::model::SensorModel;
 use crate::effects::moving_average::RunningMean;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// An effect, and which of several of its kind it is.
 pub(super) type Numbered = (Arc<dyn Effect>, u16);
 
-/// What a simulation is of.
+/// The subject of a simulation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Terms {
     pub(super) seed: u64,
@@ -24,10 +24,10 @@ pub(super) struct Terms {
     pub(super) record_length_s: f64,
 }
 
-/// What a channel shows before its own effects, over a block of internal samples.
+/// The level of a channel before its own effects, over a block of internal samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Level<'a> {
-    /// Nothing: the bias is the level.
+    /// The level is 0: the bias is the level.
     Rest,
     /// Its response to the motion; the bias comes on top.
     Response(&'a [f64]),
@@ -52,7 +52,7 @@ pub(super) struct Chain {
     sent: Vec<Box<dyn Sampler>>,
     internal: Vec<f64>,
     white_block: Vec<f64>,
-    /// What was sent in the last block.
+    /// The values that were sent in the last block.
     pub(super) output: Vec<f64>,
 }
 
@@ -135,7 +135,7 @@ impl Chain {
         }
     }
 
-    /// Makes the next `count` internal samples (whole multiples of the ratio) and what is sent of them.
+    /// Makes the next `count` internal samples (whole multiples of the ratio) and the samples that are sent of them.
     pub(super) fn run(&mut self, count: usize, level: Level<'_>, temperature: Temperature<'_>) {
         self.internal.clear();
         match level {
@@ -174,7 +174,7 @@ impl Chain {
                 }
             }
         }
-        // What follows sampling does not depend on temperature.
+        // The stages after sampling do not depend on temperature.
         for sampler in &mut self.sent {
             sampler.apply(&mut self.output);
         }

@@ -1,19 +1,19 @@
 //! The simulator: a sensor model, a seed and a rate in, endless samples out. Pure.
 //!
-//! The chain, in the order nature has it ([`crate::effects::Stage`]): reference motion → latency → misalignment and
-//! cross-axis sensitivity → scale factor and nonlinearity → bias, temperature, g-sensitivity → noise → bandwidth →
-//! saturation → sampling (the sensor's boxcar and decimation, so that what is faster folds by itself) → resolution → held
-//! samples → stamps and lost samples. Without a motion the sensor is at rest and its biases are what it shows.
+//! The chain follows the physical order ([`crate::effects::Stage`]): reference motion → latency → misalignment and cross-axis
+//! sensitivity → scale factor and nonlinearity → bias, temperature, g-sensitivity → noise → bandwidth → saturation → sampling
+//! (the sensor's boxcar and decimation, so that faster noise folds) → resolution → held samples → stamps and lost samples.
+//! Without a motion the sensor is at rest and its output is its biases.
 //!
-//! Every effect draws from a random stream of its own ([`crate::effects::stream`]): the same model, seed, rate and record
-//! length give the same values on every run, on any number of threads.
+//! Every effect draws from a separate random stream ([`crate::effects::stream`]): the same model, seed, rate and record length
+//! give the same values on every run, on any number of threads.
 //!
 //! **Temperature.** The sensor's temperature is that of [`Simulator::with_temperature`], else that of the motion, else
-//! constant: the temperature channel's bias, or 25 °C if the model has none. Where it is not constant, the temperature
+//! constant: the temperature channel's bias, or 25 °C if the model has none. If it is not constant, the temperature
 //! channel shows it, in place of the channel's bias, and its noise.
 //!
-//! Memory is bounded however long it runs: a block of [`BLOCK`] internal samples per channel ([`THREADED_BLOCK`] on several
-//! threads), at least one sample sent.
+//! Memory is bounded for any length: a block of [`BLOCK`] internal samples per channel ([`THREADED_BLOCK`] on several threads),
+//! at least one sample sent.
 //!
 //! Channels that the model does not name are absent. Attitude, magnetometer and pressure do not follow the motion.
 
@@ -43,7 +43,7 @@ pub const BLOCK: usize = 512;
 /// Likewise on several threads: enough work for each to outweigh its start.
 pub const THREADED_BLOCK: usize = 16_384;
 
-/// Why a simulation was refused.
+/// The reason why a simulation was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulatorError {
@@ -59,7 +59,7 @@ pub enum SimulatorError {
         /// The length as it was given.
         found: f64,
     },
-    /// The model has something that makes no sense, at all or at this rate.
+    /// The model has an entry that is not valid, at all or at this rate.
     #[error("cannot simulate `{model}` at {rate_hz} Hz: {fault}")]
     Model {
         /// The model's name.
@@ -81,7 +81,7 @@ pub struct SimulatedSample {
     pub time_s: f64,
     /// Whether it was lost on the way: a recording does not have it.
     pub lost: bool,
-    /// One value per channel in column order and the channel's unit, 0 where the model has none.
+    /// One value per channel in column order and the channel's unit, 0 if the model has none.
     pub values: [f64; Channel::COUNT],
 }
 
@@ -135,7 +135,7 @@ pub struct Simulator {
     motion: Option<Box<dyn Reference>>,
     course: Option<Box<dyn TemperatureCourse>>,
     rest_temperature_c: f64,
-    /// Whether the motion told a temperature so far.
+    /// Whether the motion has given a temperature so far.
     motion_told_temperature: bool,
     threads: usize,
     timing: Vec<(Timing, Stream, Stream)>,
@@ -213,15 +213,16 @@ impl Simulator {
         })
     }
 
-    /// Lets the sensor follow a motion, given at [`Simulator::internal_rate_hz`]. The simulation ends with it. To be told
-    /// before the first sample.
+    /// Lets the sensor follow a motion, given at [`Simulator::internal_rate_hz`]. The simulation ends with it. Call this before
+    /// the first sample.
     #[must_use]
     pub fn with_motion(mut self, motion: impl Reference + 'static) -> Self {
         self.motion = Some(Box::new(motion));
         self
     }
 
-    /// Lets the sensor's temperature follow a course; it counts more than the motion's. To be told before the first sample.
+    /// Lets the sensor's temperature follow a course, which takes precedence over the motion's. Call this before the first
+    /// sample.
     #[must_use]
     pub fn with_temperature(mut self, course: impl TemperatureCourse + 'static) -> Self {
         self.course = Some(Box::new(course));
@@ -259,8 +260,8 @@ impl Simulator {
         self.terms.internal_rate_hz
     }
 
-    /// The next sample's values: one per channel in column order and the channel's unit, 0 where the model has none. After
-    /// a motion's end, its last values again.
+    /// The next sample's values: one per channel in column order and the channel's unit, 0 if the model has none. After a
+    /// motion's end, its last values again.
     pub fn next_values(&mut self) -> [f64; Channel::COUNT] {
         self.next_sample().map_or(self.last, |sample| sample.values)
     }
@@ -279,7 +280,7 @@ impl Simulator {
     /// The samples up to the present block's end, at least one; `None` after the motion's end.
     pub fn next_block(&mut self) -> Option<Block<'_>> {
         if self.given != 0 && self.given < self.time_s.len() {
-            // Samples of this block were taken one by one: the rest is given out as a block of its own.
+            // Samples of this block were taken one by one: the rest is returned as a separate block.
             self.drop_given();
         } else if !self.make_block() {
             return None;

@@ -1,4 +1,4 @@
-//! Records: simulated samples as a capture has them, with a gap wherever samples were lost.
+//! Records: simulated samples in the form of a capture, with a gap at every place at which samples were lost.
 
 use super::SimulatedSample;
 use crate::sample::{ChannelSet, Gap, GapCause, Record, Sample, Segment, Timebase};
@@ -24,7 +24,7 @@ pub struct Records {
 }
 
 impl Records {
-    /// Nothing taken in yet; `has_jitter`: stamps are not the sensor's ticks. The first sample stands at `started_utc_ns`.
+    /// A converter without samples; `has_jitter`: stamps are not the sensor's ticks. The first sample stands at `started_utc_ns`.
     #[must_use]
     pub fn new(rate_hz: f64, channels: ChannelSet, has_jitter: bool, started_utc_ns: i64) -> Self {
         let timebase = if has_jitter { Timebase::Stamps } else { Timebase::Device };
@@ -55,7 +55,7 @@ impl Records {
         let device_ns = ((FIRST_NS as f64 + 1e9 * of.time_s).round().max(0.0) as u64).max(earliest_ns);
         let utc_ns = |device_ns: u64| self.started_utc_ns + device_ns as i64 - FIRST_NS as i64;
         let begins = self.last_ns.is_none() || self.lost > 0;
-        // What is lost before the first sample was never there.
+        // Samples that are lost before the first one do not count.
         if let Some(last_ns) = self.last_ns.filter(|_| self.lost > 0) {
             self.missing += self.lost;
             push(Record::Gap(Gap {

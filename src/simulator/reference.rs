@@ -1,8 +1,8 @@
-//! What a simulated sensor goes through: its motion and its temperature. Both come from outside, sample by sample.
+//! The input of a simulated sensor: its motion and its temperature. Both come from outside, sample by sample.
 
 use crate::effects::triad::Axes;
 
-/// What the sensor feels at one internal sample, in its own axes.
+/// The input of the sensor at one internal sample, in its own axes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write motions out")]
 pub struct Motion {
@@ -10,7 +10,7 @@ pub struct Motion {
     pub gyro_rad_s: Axes,
     /// Specific force, m/s².
     pub accel_m_s2: Axes,
-    /// The sensor's temperature, °C, where it is known.
+    /// The sensor's temperature, °C, if it is known.
     pub temperature_c: Option<f64>,
 }
 

@@ -17,7 +17,7 @@ pub(super) struct Response {
     /// The specific force that acts on a gyroscope is as late.
     force_delay: Option<DelayLine>,
     stages: [Vec<Arc<dyn TriadEffect>>; 3],
-    /// Whether there is anything to answer at rest.
+    /// Whether an effect acts at rest.
     acts_at_rest: bool,
     /// One block per axis.
     pub(super) axes: [Vec<f64>; 3],
@@ -46,7 +46,7 @@ impl Response {
         self.triad
     }
 
-    /// What the triad shows of these motions, before any noise.
+    /// The triad's response to these motions, before any noise.
     pub(super) fn run(&mut self, motions: &[Motion]) {
         for axis in &mut self.axes {
             axis.clear();
@@ -74,7 +74,7 @@ impl Response {
     }
 }
 
-/// The stage's input and what its effects add to it, each from that input.
+/// The stage's input and the sum of its effects' additions, each from that input.
 #[must_use]
 pub fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
     let mut values = drive.input;

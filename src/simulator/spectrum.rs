@@ -1,4 +1,4 @@
-//! What a channel's spectrum is in closed form: the whole chain's, of the same effects that the simulator samples.
+//! A channel's spectrum in closed form: that of the whole chain, from the same effects that the simulator samples.
 
 use super::chain::effects_on;
 use super::model::{ChannelModel, SensorModel};
@@ -7,15 +7,16 @@ use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, White};
 use crate::sample::Channel;
 use std::sync::Arc;
 
-/// N of a channel as everybody tells it: the plateau of its spectrum as sent at low frequencies over a record of `samples`, the
-/// root of it in U/√Hz.
+/// N of a channel in the usual sense: the plateau of its spectrum as sent at low frequencies over a record of `samples`, the root
+/// of it in U/√Hz.
 ///
-/// It is the sensor's own white noise, changes of its variance included, and whatever comes in beside it and is white there:
-/// noise that channels share, noise behind a filter, rounding, the skirt of a resonance, all that folds in sampling. What has a
-/// slope or a time of its own (B, K, slow processes, drifts) and what comes and goes (spikes, bursts) is none of it. A change
-/// of variance by the temperature counts as none. 0 for a channel that the model does not have.
+/// It is the sensor's own white noise, changes of its variance included, and all other noise that enters beside it and is white
+/// there. Such noise is noise that channels share, noise behind a filter, rounding, the skirt of a resonance, and all noise that
+/// folds in sampling. Noise with a slope or a correlation time (B, K, slow processes, drifts) and transient noise (spikes,
+/// bursts) are not part of it. A change of variance by the temperature counts as none. 0 for a channel that the model does not
+/// have.
 ///
-/// It is what `noise` finds in a record of the model: `examples/one_n.rs`, docs/validation.md.
+/// `noise` finds the same value in a record of the model: `examples/one_n.rs`, docs/validation.md.
 #[must_use]
 pub fn plateau(model: &SensorModel, channel: Channel, samples: u64) -> f64 {
     const WHITE: [&str; 6] =
@@ -44,18 +45,18 @@ pub struct Spectrum<'a> {
 }
 
 impl<'a> Spectrum<'a> {
-    /// Of `channel` over a record of what is sent (its rate and length).
+    /// The spectrum of `channel` over a record of sent samples (its rate and length).
     #[must_use]
     pub fn new(model: &'a SensorModel, channel: Channel, record: Record) -> Self {
         Self { model, channel, record }
     }
 
-    /// Two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the channel's noise: with
-    /// every filter's gain, with what folds in sampling, with what rounding adds. Lines apart ([`Spectrum::lines`]).
+    /// Two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the channel's noise: with every
+    /// filter's gain, with the noise that folds in sampling and the noise of rounding. [`Spectrum::lines`] has the lines.
     ///
-    /// `None` where it is not the parameters' alone: held samples, changes of variance by temperature or several of them,
-    /// what is not the same all the time (bursts, a band or spectrum with a level, what is intermittent inside intervals),
-    /// temperature bias, and a line that wanders slowly. A saturation counts as never reached.
+    /// `None` if it depends on more than the parameters. That is so for held samples, and for changes of variance by temperature
+    /// or several of them. It is so for noise that varies over time (bursts, a band or spectrum with a level, intermittent noise
+    /// inside intervals), for temperature bias, and for a line that wanders slowly. A saturation counts as never reached.
     #[must_use]
     pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
         let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);
@@ -113,7 +114,7 @@ impl<'a> Spectrum<'a> {
             // The mean square of their product is not the product of their mean squares.
             return None;
         }
-        // In the chain's order: what comes in behind a filter passes the filters after it.
+        // In the chain's order: noise that enters behind a filter passes the filters after it.
         for effect in effects {
             match effect.stage() {
                 Stage::WhitePart => white *= effect.white_moments(record)?.variance,
@@ -129,7 +130,7 @@ impl<'a> Spectrum<'a> {
         Some(white + noise)
     }
 
-    /// What comes after sampling.
+    /// The noise of the stages after sampling.
     fn sent_psd(&self) -> Option<f64> {
         let sent = self.effects();
         let sent = sent.iter().filter(|effect| matches!(effect.stage(), Stage::Resolution | Stage::Hold));

@@ -1,4 +1,5 @@
-//! The chain as a whole: its order, its sampling, what channels share, and values that depend on nothing else.
+//! The chain as a whole: its order, its sampling, the effects that channels share, and values that depend on the inputs
+//! alone.
 
 use super::*;
 use crate::effects::{
@@ -38,7 +39,7 @@ fn mean_square(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64
 }
 
-/// A model with something of everything.
+/// A model with all kinds of content.
 fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
     let gyro = |sigma| ChannelModel {
         n: 1e-3,
@@ -156,7 +157,7 @@ fn noise_is_clipped_then_averaged_then_rounded() {
         vec![Box::new(Resolution { step: 0.5 }), Box::new(Saturation { low: -10.0, high: 1.0 })];
     let mut clipped = model(40.0, [(Channel::GyroX, channel(1.0, effects))]);
     let found = values(&clipped, 1, Channel::GyroX, 4000);
-    // The noise of deviation √40 is clipped, and what is left is rounded: never above the limit, often exactly at it.
+    // The noise of deviation √40 is clipped, and the rest is rounded: never above the limit, often exactly at it.
     assert!(found.iter().all(|value| (-10.0..=1.0).contains(value) && (value / 0.5).fract() == 0.0));
     let at_limit = found.iter().filter(|value| **value == 1.0).count();
     // P(z > 0.75/√40), the values that round to the limit included, is 45.3 %.

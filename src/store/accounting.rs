@@ -1,5 +1,5 @@
-//! Accounting: a capture's numbers, read in one snapshot and given to the one definition of what must hold
-//! ([`crate::sample::audit`]).
+//! Accounting: a capture's numbers, read in one snapshot and passed to [`crate::sample::audit`], which defines what
+//! must hold.
 
 use super::insert::timebase_from_name;
 use super::{Reader, StoreError};
@@ -21,16 +21,16 @@ pub struct DeviceClockRow {
 }
 
 impl Reader {
-    /// Whether the capture's numbers agree, as of the last commit. A few rows per segment and gap are read: the number of
-    /// samples follows from the first and last `seq`.
+    /// Checks whether the capture's numbers agree, as of the last commit. It reads a few rows per segment and gap: the
+    /// number of samples follows from the first and last `seq`.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn accounting(&self, capture_id: i64) -> Result<Report, StoreError> {
         self.accounting_by(capture_id, false)
     }
 
-    /// The same with every row counted, per segment too: some tenths of a second for a night.
+    /// As [`Self::accounting`], but counts every row, per segment too. This takes some tenths of a second for a night.
     ///
     /// # Errors
     /// As [`Self::accounting`].
@@ -41,7 +41,7 @@ impl Reader {
     /// The sensor's clock against the host's, as last estimated in each epoch.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn device_clocks(&self, capture_id: i64) -> Result<Vec<DeviceClockRow>, StoreError> {
         let sql = "SELECT epoch, skew_ppm, skew_ppm_uncertainty, offset_s, latency_mean_ms, latency_max_ms, span_s \
                    FROM device_clock WHERE capture_id = ?1 ORDER BY epoch LIMIT ?2";
@@ -63,7 +63,7 @@ impl Reader {
     }
 
     fn accounting_by(&self, capture_id: i64, every_row: bool) -> Result<Report, StoreError> {
-        // One snapshot: what a commit adds meanwhile is in none of the numbers.
+        // One snapshot: rows that are committed meanwhile appear in none of the numbers.
         let snapshot = self.connection.unchecked_transaction()?;
         let mut counts = counts(&snapshot, capture_id)?;
         if every_row {
@@ -139,7 +139,7 @@ fn gap_of(row: &Row<'_>) -> Result<GapFacts, StoreError> {
     Ok(GapFacts { before_seq: row.get::<_, i64>(0)? as u64, missing: row.get::<_, i64>(1)? as u64 })
 }
 
-/// What the samples themselves say of a segment, not what its row says of them.
+/// The ticks that the samples of a segment contain, as opposed to what the segment's row states.
 struct Ticks<'a> {
     capture_id: i64,
     at: CachedStatement<'a>,
@@ -155,7 +155,7 @@ impl<'a> Ticks<'a> {
         Ok(Self { capture_id, at, rows })
     }
 
-    /// The segment with its first and last tick, and with its rows counted where every one is.
+    /// Adds the first and last tick to the segment and, if every row is counted, the number of its rows.
     fn complete(&mut self, mut segment: SegmentFacts) -> Result<SegmentFacts, StoreError> {
         if let Some(rows) = &mut self.rows {
             let (from, to) = (segment.first_seq as i64, (segment.first_seq + segment.samples) as i64);
@@ -186,7 +186,7 @@ mod tests {
     use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
     use std::time::Instant;
 
-    /// Bytes of this process's memory that were in use at once since the last call.
+    /// The peak memory use of this process since the last call, in bytes.
     fn peak_memory() -> u64 {
         let status = std::fs::read_to_string("/proc/self/status").unwrap();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();

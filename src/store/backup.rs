@@ -1,8 +1,8 @@
-//! Backup: a copy of a database as it stands at one instant, also while a daemon writes it.
+//! Backup: a consistent copy of a database, also while a daemon writes it.
 //!
-//! One read transaction on the source, copied in steps through SQLite's backup API: in WAL mode a reader never holds the
-//! writer up, and because the transaction stays open the copy does not begin again at each of the writer's commits. The
-//! copy is made beside its place, synced, and appears under its name whole or not at all.
+//! The source is copied within one read transaction, in steps through SQLite's backup API. In WAL mode a reader never
+//! blocks the writer. Because the transaction stays open, the copy does not restart at each of the writer's commits.
+//! The copy is written beside its destination, synced, and appears under its name complete or not at all.
 
 use super::{Reader, StoreError, schema};
 use rusqlite::Connection;
@@ -12,25 +12,25 @@ use std::time::{Duration, Instant};
 
 /// Pages copied in one step: 16 MiB.
 const STEP: i32 = 4096;
-/// How long another reader's lock is waited for in all.
+/// The total time to wait for another reader's lock.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What a backup came to.
+/// The outcome of a backup.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct BackupReport {
     /// Size of the copy in bytes.
     pub bytes: u64,
-    /// How long it took in s.
+    /// The duration in s.
     pub seconds: f64,
 }
 
 impl Reader {
-    /// Copies the database to `out`; `progress` hears how many bytes are copied and how many there are. An existing
+    /// Copies the database to `out`. `progress` is called with the number of bytes copied and the total. An existing
     /// file is replaced only with `replace`.
     ///
     /// # Errors
-    /// [`StoreError::Exists`], [`StoreError::Create`] where the copy cannot be written, or what SQLite says; then `out`
-    /// is as it was.
+    /// [`StoreError::Exists`], [`StoreError::Create`] if the copy cannot be written, or the error that SQLite reports.
+    /// In each case `out` is unchanged.
     pub fn backup(
         &self,
         out: &Path,
@@ -76,7 +76,8 @@ impl Reader {
     }
 }
 
-/// A file in the making: it appears under its name when it is whole and synced; dropped before, it is gone.
+/// A file under construction. It appears under its name once it is complete and synced; if dropped before, it is
+/// removed.
 #[derive(Debug)]
 pub(super) struct NewFile {
     file: tempfile::NamedTempFile,
@@ -86,14 +87,14 @@ pub(super) struct NewFile {
 }
 
 impl NewFile {
-    /// Begins a file in the directory of `out`, made from `source`. Never in the place of a database that is in use.
+    /// Begins a file in the directory of `out`, made from `source`. It never replaces a database that is in use.
     pub(super) fn beside(out: &Path, replace: bool, source: &Path) -> Result<Self, StoreError> {
         if out.symlink_metadata().is_ok() {
             if !replace {
                 return Err(StoreError::Exists { path: out.to_owned() });
             }
             let same = out.canonicalize().ok().zip(source.canonicalize().ok()).is_some_and(|(one, other)| one == other);
-            // The log of what stood there would be taken for that of the new file.
+            // SQLite would take the log of the replaced file for the log of the new file.
             let has_log = std::fs::metadata(schema::wal_path(out)).is_ok_and(|log| log.len() > 0);
             if same || has_log {
                 return Err(StoreError::InUse { path: out.to_owned() });
@@ -114,7 +115,7 @@ impl NewFile {
         self.file.path()
     }
 
-    /// Syncs it, gives it its name, and syncs the directory that holds the name. Answers its size in bytes.
+    /// Syncs the file, gives it its name, and syncs the directory that holds the name. Returns the size in bytes.
     pub(super) fn finish(self) -> Result<u64, StoreError> {
         let Self { file, out, directory, replace } = self;
         let create = |source| StoreError::Create { path: out.clone(), source };

@@ -38,7 +38,7 @@ impl StoredRow {
         }
     }
 
-    /// The sample, where the row can be one.
+    /// The sample, if the row holds a valid one.
     pub(super) fn to_sample(self) -> Sample {
         let mut sample = Sample::at(self.host_mono_ns as u64, self.host_utc_ns);
         sample.device_time_ns = self.device_time_ns.map(|ns| ns as u64);
@@ -91,7 +91,7 @@ impl Run {
     pub(super) fn new(first_seq: i64) -> Self {
         Self { first_seq, count: 0, hasher: crc32fast::Hasher::new() }
     }
-    /// The `seq` that would go on with it.
+    /// The `seq` that continues the run.
     pub(super) fn next_seq(&self) -> i64 {
         self.first_seq + self.count
     }
@@ -102,7 +102,7 @@ impl Run {
     pub(super) fn crc(&self) -> u32 {
         self.hasher.clone().finalize()
     }
-    /// Writes it down.
+    /// Writes the run as a row of table `batch`.
     pub(super) fn store(&self, connection: &Connection, capture_id: i64, number: i64) -> Result<(), StoreError> {
         connection
             .prepare_cached(
@@ -143,7 +143,7 @@ pub(super) fn stored_row(row: &rusqlite::Row<'_>) -> Result<StoredRow, rusqlite:
     })
 }
 
-/// The rows that are there of a batch, and their checksum.
+/// The rows of a batch that are present, and their checksum.
 fn run_of(connection: &Connection, batch: &BatchRow) -> Result<Run, rusqlite::Error> {
     let sql = format!("SELECT {ROW_COLUMNS} FROM sample WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3 ORDER BY seq");
     let mut statement = connection.prepare_cached(&sql)?;
@@ -155,13 +155,14 @@ fn run_of(connection: &Connection, batch: &BatchRow) -> Result<Run, rusqlite::Er
     Ok(run)
 }
 
-/// Whether the batch's rows are all there with the values that were committed.
+/// Whether all rows of the batch are present with the values that were committed.
 pub(super) fn is_intact(connection: &Connection, batch: &BatchRow) -> Result<bool, rusqlite::Error> {
     let run = run_of(connection, batch)?;
     Ok(run.count == batch.count && run.crc() == batch.crc)
 }
 
-/// Gives batches whose rows were changed on purpose their new checksum. One that was damaged before stays so.
+/// Computes a new checksum for batches whose rows were changed on purpose. A batch that was damaged before stays
+/// damaged.
 pub(super) fn renew(connection: &Connection, batches: &[BatchRow]) -> Result<(), StoreError> {
     let mut update = connection.prepare_cached("UPDATE batch SET crc = ?3 WHERE capture_id = ?1 AND first_seq = ?2")?;
     for batch in batches {
@@ -185,7 +186,7 @@ pub(super) fn batch_row(row: &rusqlite::Row<'_>) -> Result<BatchRow, rusqlite::E
 mod tests {
     use super::*;
 
-    /// The layout is a promise to whoever checks a database with other means (docs/data-model.md).
+    /// The layout is a promise to programs that check a database by other means (docs/data-model.md).
     #[test]
     fn a_row_has_the_bytes_that_the_documentation_says() {
         let mut row = StoredRow { seq: 1, segment_id: 2, host_mono_ns: 3, host_utc_ns: 4, ..StoredRow::default() };

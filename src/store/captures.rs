@@ -1,4 +1,4 @@
-//! Captures: made, changed, listed, deleted.
+//! Captures: creation, changes, lists and deletion.
 
 use super::insert::timebase_from_name;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
@@ -53,7 +53,7 @@ impl CaptureState {
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
-    /// Whether samples may still come.
+    /// Whether samples may still arrive.
     #[must_use]
     pub fn is_open(self) -> bool {
         matches!(self, Self::Waiting | Self::Capturing)
@@ -100,32 +100,32 @@ impl ChannelRow {
 pub struct NewCapture {
     /// Its name.
     pub name: Option<String>,
-    /// Without a name: this one where it can be one and no capture has it, else one made of the time.
+    /// Used if there is no name: this one if it is valid and no capture has it, else a name made from the time.
     pub liked_name: Option<String>,
-    /// Where its samples come from: a port, a file, `simulator`.
+    /// The source of its samples: a port, a file, `simulator`.
     pub source: String,
-    /// What it is at first.
+    /// Its initial state.
     pub state: CaptureState,
-    /// How much sample time it shall hold.
+    /// The sample time to record.
     pub planned: Option<Duration>,
-    /// When it shall begin, UTC ns.
+    /// The planned start, UTC ns.
     pub start_at_utc_ns: Option<i64>,
-    /// When it began, UTC ns; its first sample's time where absent.
+    /// The actual start, UTC ns; its first sample's time if absent.
     pub started_utc_ns: Option<i64>,
-    /// Whether its rate was assumed, not told by the source.
+    /// Whether the rate was assumed because the source does not state it.
     pub rate_assumed: bool,
-    /// A description of the sensor, where one is known already (a JSON object).
+    /// A description of the sensor, if one is known already (a JSON object).
     pub sensor: Option<serde_json::Value>,
     /// How it was configured (a JSON object).
     pub configuration: Option<serde_json::Value>,
     /// Channels of which more is known than their unit.
     pub channels: Vec<ChannelRow>,
-    /// Names the request: given again, it answers the capture that it made ([`Store::withdraw`]).
+    /// Identifies the request: a repeated request returns the capture that the first one made ([`Store::withdraw`]).
     pub token: Option<String>,
 }
 
 impl NewCapture {
-    /// A capture from `source` in `state`, nothing else said.
+    /// A capture from `source` in `state`, with nothing else set.
     #[must_use]
     pub fn new(source: &str, state: CaptureState) -> Self {
         Self {
@@ -201,8 +201,8 @@ pub struct CaptureRow {
 }
 
 impl CaptureRow {
-    /// Whether anything of it was rejected on the way in. What arrived before it began or after it ended is no loss of its
-    /// samples.
+    /// Whether anything was rejected during the capture. What arrived before its start or after its end is no loss of
+    /// its samples.
     #[must_use]
     pub fn has_rejected(&self) -> bool {
         let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
@@ -217,7 +217,7 @@ pub struct CaptureFilter {
     pub state: Option<CaptureState>,
 }
 
-/// A capture that is to go on: what the accounting needs to begin where it stopped.
+/// A capture to be continued: what the accounting needs to resume where it stopped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unfinished {
     /// Its id.
@@ -226,13 +226,13 @@ pub struct Unfinished {
     pub name: String,
     /// `Waiting` or `Capturing`.
     pub state: CaptureState,
-    /// How much sample time it shall hold.
+    /// The sample time to record.
     pub planned: Option<Duration>,
-    /// When it shall begin, UTC ns.
+    /// The planned start, UTC ns.
     pub start_at_utc_ns: Option<i64>,
-    /// When it began, UTC ns.
+    /// The actual start, UTC ns.
     pub started_utc_ns: Option<i64>,
-    /// The sensor it belongs to, where it was read.
+    /// The sensor it belongs to, if it was read.
     pub sensor: Option<serde_json::Value>,
     /// How it was configured at first.
     pub configuration: Option<serde_json::Value>,
@@ -244,7 +244,7 @@ pub struct Unfinished {
     pub missing: u64,
     /// Gaps recorded.
     pub gaps: u64,
-    /// Valid measurements received, as of the last commit; `None` where nobody counted.
+    /// Valid measurements received, as of the last commit; `None` if they were not counted.
     pub received: Option<u64>,
     /// What arrived and did not become a sample, by cause.
     pub rejected: BTreeMap<String, u64>,
@@ -252,11 +252,11 @@ pub struct Unfinished {
     pub sample_time_ns: u64,
     /// Rate and timebase of the last segment.
     pub stream: Option<(f64, Timebase)>,
-    /// Number of the last segment; 0 where there is none.
+    /// Number of the last segment; 0 if there is none.
     pub segment: u32,
-    /// Epoch of the last segment; 0 where there is none.
+    /// Epoch of the last segment; 0 if there is none.
     pub epoch: u32,
-    /// The boot of the host that the last sample's monotonic time belongs to, where that is known.
+    /// The boot of the host that the last sample's monotonic time belongs to, if that is known.
     pub boot_id: Option<String>,
     /// Device time of that epoch's first sample.
     pub epoch_first_device_ns: Option<u64>,
@@ -267,10 +267,10 @@ pub struct Unfinished {
 }
 
 impl Store {
-    /// Makes a capture and answers its id.
+    /// Creates a capture and returns its id.
     ///
     /// # Errors
-    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or what the database says.
+    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or the error that the database reports.
     pub fn create_capture(&self, capture: NewCapture) -> Result<i64, StoreError> {
         if let Some(name) = &capture.name {
             check_name(name)?;
@@ -279,11 +279,11 @@ impl Store {
         self.execute(move |transaction| create(transaction, &capture, utc_ns, "live", None))
     }
 
-    /// Takes back a request to make a capture of which nobody knows whether it succeeded: the capture with this token, if
-    /// it was made and has no samples, is deleted.
+    /// Withdraws a request to make a capture whose outcome is unknown. The capture with this token, if it was made and
+    /// has no samples, is deleted.
     ///
     /// # Errors
-    /// What the database says: the request may be given again.
+    /// The error that the database reports; the request may be repeated.
     pub fn withdraw(&self, token: &str) -> Result<(), StoreError> {
         let token = token.to_owned();
         self.execute(move |transaction| {
@@ -293,10 +293,10 @@ impl Store {
         })
     }
 
-    /// Sets what the capture is doing; `utc_ns` becomes its start (`Capturing`, where it has none) or its end.
+    /// Sets the capture's state; `utc_ns` becomes its start (`Capturing`, if it has none) or its end.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn set_state(&self, id: i64, state: CaptureState, utc_ns: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             let sql = match state {
@@ -311,10 +311,10 @@ impl Store {
         })
     }
 
-    /// Keeps the capture from deletion, or no longer.
+    /// Sets whether the capture is protected from deletion.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn pin(&self, id: i64, pinned: bool) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             let sql = "UPDATE capture SET pinned = ?2, \
@@ -325,8 +325,8 @@ impl Store {
         })
     }
 
-    /// Deletes a capture: it is gone from every list at once, its jobs are cancelled; its rows go in small steps with
-    /// [`Self::purge_step`].
+    /// Deletes a capture. It disappears from every list at once and its jobs are cancelled; its rows are removed in
+    /// small steps with [`Self::purge_step`].
     ///
     /// # Errors
     /// [`StoreError::NotDeletable`] for one that runs, waits or is pinned; [`StoreError::NoSuchCapture`].
@@ -355,11 +355,11 @@ impl Store {
         })
     }
 
-    /// Takes some rows of deleted captures away, or of references that went with them, in one transaction of some tens of milliseconds; answers whether more
-    /// remain.
+    /// Removes some rows of deleted captures, or of references that were deleted with them, in one transaction of some
+    /// tens of milliseconds. Returns whether more remain.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn purge_step(&self) -> Result<bool, StoreError> {
         self.execute(|transaction| {
             let sql = "SELECT id FROM capture WHERE lifecycle = 'deleted' ORDER BY id LIMIT 1";
@@ -403,7 +403,7 @@ impl Store {
     /// Captures that ran or waited when the program last ended, oldest first.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn unfinished(&self) -> Result<Vec<Unfinished>, StoreError> {
         self.execute(|transaction| {
             forget_open_gaps(transaction)?;
@@ -412,11 +412,12 @@ impl Store {
     }
 }
 
-/// When the program last ended: imports in the making are cleared away by and by, jobs that ran go on.
+/// Settles what the last run of the program left: unfinished imports are removed step by step, and jobs that ran
+/// continue.
 pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreError> {
     connection.execute("UPDATE capture SET lifecycle = 'deleted' WHERE lifecycle = 'importing'", [])?;
     connection.execute("UPDATE job SET state = 'queued' WHERE state = 'running'", [])?;
-    // One that was on its way when the program ended has no job, and goes.
+    // A reference that was still being stored when the program ended has no job, and is removed.
     connection.execute("UPDATE reference SET claimed = 1 WHERE claimed = 0", [])?;
     super::utc::close_all(connection)
 }
@@ -450,8 +451,8 @@ pub fn check_name(name: &str) -> Result<(), StoreError> {
     Err(StoreError::NameRefused { name: name.chars().take(NAME_MAX).collect(), why })
 }
 
-/// Inserts the capture; without a name or one that is liked it is called after the time, `2026-11-21T20-00-00Z`, `…-2` where
-/// that is taken.
+/// Inserts the capture. Without a usable name it is named after the time, `2026-11-21T20-00-00Z`, or `…-2` if that is
+/// taken.
 pub(super) fn create(
     transaction: &Transaction<'_>,
     capture: &NewCapture,
@@ -533,7 +534,7 @@ pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, 
     Ok(name)
 }
 
-/// A gap whose next sample was not committed will be measured again, from the last sample that was.
+/// A gap whose next sample was not committed is measured again from the last sample that was.
 fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
     let open = "capture_id = capture.id AND before_seq >= capture.samples";
     connection.execute(
@@ -580,7 +581,7 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
             sample_time_ns: row.get::<_, i64>(11)? as u64,
             received: row.get::<_, Option<i64>>(12)?.map(|received| received as u64),
             rejected: serde_json::from_str(&row.get::<_, String>(13)?)?,
-            // What is no baud rate is none that could be tried first.
+            // A value that is not a valid baud rate cannot be tried first.
             baud: row.get(14).ok().flatten(),
             stream: None,
             segment: 0,
@@ -696,7 +697,7 @@ impl Reader {
     /// The id of `latest` (the capture made last), of an id, or of a name.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn resolve(&self, asked: &str) -> Result<i64, StoreError> {
         let (sql, key) = if asked == "latest" {
             ("SELECT max(id) FROM capture WHERE lifecycle = 'live' AND ?1 IS NOT NULL", Sql::Integer(0))
@@ -710,10 +711,10 @@ impl Reader {
         found.flatten().ok_or_else(|| StoreError::NoSuchCapture { asked: asked.chars().take(NAME_MAX).collect() })
     }
 
-    /// Whether rows of deleted captures or their references are still to be taken away ([`Store::purge_step`]).
+    /// Whether rows of deleted captures or of their references remain to be removed ([`Store::purge_step`]).
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn has_deleted(&self) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM capture WHERE lifecycle = 'deleted')";
         let captures: bool = self.connection.prepare_cached(sql)?.query_row([], |row| row.get(0))?;
@@ -723,7 +724,7 @@ impl Reader {
     /// One capture.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn capture(&self, id: i64) -> Result<CaptureRow, StoreError> {
         let sql = format!("SELECT {CAPTURE_COLUMNS} FROM capture WHERE id = ?1 AND lifecycle = 'live'");
         let mut statement = self.connection.prepare_cached(&sql)?;
@@ -737,7 +738,7 @@ impl Reader {
     /// Captures, the latest first.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn captures(&self, filter: &CaptureFilter, page: &PageRequest) -> Result<Page<CaptureRow>, StoreError> {
         let before = page.after("captures")?.unwrap_or(i64::MAX);
         let mut sql = format!("SELECT {CAPTURE_COLUMNS} FROM capture WHERE lifecycle = 'live' AND id < ?");

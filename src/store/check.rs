@@ -1,7 +1,8 @@
-//! Check: whether a database is whole, structure and content; in passing at every start, in full for `vn100d check`.
+//! Check: whether the structure and the content of a database are intact; partially at every start, in full for `vn100d
+//! check`.
 //!
-//! SQLite's own check sees the structure. The values are seen by the checksums of table `batch`, the rest by counters that
-//! must agree with the rows they count.
+//! SQLite's own check covers the structure. The checksums of table `batch` cover the values, and counters that must
+//! agree with the rows they count cover the rest.
 
 use super::batch::{BatchRow, batch_row, is_intact};
 use super::lock::Mark;
@@ -11,14 +12,14 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// How long the check at a start may take: a larger database is checked as far as that goes, its newest batches first.
+/// The time limit of the check at a start. Of a larger database the newest batches are checked first, as many as fit.
 const AT_START: Duration = Duration::from_secs(2);
 /// Findings of one kind that are listed.
 const LISTED: usize = 100;
-/// Batches asked for at once.
+/// Batches read per query.
 const PAGE: i64 = 1000;
 
-/// Something that is not as it must be.
+/// A violation of what must hold.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// Which check: `integrity` `foreign_keys` `checksum` `samples` `segments` `gaps` `accounting` `unreadable` `log`.
@@ -29,20 +30,20 @@ pub struct Finding {
     pub message: String,
 }
 
-/// One capture as it was found.
+/// The result for one capture.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CheckedCapture {
     /// Its id.
     pub id: i64,
     /// Its name.
     pub name: String,
-    /// Samples it says it has.
+    /// Samples, according to the capture's row.
     pub samples: u64,
-    /// Samples it says it lacks.
+    /// Missing samples, according to the capture's row.
     pub missing: u64,
-    /// Batches whose checksum is right.
+    /// Batches whose checksum matches.
     pub batches: u64,
-    /// Samples of no batch: written by a version that kept no checksums.
+    /// Samples that belong to no batch: written by a version that kept no checksums.
     pub without_checksum: u64,
 }
 
@@ -53,14 +54,14 @@ pub struct CheckReport {
     pub database: PathBuf,
     /// The captures.
     pub captures: Vec<CheckedCapture>,
-    /// What is wrong; empty where all is well.
+    /// The violations; empty if there are none.
     pub findings: Vec<Finding>,
 }
 
-/// Checks the database at `path` in full; reads only, also beside a running daemon.
+/// Checks the database at `path` in full. It only reads, and may run beside a daemon.
 ///
 /// # Errors
-/// [`StoreError`] where there is nothing that can be checked: no database, a foreign file, another schema.
+/// [`StoreError`] if there is nothing that can be checked: no database, a foreign file, another schema.
 pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
     let mut report = CheckReport { database: path.to_owned(), captures: Vec::new(), findings: Vec::new() };
     let reader = match Reader::open(path) {
@@ -92,7 +93,7 @@ pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
 }
 
 impl CheckReport {
-    /// Whether all is well.
+    /// Whether there are no findings.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.findings.is_empty()
@@ -148,7 +149,7 @@ impl CheckReport {
                     Err(error) => findings.push(("unreadable", format!("the accounting cannot be made: {error}"))),
                 }
             }
-            // It was deleted meanwhile.
+            // The capture was deleted meanwhile.
             Ok(None) => findings.clear(),
             Err(error) => findings.push(("unreadable", format!("capture {id} cannot be read: {error}"))),
         }
@@ -160,7 +161,7 @@ impl CheckReport {
 
 type Found<'a> = &'a mut dyn FnMut(&'static str, String);
 
-/// One segment as its row says.
+/// The counts in one segment's row.
 struct SegmentCount {
     number: i64,
     first_seq: i64,
@@ -168,7 +169,7 @@ struct SegmentCount {
 }
 
 fn check_capture(connection: &Connection, id: i64, found: Found<'_>) -> Result<Option<CheckedCapture>, StoreError> {
-    // One short transaction: the counters and what they count are of the same instant, also while a daemon writes.
+    // One short transaction: the counters and what they count belong to the same instant, also while a daemon writes.
     let snapshot = connection.unchecked_transaction()?;
     let row = snapshot
         .query_row(
@@ -271,7 +272,7 @@ fn check_batches(connection: &Connection, capture: &mut CheckedCapture, found: F
         let Some(last) = batches.last() else { break };
         let after = last.first_seq + last.count;
         for batch in &batches {
-            // What came after the counters were read is not looked at.
+            // Batches that were added after the counters were read are ignored.
             if batch.first_seq >= samples {
                 break;
             }
@@ -324,7 +325,7 @@ pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>
     newest_batches(connection, until).map_err(damaged)
 }
 
-/// A file that is shorter than it says. A log that is not empty may hold what the file lacks.
+/// A file that is shorter than its header states. A log that is not empty may hold the missing part.
 fn truncated(connection: &Connection, path: &Path) -> Option<String> {
     let log = std::fs::metadata(schema::wal_path(path)).map_or(0, |log| log.len());
     let number = |name: &str| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0)).ok();
@@ -333,17 +334,17 @@ fn truncated(connection: &Connection, path: &Path) -> Option<String> {
     (log == 0 && there < wanted).then(|| format!("the file has {there} bytes of {wanted}"))
 }
 
-/// Damage that was met while this database was in use may lie where the check of a start does not come to.
+/// Damage that was found while this database was in use may lie outside the part that the check of a start covers.
 fn met_before(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
     let Some(report) = &mark.damage else { return Ok(()) };
-    // Where it cannot be read the checks that follow say so.
+    // If the identity cannot be read, the checks that follow report it.
     if super::writer::identity_of(connection).ok().as_ref() != Some(&mark.identity) {
         return Ok(());
     }
     Err(StoreError::MetDamage { path: path.to_owned(), report: report.clone(), lock: super::lock::lock_path(path) })
 }
 
-/// A database that has fewer batches than were acknowledged lost its log.
+/// A database that has fewer batches than were acknowledged has lost its log.
 pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
     let sql = "SELECT identity, batch FROM writer";
     let found = connection.query_row(sql, [], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)));
@@ -354,7 +355,7 @@ pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> R
             lock: super::lock::lock_path(path),
         }),
         Ok(_) => Ok(()),
-        // An older schema has no identity. One without the table is that of a file whose very beginning was in the log.
+        // An older schema has no identity. A database without the table is one whose beginning was still in the log.
         Err(error) if !schema::says_damaged(&error) => {
             let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'writer')";
             let has_table: bool = connection.query_row(sql, [], |row| row.get(0))?;

@@ -1,26 +1,26 @@
-//! Damage that is met while the database is in use: by a commit, a command, a purge, a job.
+//! Damage that is found while the database is in use: by a commit, a command, a purge or a job.
 //!
-//! No second try mends it, and whatever is written may make it worse. So the first that is met ends the writing: it is
-//! remembered beside the database ([`super::lock::WriterLock::mark_damaged`]), the connection is given up without copying
-//! the log, and every command is answered with one sentence that says what to run. The next start refuses the file with the
-//! same sentence, also where its check of two seconds does not come to the damaged place.
+//! Trying again does not repair damage, and further writes may make it worse. So the first damage ends the writing: it
+//! is recorded beside the database ([`super::lock::WriterLock::mark_damaged`]), and the connection is closed without
+//! copying the log. Every later command fails with one error that names the command to run. The next start refuses the
+//! file with the same error, even if its check of two seconds does not reach the damaged place.
 
 use super::{StoreError, lock};
 use std::path::Path;
 
-/// Why nothing is written any more.
+/// The reason why nothing is written any more.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Damage {
-    /// SQLite, or the check after an error, said so of the file that is in use.
+    /// SQLite, or the check after an error, reported damage in the file in use.
     Met(String),
-    /// A file that took a lost one's place is damaged.
+    /// A file that replaced a lost one is damaged.
     Refused(String),
-    /// So many committed batches are gone: the log was taken away.
+    /// This many committed batches are missing: the log was removed.
     LogMissing(i64),
 }
 
 impl Damage {
-    /// None where the error is of another sort.
+    /// `None` if the error does not indicate damage.
     pub(super) fn of(error: &StoreError) -> Option<Self> {
         match error {
             StoreError::RefusedDamaged { report, .. } => Some(Self::Refused(report.clone())),
@@ -31,7 +31,7 @@ impl Damage {
         }
     }
 
-    /// What whoever asks is told from now on.
+    /// The error that every call returns from now on.
     pub(super) fn error(&self, path: &Path) -> StoreError {
         let path = path.to_owned();
         match self {

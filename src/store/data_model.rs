@@ -1,4 +1,4 @@
-//! The queries of docs/data-model.md, run as they stand there.
+//! The queries of docs/data-model.md, run as they are written there.
 
 use super::tests::World;
 use rusqlite::Connection;

@@ -1,4 +1,4 @@
-//! Diagnoses: jobs of that kind with what came of them. A diagnosis has its job's id.
+//! Diagnoses: jobs of that kind with their results. A diagnosis has its job's id.
 
 use super::jobs::{JOB_COLUMNS, job_of};
 use super::{JobRow, Page, PageRequest, Reader, StoreError};
@@ -12,27 +12,27 @@ const KIND: &str = "diagnosis";
 pub struct DiagnosisRow {
     /// Its job.
     pub job: JobRow,
-    /// The verdict, once there is one.
+    /// The verdict; `None` until the job is done.
     pub verdict: Option<String>,
-    /// The one sentence, once there is one.
+    /// The one-sentence summary; `None` until the job is done.
     pub summary: Option<String>,
 }
 
 impl Reader {
-    /// The id of the diagnosis that was asked for last.
+    /// The id of the diagnosis that was requested last.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchDiagnosis`] where there is none, or what the database says.
+    /// [`StoreError::NoSuchDiagnosis`] if there is none, or the error that the database reports.
     pub fn latest_diagnosis(&self) -> Result<i64, StoreError> {
         let sql = "SELECT id FROM job WHERE kind = ?1 ORDER BY id DESC LIMIT 1";
         let found = self.connection.prepare_cached(sql)?.query_row([KIND], |row| row.get(0)).optional()?;
         found.ok_or_else(|| StoreError::NoSuchDiagnosis { asked: "latest".to_owned() })
     }
 
-    /// Diagnoses, the latest first; only a capture's where asked for.
+    /// Diagnoses, the latest first; only those of one capture if requested.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn diagnoses(&self, capture_id: Option<i64>, page: &PageRequest) -> Result<Page<DiagnosisRow>, StoreError> {
         let sql = format!(
             "SELECT {JOB_COLUMNS}, \

@@ -1,4 +1,4 @@
-//! What the store refuses and why. Kinds, not texts, decide exit codes and HTTP status codes elsewhere.
+//! The errors of the store. Their kinds, not their texts, decide exit codes and HTTP status codes elsewhere.
 
 use crate::observe::StorageState;
 use rusqlite::ErrorCode;
@@ -13,15 +13,15 @@ pub enum StoreError {
     Locked {
         /// The database.
         path: PathBuf,
-        /// The process that holds the lock, as it wrote itself down.
+        /// The process that holds the lock, as recorded in the lock file.
         pid: String,
     },
     /// A directory or file could not be made.
     #[error("cannot create {path}: {source}; see that its directory exists, has room and may be written to")]
     Create {
-        /// What should have been made.
+        /// The path that could not be created.
         path: PathBuf,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
     /// A file could not be read.
@@ -29,7 +29,7 @@ pub enum StoreError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error that the system reported.
         source: std::io::Error,
     },
     /// A file is in the way.
@@ -47,7 +47,7 @@ pub enum StoreError {
     /// There is no database to read.
     #[error("there is no database at {path}: capture or import something first, or name its directory with --data-dir")]
     NoDatabase {
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
     },
     /// The file system does not keep SQLite's promises.
@@ -70,7 +70,7 @@ pub enum StoreError {
         path: PathBuf,
         /// Its application id; 0 for a file that is no SQLite database or has none.
         found: i32,
-        /// Ours.
+        /// The application id of this program.
         expected: i32,
     },
     /// A newer program made the database.
@@ -80,7 +80,7 @@ pub enum StoreError {
         path: PathBuf,
         /// Its version.
         found: i64,
-        /// The newest this program knows.
+        /// The newest version that this program knows.
         supported: i64,
     },
     /// An older program made the database and it is open for reading only.
@@ -134,10 +134,10 @@ pub enum StoreError {
         path: PathBuf,
         /// What was met.
         report: String,
-        /// The file that remembers.
+        /// The file that records the damage.
         lock: PathBuf,
     },
-    /// What was committed is not there: the log was taken away, or an older file was put in its place.
+    /// Committed data is missing: the log was removed, or an older file was put in its place.
     #[error(
         "{path} lacks {lost} batches that were committed: its log `-wal` was taken away, or an older copy was put in \
          its place; put the right files back, or salvage it with `vn100d recover`, or remove {lock} to go on with what \
@@ -146,23 +146,23 @@ pub enum StoreError {
     LogMissing {
         /// The database.
         path: PathBuf,
-        /// Batches between the last that was committed and the last that is there.
+        /// Batches between the last committed one and the last one present.
         lost: i64,
-        /// The file that remembers.
+        /// The file that records the last committed batch.
         lock: PathBuf,
     },
-    /// The disk refuses for now.
+    /// The disk currently refuses writes.
     #[error("the database takes nothing for now: {reason}")]
     Refusing {
         /// The last error.
         reason: String,
     },
-    /// The file under the database's path is another one.
+    /// The file at the database's path is no longer the open one.
     #[error("the database {path} was deleted or replaced: {detail}")]
     Lost {
         /// The database.
         path: PathBuf,
-        /// What is done.
+        /// The action that is taken.
         detail: &'static str,
     },
     /// SQLite refused.
@@ -171,27 +171,27 @@ pub enum StoreError {
     /// Stored JSON could not be read, or a value not be written as JSON.
     #[error("JSON in the database: {0}")]
     Json(#[from] serde_json::Error),
-    /// Stored text is none of those this program knows.
+    /// Stored text is none of the values that this program knows.
     #[error("column {column} holds `{found}`, which this program does not know")]
     Unknown {
-        /// Where it stands.
+        /// The column that holds it.
         column: &'static str,
-        /// What stands there.
+        /// The stored text.
         found: String,
     },
     /// No capture has that id or name.
     #[error("there is no capture `{asked}`: `vn100d captures` lists them")]
     NoSuchCapture {
-        /// What was asked for.
+        /// The requested id or name.
         asked: String,
     },
     /// No job has that id.
     #[error("there is no job {id}")]
     NoSuchJob {
-        /// What was asked for.
+        /// The requested id.
         id: i64,
     },
-    /// No reference with this digest is there whole.
+    /// No complete reference has this digest.
     #[error("the reference {sha256} is not in the database any more: send the diagnosis with its reference again")]
     NoSuchReference {
         /// SHA-256 of its text.
@@ -200,19 +200,19 @@ pub enum StoreError {
     /// No sensor model has that id.
     #[error("there is no sensor model `{asked}`: GET /v1/models lists them")]
     NoSuchModel {
-        /// What was asked for.
+        /// The requested id.
         asked: String,
     },
-    /// There are as many sensor models as are kept.
+    /// The maximum number of sensor models is stored.
     #[error("there are {most} sensor models, as many as are kept: delete one first (DELETE /v1/models/model-…)")]
     TooManyModels {
-        /// How many that is.
+        /// The maximum.
         most: u64,
     },
     /// No diagnosis has that id.
     #[error("there is no diagnosis `{asked}`: GET /v1/diagnoses lists them")]
     NoSuchDiagnosis {
-        /// What was asked for.
+        /// The requested id.
         asked: String,
     },
     /// The name is taken.
@@ -221,15 +221,15 @@ pub enum StoreError {
         /// The name.
         name: String,
     },
-    /// The name cannot be one.
+    /// The name is invalid.
     #[error("`{name}` cannot name a capture: {why}")]
     NameRefused {
         /// The name.
         name: String,
-        /// Why.
+        /// The reason.
         why: &'static str,
     },
-    /// The capture must stay.
+    /// The capture cannot be deleted.
     #[error("capture {id} is {why}: it is not deleted")]
     NotDeletable {
         /// The capture.
@@ -245,13 +245,13 @@ pub enum StoreError {
         /// How it ended.
         state: &'static str,
     },
-    /// So many jobs wait already.
+    /// Too many jobs wait already.
     #[error("{queued} jobs wait already: submit again once some are done (`vn100d jobs` lists them)")]
     QueueFull {
-        /// How many.
+        /// The number of waiting jobs.
         queued: u64,
     },
-    /// A cursor that this program did not give out.
+    /// A cursor that this program did not issue.
     #[error("`{found}` is not a cursor of this list: take the one that the previous page gave as `next`")]
     BadCursor {
         /// The cursor.
@@ -260,10 +260,10 @@ pub enum StoreError {
     /// The writer thread has ended.
     #[error("the store is closed")]
     Closed,
-    /// At the end something could not be written.
+    /// Some records could not be written when the store was closed.
     #[error("{records} records could not be written before the end: {reason}")]
     Unwritten {
-        /// How many.
+        /// The number of records.
         records: usize,
         /// The last error.
         reason: String,
@@ -273,7 +273,7 @@ pub enum StoreError {
     Thread(std::io::Error),
 }
 
-/// What a caller does about an error.
+/// How a caller handles an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum StoreErrorKind {
     /// The database cannot be created or is locked: exit code 73.
@@ -282,30 +282,30 @@ pub enum StoreErrorKind {
     NewerSchema,
     /// Input or output failed: exit code 74.
     Io,
-    /// What was asked for does not exist: exit code 1, HTTP 404.
+    /// The requested object does not exist: exit code 1, HTTP 404.
     NotFound,
-    /// What was asked for contradicts what is there: exit code 1, HTTP 409.
+    /// The request contradicts the present state: exit code 1, HTTP 409.
     Conflict,
-    /// What was asked for makes no sense: exit code 2, HTTP 400.
+    /// The request is invalid: exit code 2, HTTP 400.
     Invalid,
-    /// The database is busy or full for now: HTTP 503.
+    /// The database is temporarily busy or full: HTTP 503.
     Unavailable,
     /// A fault in this program: exit code 1, HTTP 500.
     Internal,
 }
 
-/// EIO or ENOSPC, which go by themselves where anything does.
+/// EIO or ENOSPC, the errors that may pass by themselves.
 fn failed_disk(error: &std::io::Error) -> bool {
     use rustix::io::Errno;
     Errno::from_io_error(error).is_some_and(|errno| errno == Errno::IO || errno == Errno::NOSPC)
 }
 
 impl StoreError {
-    /// What to do about it.
+    /// The kind of this error.
     #[must_use]
     pub fn kind(&self) -> StoreErrorKind {
         match self {
-            // A disk that fails is no matter of names and permissions.
+            // A failing disk is not a problem of names and permissions.
             Self::Create { source, .. } if failed_disk(source) => StoreErrorKind::Io,
             Self::Locked { .. }
             | Self::Create { .. }
@@ -358,7 +358,7 @@ impl StoreError {
         }
     }
 
-    /// Whether the file is not what was committed to it: no disk that recovers mends that.
+    /// Whether the file differs from what was committed to it. A disk that recovers does not repair that.
     #[must_use]
     pub fn is_damage(&self) -> bool {
         match self {
@@ -372,7 +372,8 @@ impl StoreError {
         }
     }
 
-    /// The extended code of SQLite, if it was SQLite that refused: with it and the message the error can go to another process.
+    /// SQLite's extended code, if the error came from SQLite. The code and the message can be passed to another
+    /// process.
     pub(crate) fn sqlite_code(&self) -> Option<i32> {
         match self {
             Self::Sqlite(rusqlite::Error::SqliteFailure(code, _)) => Some(code.extended_code),
@@ -380,17 +381,17 @@ impl StoreError {
         }
     }
 
-    /// The error of an extended code of SQLite and its message.
+    /// Restores the error from an extended code of SQLite and its message.
     pub(crate) fn of_code(code: i32, message: String) -> Self {
         Self::Sqlite(rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(message)))
     }
 
-    /// Whether the connection may be used on: the transaction was rolled back and nothing is in doubt.
+    /// Whether the connection can still be used: the transaction was rolled back and its outcome is certain.
     pub(super) fn connection_is_sound(&self) -> bool {
         matches!(self.storage_state(), StorageState::StorageFull | StorageState::StorageLocked)
     }
 
-    /// Whether a long query was ended by its own caller.
+    /// Whether a long query was interrupted by its own caller.
     #[must_use]
     pub fn is_interrupted(&self) -> bool {
         matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted))

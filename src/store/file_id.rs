@@ -1,11 +1,12 @@
-//! File identity: which file the writer has open under the database's path, and whether what stands there now is another.
+//! File identity: which file the writer has open under the database's path, and whether that path still names it.
 //!
-//! While the connection is closed (after an I/O error) nothing holds the file: another one may then have its number, and the
-//! same one another device and, on vfat and exfat, another number. So before it is opened again the database's own identity is
-//! compared, in the file alone: beside another file the log that was left would destroy it.
+//! While the connection is closed (after an I/O error) nothing holds the file. Another file may then receive its inode
+//! number, and the same file may receive another device number or, on vfat and exfat, another inode number. So the
+//! database's own identity is compared before the file is opened again, without its log: the log left behind would
+//! destroy another file.
 //!
-//! What takes the place may still be on its way there (`cp`): it is left alone while it changes, and what is refused as
-//! damaged is looked at again ([`FileId::judged`]).
+//! The replacement may still be being copied (`cp`). It is left alone while it changes, and a file that is refused as
+//! damaged is examined again ([`FileId::judged`]).
 
 use super::{StoreError, schema};
 use rusqlite::{Connection, OpenFlags};
@@ -17,15 +18,15 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 type Id = (u64, u64);
 
-/// Which file this process writes under a path. For the whole process, because SQLite's own bookkeeping is: a reader that
-/// opened a file which has just taken the place of the written one would take the written one's log for its.
+/// The file that this process writes under each path. It is global because SQLite's own bookkeeping is: a reader that
+/// opened a file which has just replaced the written one would use the log of the written one.
 static WRITTEN: Mutex<BTreeMap<PathBuf, Id>> = Mutex::new(BTreeMap::new());
 
 pub(super) fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
     WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// To be asked between opening a connection, which opens the file, and its first read, which opens the log.
+/// Must be called between opening a connection, which opens the file, and its first read, which opens the log.
 pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
     match written().get(path) {
         Some(id) if id_of(path) != Some(*id) => Err(StoreError::Lost {
@@ -36,12 +37,13 @@ pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// The file that this process writes under a path, as text for another process of this program.
+/// The file that this process writes under a path, as text to be passed to another process of this program.
 pub(super) fn written_file(path: &Path) -> String {
     written().get(path).map(|(device, number)| format!("{device}:{number}")).unwrap_or_default()
 }
 
-/// Takes another process' word for which file is written under a path: [`refuse_replaced`] then refuses any other.
+/// Adopts another process's record of the file that is written under a path: [`refuse_replaced`] then refuses any
+/// other.
 pub(super) fn adopt(path: &Path, file: &str) {
     let id = file.split_once(':').and_then(|(device, number)| Some((device.parse().ok()?, number.parse().ok()?)));
     if let Some(id) = id {
@@ -53,7 +55,7 @@ pub(super) fn id_of(path: &Path) -> Option<Id> {
     std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
 }
 
-/// What tells one log from the next in the same file: its header, with the salt.
+/// Bytes that distinguish one log from the next in the same file: its header, with the salt.
 const LOG_HEADER: usize = 32;
 
 pub(super) fn log_header(path: &Path) -> Option<[u8; LOG_HEADER]> {
@@ -68,36 +70,37 @@ pub(super) struct FileId {
     pub(super) database: Option<Id>,
     /// Log and shared memory of the open file: they stay the same while a connection has them open.
     beside: Vec<(PathBuf, Id)>,
-    /// What the file left when it was closed, to be taken away before another one is opened.
+    /// What the file left when it was closed, to be removed before another one is opened.
     remains: Vec<(PathBuf, Id)>,
-    /// The log that stayed when the connection was closed after an error.
+    /// The log that remained when the connection was closed after an error.
     log: Option<[u8; LOG_HEADER]>,
-    /// The last batch that stood in the file itself then: what has fewer is an older copy, which that log would destroy.
+    /// The last batch in the file itself at that moment. A file with fewer batches is an older copy, which that log
+    /// would destroy.
     pub(super) copied: i64,
-    /// The path named another file, or none, while this one was still held.
+    /// The path named another file, or none, while this one was still open.
     pub(super) let_go: bool,
-    /// What stood in its place when that was last looked at, and how often it was refused since it last changed.
+    /// The replacement when it was last examined, and how often it was refused since it last changed.
     newcomer: Option<Stamp>,
     refusals: u32,
 }
 
-/// What changes while a file is written.
+/// The attributes that change while a file is written.
 type Stamp = (u64, i64, i64);
 
 fn stamp(path: &Path) -> Option<Stamp> {
     std::fs::metadata(path).ok().map(|file| (file.len(), file.mtime(), file.mtime_nsec()))
 }
 
-/// A file in a lost one's place that seems damaged is refused for good at this attempt: about a second lies between two, and
-/// the queue holds half a minute.
+/// A replacement that seems damaged is refused for good at this attempt. Attempts are about a second apart, and the
+/// queue holds half a minute.
 pub(super) const REFUSALS: u32 = 30;
 
-/// What a file says of itself, its log left aside.
+/// What a file contains, without its log.
 #[derive(Debug, PartialEq, Eq)]
 enum Says {
-    /// It is the database of this identity, with so many batches.
+    /// It is the database of this identity, with this many batches.
     Identity(String, i64),
-    /// It is one of ours; who it is stands in its log.
+    /// It is one of ours; its identity is in its log.
     Ours,
     /// It is damaged or cannot be read now.
     Nothing,
@@ -111,7 +114,7 @@ fn says(path: &Path) -> Says {
     let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Says::Nothing };
     match schema::refuse_foreign(&connection, path) {
         Ok(()) => {}
-        // No database at all may be a damaged one.
+        // A file that is no database at all may be a damaged one.
         Err(StoreError::Foreign { found, .. }) if found != 0 => return Says::Foreign,
         Err(_) => return Says::Nothing,
     }
@@ -137,7 +140,7 @@ impl FileId {
         }
     }
 
-    /// The file that this process writes from now on; a connection has read it, so that log and shared memory are there.
+    /// The file that this process writes from now on. A connection has read it, so that log and shared memory exist.
     pub(super) fn written(path: &Path) -> Self {
         let beside = [schema::wal_path(path), schema::shm_path(path)];
         let beside = beside.into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
@@ -162,13 +165,13 @@ impl FileId {
         }
     }
 
-    /// As [`Self::is_lost`] where no connection holds the file.
+    /// As [`Self::is_lost`], for the time when no connection holds the file.
     pub(super) fn is_replaced(&self, path: &Path, identity: &str) -> bool {
         let file = match std::fs::metadata(path) {
             Ok(file) => file,
             Err(error) => return error.kind() == std::io::ErrorKind::NotFound,
         };
-        // A device may come back under another number, and so may a file of one that has no numbers of its own.
+        // A device may come back under another number. So may a file on a file system without inode numbers.
         let same_number = self.database.is_some_and(|(_, number)| number == file.ino());
         if file.len() == 0 || self.let_go && !same_number {
             return true;
@@ -176,18 +179,18 @@ impl FileId {
         match says(path) {
             Says::Identity(found, batch) => found != identity || batch < self.copied,
             Says::Foreign => true,
-            // The number of a file that was let go may be given to the next one.
+            // The inode number of a file that was closed may be given to the next one.
             Says::Ours | Says::Nothing => self.let_go || !same_number,
         }
     }
 
-    /// Notes what stands in the lost file's place now.
+    /// Records the current state of the replacement.
     pub(super) fn look(&mut self, path: &Path) {
         self.newcomer = stamp(path);
     }
 
-    /// Opens what stands in the lost file's place. None where it changes still: it may be a copy on its way. What seems
-    /// damaged is refused only at the last of [`REFUSALS`] attempts that find it unchanged.
+    /// Opens the replacement. `None` if it is still changing: it may be a copy in progress. A file that seems damaged
+    /// is refused only at the last of [`REFUSALS`] attempts that find it unchanged.
     pub(super) fn judged<T>(
         &mut self,
         path: &Path,
@@ -206,21 +209,22 @@ impl FileId {
                 if self.refusals < REFUSALS { Ok(None) } else { Err(error) }
             }
             Err(error) => {
-                // The attempt itself may have changed it.
+                // The attempt itself may have changed the file.
                 self.look(path);
                 Err(error)
             }
         }
     }
 
-    /// The path names another database after all.
+    /// Records that the path names another database after all.
     pub(super) fn set_lost(&mut self) {
         (self.database, self.let_go) = (None, true);
     }
 
-    /// Closes the connection after an error, and notes what it leaves beside the file.
+    /// Closes the connection after an error, and records what it leaves beside the file.
     pub(super) fn close(&mut self, path: &Path, connection: Connection) {
-        // Before it is closed: a copy of the log that fails on the way may have reached no more than the system's memory.
+        // Before the connection is closed: a copy of the log that fails midway may have reached no more than the
+        // system's memory.
         self.copied = match says(path) {
             Says::Identity(_, batch) => batch,
             _ => 0,
@@ -231,8 +235,8 @@ impl FileId {
             [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
     }
 
-    /// Closes the connection to the lost file, complete for whoever has it under another name, and takes the log and the
-    /// shared memory that belonged to it away; not those that the file in its place may have brought along.
+    /// Closes the connection to the lost file, which is then complete for a user who has it under another name. Removes
+    /// the log and the shared memory that belonged to it, but not those that the replacement may have brought along.
     pub(super) fn let_go(&mut self, path: &Path, connection: Connection) {
         self.remains = std::mem::take(&mut self.beside);
         let copied = connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
@@ -248,13 +252,13 @@ impl FileId {
         }
     }
 
-    /// Takes log and shared memory of the lost file away: with another file they would destroy it. A log that may hold
+    /// Removes log and shared memory of the lost file: with another file they would destroy it. A log that may hold
     /// what the lost file lacks is kept under another name.
     pub(super) fn clear_remains(&mut self, path: &Path) -> Result<(), StoreError> {
         if let Some(header) = self.log
             && log_header(path) == Some(header)
         {
-            // A file that cannot be read now may be the very one that the log belongs to.
+            // A file that cannot be read now may be the one that the log belongs to.
             if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && says(path) == Says::Nothing {
                 let report = "it cannot be read beside the log that was left".to_owned();
                 return Err(StoreError::RefusedDamaged { path: path.to_owned(), report });
@@ -278,7 +282,7 @@ impl FileId {
     }
 }
 
-/// A name beside the database that nothing has.
+/// An unused name beside the database.
 pub(super) fn kept_log(path: &Path) -> PathBuf {
     let numbered = |number: u32| {
         let mut name = path.as_os_str().to_owned();

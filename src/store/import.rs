@@ -1,11 +1,11 @@
-//! Imports: a recording becomes a capture, whole or not at all, beside a running capture.
+//! Imports: a recording becomes a capture, complete or not at all, beside a running capture.
 //!
-//! Records come in the order of a capture's (segment, samples, gap, segment…) and are written in steps of a few tens of
-//! milliseconds, each in a transaction of its own, so that the running capture's commits are not held up. While a step is
-//! written the next one is gathered; no step is given to the writer before the one ahead of it is committed. Steps are synced
-//! with what is committed next, at the latest when the import is finished: nobody was told of them before. Until
-//! [`Import::finish`] nobody sees the new capture; an import that is dropped, fails or is killed leaves only rows that
-//! [`Store::purge_step`] takes away.
+//! Records arrive in the order of a capture's (segment, samples, gap, segment…). They are written in steps of a few
+//! tens of milliseconds, each in a separate transaction, so that the running capture's commits are not delayed. The
+//! next step is gathered while one is written, and it is passed to the writer only after the one before is committed.
+//! Steps are synced with the next commit, at the latest when the import is finished: no one relies on them before. The
+//! new capture is visible only after [`Import::finish`]. An import that is dropped, fails or is killed leaves only rows
+//! that [`Store::purge_step`] removes.
 
 use super::captures::{check_name, create, free_name, name_is_free};
 use super::insert::insert;
@@ -25,17 +25,17 @@ pub struct Import {
     name: Option<String>,
     fingerprint: Option<String>,
     pending: Vec<(i64, Record)>,
-    /// The step that is being written.
+    /// The step that is being written, if any.
     begun: Option<Begun<()>>,
     finished: bool,
 }
 
-/// What an import came to.
+/// The outcome of an import.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ImportEnd {
     /// A new capture.
     Created(i64),
-    /// The same recording was there already, as this capture.
+    /// The same recording was imported before, as this capture.
     Known(i64),
 }
 
@@ -50,20 +50,20 @@ impl ImportEnd {
 }
 
 impl Store {
-    /// The capture that the recording with this fingerprint has become, if it has.
+    /// The capture that was imported from the recording with this fingerprint, if there is one.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn imported(&self, fingerprint: &str) -> Result<Option<i64>, StoreError> {
         let fingerprint = fingerprint.to_owned();
         self.execute(move |transaction| known(transaction, &fingerprint))
     }
 
-    /// Begins an import. `fingerprint` names the recording's content: the same one makes one capture, however often it
-    /// is imported; without one every import makes a capture.
+    /// Begins an import. `fingerprint` identifies the recording's content: the same content makes one capture, however
+    /// often it is imported. Without a fingerprint every import makes a capture.
     ///
     /// # Errors
-    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or what the database says.
+    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or the error that the database reports.
     pub fn begin_import(&self, capture: NewCapture, fingerprint: Option<&str>) -> Result<Import, StoreError> {
         let name = capture.name.clone();
         if let Some(name) = &name {
@@ -99,13 +99,13 @@ impl Import {
     /// Adds a record.
     ///
     /// # Errors
-    /// What the database says; the import is then to be dropped.
+    /// The error that the database reports; the import must then be dropped.
     pub fn push(&mut self, record: Record) -> Result<(), StoreError> {
         self.pending.push((self.id, record));
         if self.pending.len() >= STEP { self.write() } else { Ok(()) }
     }
 
-    /// Gives what was gathered to the writer, once it has committed what it had.
+    /// Passes the gathered records to the writer, once it has committed the previous step.
     fn write(&mut self) -> Result<(), StoreError> {
         self.settle()?;
         let records = std::mem::replace(&mut self.pending, Vec::with_capacity(STEP));
@@ -120,10 +120,10 @@ impl Import {
         self.begun.take().map_or(Ok(()), Begun::wait)
     }
 
-    /// Shows the capture to everybody. `ended_utc_ns` is when its recording ended, where that is known.
+    /// Makes the capture visible. `ended_utc_ns` is the end of its recording, if known.
     ///
     /// # Errors
-    /// [`StoreError::NameTaken`] where the name was given away meanwhile, or what the database says.
+    /// [`StoreError::NameTaken`] if another capture took the name meanwhile, or the error that the database reports.
     pub fn finish(mut self, ended_utc_ns: Option<i64>) -> Result<ImportEnd, StoreError> {
         self.write()?;
         self.settle()?;
@@ -136,7 +136,7 @@ impl Import {
                 transaction.execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1", [id])?;
                 return Ok(ImportEnd::Known(known));
             }
-            // Names are given when a capture is seen: another one may have taken this one's meanwhile.
+            // Names are assigned when a capture becomes visible: another one may have taken this name meanwhile.
             let called: String = transaction.query_row(
                 "SELECT name FROM capture WHERE id = ?1 AND lifecycle = 'importing'",
                 [id],

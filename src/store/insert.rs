@@ -1,11 +1,12 @@
-//! From [`Record`]s to rows, inside the caller's transaction; the counters of a capture change with its rows or not at all.
+//! Converts [`Record`]s to rows, inside the caller's transaction. The counters of a capture change together with its
+//! rows.
 //!
-//! Writing the same records again adds nothing: samples are known by `(capture, seq)`, gaps by their place and times,
-//! and counters count rows that were really added. Events and rejections have no such key; the batch number in table
-//! `writer` keeps them single.
+//! Writing the same records again adds nothing. Samples are identified by `(capture, seq)` and gaps by their place and
+//! times, and counters count only rows that were added. Events and rejections have no such key; the batch number in
+//! table `writer` prevents duplicates.
 //!
 //! A record that the schema refuses (an unknown capture, a rate of 0) is dropped, logged and counted in
-//! [`Inserted::refused`]: it must not hold up what comes behind it.
+//! [`Inserted::refused`]. It must not block the records behind it.
 
 use super::StoreError;
 use super::batch::{Run, StoredRow};
@@ -18,7 +19,7 @@ use rusqlite::{CachedStatement, Connection, ErrorCode, params};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-/// What became of a batch.
+/// The outcome of a batch.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Inserted {
     /// Samples that each capture has now.
@@ -27,11 +28,11 @@ pub(super) struct Inserted {
     pub(super) samples: u64,
     /// Records that the schema refused.
     pub(super) refused: u64,
-    /// Times can be corrected now ([`utc::step`]).
+    /// Whether times can be corrected now ([`utc::step`]).
     pub(super) corrections: bool,
 }
 
-/// What a batch adds to one capture.
+/// The additions of a batch to one capture.
 #[derive(Default)]
 struct Added {
     samples: u64,
@@ -46,9 +47,9 @@ struct Added {
     ended: Option<(CaptureEnd, i64)>,
     first_utc_ns: Option<i64>,
     next_seq: u64,
-    /// Measurements received as of the last record; None where nobody counts.
+    /// Measurements received as of the last record; `None` if they are not counted.
     received: Option<u64>,
-    /// Times before this are still to be corrected, of samples too that come until one has a later time.
+    /// Times before this are still to be corrected. This includes samples that arrive until one has a later time.
     unset_before_utc_ns: Option<i64>,
     /// Consecutive samples that were added, for their checksum.
     run: Option<Run>,
@@ -66,13 +67,13 @@ const INTO_SAMPLE: &str = "INSERT INTO sample (capture_id, segment_id, seq, devi
     sync_count) VALUES";
 /// Its columns.
 const SAMPLE_COLUMNS: usize = 7 + Channel::COUNT;
-/// Samples in one statement: a quarter of the time saved, and no more with more (docs/performance.md).
+/// Samples per statement. This saves a quarter of the time, and larger blocks save no more (docs/performance.md).
 const BLOCK: usize = 32;
 
-/// One sample; one that is there already stays.
+/// Inserts one sample; one that exists already stays.
 static INSERT_SAMPLE: LazyLock<String> =
     LazyLock::new(|| format!("{INTO_SAMPLE} {} ON CONFLICT DO NOTHING", placeholders()));
-/// [`BLOCK`] samples, all or none.
+/// Inserts [`BLOCK`] samples, all or none.
 static INSERT_BLOCK: LazyLock<String> =
     LazyLock::new(|| format!("{INTO_SAMPLE} {}", vec![placeholders(); BLOCK].join(", ")));
 
@@ -92,8 +93,8 @@ pub(super) fn insert(
     let mut inserted = Inserted::default();
     let mut sample_statement = connection.prepare_cached(&INSERT_SAMPLE)?;
     let mut block_statement = connection.prepare_cached(&INSERT_BLOCK)?;
-    // How many of the samples that come next are written already, with the one that began their block; and how many are to be
-    // tried one by one, after a block of which one was there.
+    // `ahead`: how many of the next samples are written already, with the one that began their block. `singly`: how
+    // many to try one by one, after a block of which one existed.
     let (mut ahead, mut singly) = (0, 0);
     for (place, (capture_id, record)) in records.iter().enumerate() {
         let added = match captures.entry(*capture_id) {
@@ -107,7 +108,7 @@ pub(super) fn insert(
         let outcome = match record {
             Record::Sample { seq, segment, sample } => {
                 if added.unset_before_utc_ns.take_if(|before| sample.host_utc_ns >= *before).is_some() {
-                    // What is corrected and what is not never share a checksum.
+                    // Corrected and uncorrected samples never share a checksum.
                     if let Some(run) = added.run.take() {
                         run.store(connection, *capture_id, number)?;
                     }
@@ -183,7 +184,7 @@ pub(super) fn insert(
     Ok(inserted)
 }
 
-/// What the capture has so far; None where there is no such capture.
+/// The capture's state so far; `None` if there is no such capture.
 fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, StoreError> {
     let mut statement = connection.prepare_cached(
         "SELECT samples, received, (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1) \
@@ -198,7 +199,7 @@ fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, Stor
     Ok(Some(Added { next_seq, received, rate_hz, unset_before_utc_ns, ..Added::default() }))
 }
 
-/// The next [`BLOCK`] records, where they are samples of one capture.
+/// The next [`BLOCK`] records, if they are samples of one capture.
 fn block_of(records: &[(i64, Record)]) -> Option<&[(i64, Record); BLOCK]> {
     let block: &[_; BLOCK] = records.first_chunk()?;
     let is_one =
@@ -206,8 +207,8 @@ fn block_of(records: &[(i64, Record)]) -> Option<&[(i64, Record); BLOCK]> {
     block.iter().all(is_one).then_some(block)
 }
 
-/// Inserts a block's samples; `false` where one is there already or the schema refuses one: then none is inserted, and each
-/// is to be tried on its own.
+/// Inserts the samples of a block. Returns `false` if one exists already or the schema refuses one: then none is
+/// inserted, and each must be tried on its own.
 fn insert_block(statement: &mut CachedStatement<'_>, block: &[(i64, Record); BLOCK]) -> Result<bool, StoreError> {
     for (index, (capture_id, record)) in block.iter().enumerate() {
         if let Record::Sample { seq, segment, sample } = record {
@@ -221,7 +222,7 @@ fn insert_block(statement: &mut CachedStatement<'_>, block: &[(i64, Record); BLO
     }
 }
 
-/// Inserts one sample; `false` where it is there already.
+/// Inserts one sample; returns `false` if it exists already.
 fn insert_sample(
     statement: &mut CachedStatement<'_>,
     capture_id: i64,
@@ -245,7 +246,7 @@ fn bind_sample(
     statement.raw_bind_parameter(before + 1, capture_id)?;
     statement.raw_bind_parameter(before + 2, segment)?;
     statement.raw_bind_parameter(before + 3, seq as i64)?;
-    // Bits kept: a clock beyond 2^63 ns comes back as it was.
+    // The bits are kept: a clock beyond 2^63 ns is read back unchanged.
     statement.raw_bind_parameter(before + 4, sample.device_time_ns.map(|ns| ns as i64))?;
     statement.raw_bind_parameter(before + 5, sample.host_mono_ns as i64)?;
     statement.raw_bind_parameter(before + 6, sample.host_utc_ns)?;
@@ -255,14 +256,14 @@ fn bind_sample(
     statement.raw_bind_parameter(before + SAMPLE_COLUMNS, sample.sync_count)
 }
 
-/// What a new sample changes of its capture's counts.
+/// Updates its capture's counts with a new sample.
 fn count_sample(segment: u32, seq: u64, sample: &Sample, added: &mut Added) {
     added.samples += 1;
     added.next_seq = seq + 1;
     if sample.frame == 0 {
         added.received = None;
     }
-    // The reader's own count, whatever came between: a measurement that got lost on the way here shows as a difference.
+    // The reader's own count: a measurement that was lost on the way here shows as a difference.
     added.received = added.received.map(|_| sample.frame);
     if let Some(rate_hz) = added.rate_hz {
         added.sample_time_ns += NANOS_PER_SECOND as f64 / rate_hz;
@@ -273,7 +274,7 @@ fn count_sample(segment: u32, seq: u64, sample: &Sample, added: &mut Added) {
     end.utc_ns = sample.host_utc_ns;
 }
 
-/// Adds a row to the checksum of its batch; a hole in `seq` (samples that were there already) begins another.
+/// Adds a row to the checksum of its batch; a hole in `seq` (samples that existed already) begins another batch.
 fn cover(
     connection: &Connection,
     capture_id: i64,
@@ -415,8 +416,8 @@ fn insert_configuration(
     Ok(())
 }
 
-/// A description `{"sensor": {…}, "configuration": {…}}` is taken apart; any other is the configuration as a whole, and
-/// the sensor is what it says of model, serial number and firmware.
+/// Splits a description `{"sensor": {…}, "configuration": {…}}`. Any other description is the configuration as a whole,
+/// and the sensor is its model, serial number and firmware.
 fn split_description(registers: &serde_json::Value) -> (Option<String>, Option<String>) {
     let part = |name: &str| registers.get(name).filter(|part| part.is_object()).map(serde_json::Value::to_string);
     if let (Some(sensor), Some(configuration)) = (part("sensor"), part("configuration")) {
@@ -431,7 +432,7 @@ fn split_description(registers: &serde_json::Value) -> (Option<String>, Option<S
     (sensor, Some(registers.to_string()))
 }
 
-/// Brings the counters up to date; answers how many samples the capture has now.
+/// Updates the counters; returns how many samples the capture has now.
 fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64, StoreError> {
     let mut end_statement = connection.prepare_cached(
         "UPDATE segment SET samples = samples + ?3, last_device_time_ns = ?4, last_utc_ns = ?5 \

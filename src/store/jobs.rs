@@ -1,4 +1,4 @@
-//! Jobs: durable states of background work. What a job computes is `jobs`' affair; here is what survives a kill.
+//! Jobs: durable states of background work. The room `jobs` computes; this file holds what survives a kill.
 
 use super::captures::json_of;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
@@ -7,14 +7,15 @@ use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_f
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-/// Processes of a job that may die without a checkpoint in between; after so many the job itself is taken to be the cause.
+/// Processes of a job that may die without a checkpoint in between. After that many the job itself is taken to be the
+/// cause.
 pub const ATTEMPTS_MAX: u32 = 3;
-/// Jobs that may wait at once before further ones that somebody asks for are refused.
+/// Jobs that may wait at once. Further requests are refused.
 pub const QUEUE_JOBS_MAX: u64 = 100;
 
 /// Results of one kind, capture, parameters and version of the program that are kept: those over the most samples.
 pub const RESULTS_KEPT: u32 = 10;
-/// Superseded jobs that go in one transaction: an older version of the program left them all.
+/// Superseded jobs removed in one transaction: an older version of the program left all of them.
 const DROP_MAX: i64 = 100;
 
 /// What a job is doing or how it ended.
@@ -54,7 +55,7 @@ impl JobState {
     }
 }
 
-/// Work that is asked for.
+/// Requested work.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewJob {
     /// Which computation.
@@ -109,12 +110,12 @@ pub struct JobRow {
     pub stale: bool,
 }
 
-/// Where a job goes on.
+/// The point from which a job resumes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JobCheckpoint {
     /// The first sample not yet taken in.
     pub next_seq: u64,
-    /// What the computation has so far, in its own encoding.
+    /// The state of the computation, in its own encoding.
     pub state: Vec<u8>,
 }
 
@@ -150,7 +151,7 @@ fn job(connection: &Connection, id: i64) -> Result<Option<JobRow>, StoreError> {
     rows.next()?.map(job_of).transpose()
 }
 
-/// Objects with their keys in order, whatever order they came in: the same parameters make the same text.
+/// Sorts the keys of objects: equal parameters produce the same text.
 fn canonical(value: &serde_json::Value) -> String {
     match value {
         serde_json::Value::Object(map) => {
@@ -171,12 +172,13 @@ fn canonical(value: &serde_json::Value) -> String {
 }
 
 impl Store {
-    /// Queues a job over the samples that are on disk now; answers it, and whether it is new. The same submission (kind,
-    /// capture, samples, parameters, software) is the same job, unless that one failed or was cancelled; while the capture
-    /// still grows, one that waits or runs is the same whatever samples it takes in. `queue_max` bounds how many may wait.
+    /// Queues a job over the samples that are on disk now. Returns the job and whether it is new. The same submission
+    /// (kind, capture, samples, parameters, software) is the same job, unless that one failed or was cancelled. While
+    /// the capture still grows, a waiting or running job counts as the same whatever samples it covers. `queue_max`
+    /// bounds how many may wait.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], [`StoreError::QueueFull`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], [`StoreError::QueueFull`], or the error that the database reports.
     pub fn submit_job(&self, new: NewJob, queue_max: u64) -> Result<(JobRow, bool), StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| submit(transaction, &new, queue_max, utc_ns))
@@ -185,7 +187,7 @@ impl Store {
     /// Takes the oldest queued job and marks it as running.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
@@ -202,10 +204,10 @@ impl Store {
         })
     }
 
-    /// Keeps where a running job has come to. Answers false where the job was cancelled or deleted: it is to end.
+    /// Stores the checkpoint of a running job. Returns `false` if the job was cancelled or deleted and must end.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn checkpoint_job(&self, id: i64, checkpoint: JobCheckpoint, progress: f64) -> Result<bool, StoreError> {
         self.execute(move |transaction| {
             let running = transaction
@@ -226,11 +228,11 @@ impl Store {
         })
     }
 
-    /// Keeps how far a running job has come that begins anew when it is begun again: nothing is spared it, so that its starts go
-    /// on being counted. Answers false where the job was cancelled or deleted: it is to end.
+    /// Stores the progress of a running job that has no checkpoints and restarts from the beginning. Its starts
+    /// continue to be counted. Returns `false` if the job was cancelled or deleted and must end.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn note_progress(&self, id: i64, progress: f64) -> Result<bool, StoreError> {
         self.execute(move |transaction| {
             let running = transaction
@@ -240,12 +242,12 @@ impl Store {
         })
     }
 
-    /// Keeps a running job's result (a JSON document) and marks the job as done; answers the result's id. None where the
-    /// job was cancelled or deleted meanwhile. Of jobs that differ only in how much of their capture they took in the
-    /// last [`RESULTS_KEPT`] stay, with their results.
+    /// Stores a running job's result (a JSON document) and marks the job as done. Returns the result's id, or `None` if
+    /// the job was cancelled or deleted meanwhile. Of jobs that differ only in how many samples of their capture they
+    /// cover, the last [`RESULTS_KEPT`] stay, with their results.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn finish_job(&self, id: i64, body: String) -> Result<Option<i64>, StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
@@ -270,7 +272,7 @@ impl Store {
     /// Marks a running job as failed.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn fail_job(&self, id: i64, error: &str) -> Result<(), StoreError> {
         let (error, utc_ns) = (error.to_owned(), self.utc_ns());
         self.execute(move |transaction| {
@@ -283,12 +285,12 @@ impl Store {
         })
     }
 
-    /// Counts that the process of a running job died: the job waits for its next turn, or has failed with this reason if that was
-    /// the [`ATTEMPTS_MAX`]th without a checkpoint in between. Returns its state after that, and how often its process died; none
-    /// of a job that is gone.
+    /// Counts that the process of a running job died. The job is queued again, or fails with this reason if this was
+    /// the [`ATTEMPTS_MAX`]th death without a checkpoint in between. Returns its new state and the number of deaths, or
+    /// `None` if the job is gone.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn count_attempt(&self, id: i64, reason: &str) -> Result<Option<(JobState, u32)>, StoreError> {
         let (error, utc_ns) = (format!("tried {ATTEMPTS_MAX} times: {reason}"), self.utc_ns());
         self.execute(move |transaction| {
@@ -309,10 +311,10 @@ impl Store {
         })
     }
 
-    /// Puts a running job back into the queue, with its checkpoint: the program ends in good order.
+    /// Puts a running job back into the queue, with its checkpoint, when the program ends normally.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn release_job(&self, id: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             transaction.execute("UPDATE job SET state = 'queued' WHERE id = ?1 AND state = 'running'", [id])?;
@@ -320,10 +322,10 @@ impl Store {
         })
     }
 
-    /// Calls a queued or running job off; a running one ends at its next checkpoint.
+    /// Cancels a queued or running job; a running one ends at its next checkpoint.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchJob`], [`StoreError::JobEnded`], or what the database says.
+    /// [`StoreError::NoSuchJob`], [`StoreError::JobEnded`], or the error that the database reports.
     pub fn cancel_job(&self, id: i64) -> Result<(), StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
@@ -341,7 +343,7 @@ impl Store {
     }
 }
 
-/// A job that comes to nothing leaves neither a checkpoint nor a hold on a reference.
+/// A job without a result leaves neither a checkpoint nor a claim on a reference.
 fn leave_nothing(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
     transaction.execute("UPDATE job SET reference_id = NULL WHERE id = ?1", [id])?;
@@ -398,8 +400,8 @@ fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &serde_json::V
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Drops what newer results of the same kind, capture, parameters and version have superseded. The one over all samples of a
-/// capture that has ended is the one over the most: it stays. Results of other versions stay as they are.
+/// Removes results that newer ones of the same kind, capture, parameters and version supersede. The result over all
+/// samples of an ended capture covers the most samples and stays. Results of other versions stay.
 fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     let sql = "SELECT old.id, old.result_id FROM job AS new JOIN job AS old ON old.capture_id = new.capture_id \
                AND old.kind = new.kind AND old.params = new.params AND old.software = new.software \
@@ -415,11 +417,11 @@ fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreEr
     Ok(())
 }
 
-/// A job that an older program left in the queue becomes one of this program: its result will be.
+/// A job that an older program left in the queue becomes one of this program, because its result will be.
 fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     let Some(old) = job(transaction, id)?.filter(|job| job.stale) else { return Ok(()) };
     let fingerprint = fingerprint(&old.kind, old.capture, old.end_seq as i64, &old.params);
-    // Where the same was submitted to this program already, the old one is worked off under its old name.
+    // If this program already has the same submission, the old job keeps its old version.
     transaction.execute(
         "UPDATE OR IGNORE job SET fingerprint = ?2, software = ?3, attempts = 0 WHERE id = ?1",
         params![id, fingerprint, SOFTWARE],
@@ -431,15 +433,15 @@ impl Reader {
     /// One job.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchJob`], or what the database says.
+    /// [`StoreError::NoSuchJob`], or the error that the database reports.
     pub fn job(&self, id: i64) -> Result<JobRow, StoreError> {
         job(&self.connection, id)?.ok_or(StoreError::NoSuchJob { id })
     }
 
-    /// Jobs, the latest first; only a capture's, or only those in a state, where asked for.
+    /// Jobs, the latest first; only those of a capture or in a state, if requested.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn jobs(
         &self,
         capture_id: Option<i64>,
@@ -468,10 +470,10 @@ impl Reader {
         Ok(Page::cut(jobs, page.limit(), "jobs"))
     }
 
-    /// The job submitted last for this capture and kind, whatever became of it.
+    /// The job submitted last for this capture and kind, in any state.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn latest_job(&self, capture_id: i64, kind: &str) -> Result<Option<JobRow>, StoreError> {
         let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");
         let mut statement = self.connection.prepare_cached(&sql)?;
@@ -479,10 +481,10 @@ impl Reader {
         rows.next()?.map(job_of).transpose()
     }
 
-    /// The jobs that have taken in all samples of this capture below `end_seq`, the latest first, at most 1000.
+    /// The jobs that cover all samples of this capture below `end_seq`, the latest first, at most 1000.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn jobs_over(&self, capture_id: i64, kind: &str, end_seq: u64) -> Result<Vec<JobRow>, StoreError> {
         let sql = format!(
             "SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 AND end_seq = ?3 ORDER BY id DESC LIMIT 1000"
@@ -496,21 +498,21 @@ impl Reader {
         Ok(jobs)
     }
 
-    /// Where a job goes on; None before its first checkpoint, and where another version of the program made it: sums of
-    /// two programs are never mixed.
+    /// The point from which a job resumes. `None` before its first checkpoint, and if another version of the program
+    /// made the checkpoint: sums of two programs are never mixed.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn checkpoint(&self, job_id: i64) -> Result<Option<JobCheckpoint>, StoreError> {
         let sql = "SELECT next_seq, state FROM job_checkpoint WHERE job_id = ?1 AND software = ?2";
         let read = |row: &Row<'_>| Ok(JobCheckpoint { next_seq: row.get::<_, i64>(0)? as u64, state: row.get(1)? });
         Ok(self.connection.prepare_cached(sql)?.query_row(params![job_id, SOFTWARE], read).optional()?)
     }
 
-    /// How many jobs are in a state.
+    /// The number of jobs in a state.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn count_jobs(&self, state: JobState) -> Result<u64, StoreError> {
         let sql = "SELECT count(*) FROM job WHERE state = ?1";
         let count: i64 = self.connection.prepare_cached(sql)?.query_row([state.name()], |row| row.get(0))?;
@@ -567,7 +569,7 @@ mod tests {
         let count = |sql: &str| reader.connection.query_row(sql, [], |row| row.get::<_, i64>(0)).unwrap();
         assert_eq!(count("SELECT count(*) FROM result"), 13);
         assert_eq!(count("SELECT count(*) FROM job WHERE result_id IS NULL"), 0);
-        // Whatever else is computed of it, the one over all samples stays: it is what is shown.
+        // The job over all samples stays, whatever else is computed from the capture: it is the one that is shown.
         assert_eq!(reader.jobs_over(id, "allan", 14).unwrap()[0].id, all[13]);
     }
 }

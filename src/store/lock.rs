@@ -1,4 +1,4 @@
-//! The lock that lets one process write a database, and the file systems on which none should.
+//! The lock that lets only one process write a database, and the file systems on which no process should.
 
 use super::StoreError;
 use rustix::fs::FlockOperation;
@@ -7,18 +7,19 @@ use std::io::Read;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// Holds `<database>.lock` with this process's id in it; the kernel lets go of it when the process ends, however.
+/// Holds `<database>.lock` with this process's id in it. The kernel releases it when the process ends, in whatever way.
 ///
-/// Its second line remembers the last batch that was acknowledged ([`Mark`]): outside the database, so that a log that is
-/// taken away is noticed. A third says that damage was met, so that the next start knows it whatever its check finds.
+/// The second line records the last batch that was acknowledged ([`Mark`]). It is outside the database, so that the
+/// removal of a log is noticed. A third line records damage, so that the next start knows of it whatever its check
+/// finds.
 #[derive(Debug)]
 pub(super) struct WriterLock {
     pub(super) file: File,
-    /// What an earlier writer left.
+    /// The mark that an earlier writer left.
     pub(super) previous: Option<Mark>,
 }
 
-/// The last batch that was acknowledged, of which database, and the damage that was met in it.
+/// The last batch that was acknowledged, the database it belongs to, and any damage that was found in it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Mark {
     pub(super) identity: String,
@@ -28,11 +29,11 @@ pub(super) struct Mark {
 
 /// Bytes of the first line, so that the second can be written in its place.
 const PID_WIDTH: usize = 20;
-/// Where the third line begins: behind an identity of 32 characters and a number of 20.
+/// The offset of the third line: behind an identity of 32 characters and a number of 20.
 const DAMAGE_AT: u64 = PID_WIDTH as u64 + 1 + 32 + 1 + 20 + 1;
 
 impl WriterLock {
-    /// Takes the lock, at once or not at all.
+    /// Takes the lock at once, or fails.
     pub(super) fn take(database: &Path) -> Result<Self, StoreError> {
         let path = lock_path(database);
         let create = |source| StoreError::Create { path: path.clone(), source };
@@ -40,7 +41,7 @@ impl WriterLock {
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(create)?;
         let locked = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive);
         let mut text = String::new();
-        // A lock file torn by a power loss says nothing.
+        // A lock file torn by a power loss contains no usable information.
         let _ = file.read_to_string(&mut text);
         let mut lines = text.lines();
         let pid = lines.next().map(str::trim).filter(|pid| !pid.is_empty()).unwrap_or("(unknown)").to_owned();
@@ -57,13 +58,13 @@ impl WriterLock {
         Ok(lock)
     }
 
-    /// Remembers the last acknowledged batch. It is not synced: a mark that is older than the database does no harm.
+    /// Records the last acknowledged batch. It is not synced: a mark that is older than the database does no harm.
     pub(super) fn mark(&self, identity: &str, batch: i64) -> std::io::Result<()> {
         let line = format!("{identity} {batch:020}\n");
         self.file.write_all_at(line.as_bytes(), PID_WIDTH as u64 + 1)
     }
 
-    /// Remembers that this database is damaged, durably or not at all.
+    /// Records durably that this database is damaged, or fails.
     pub(super) fn mark_damaged(&self, identity: &str, report: &str) -> std::io::Result<()> {
         let line = format!("{identity} damaged: {}\n", report.replace('\n', "; "));
         let marked = self.file.write_all_at(line.as_bytes(), DAMAGE_AT).and_then(|()| self.file.sync_all());
@@ -78,14 +79,14 @@ impl Mark {
     fn read(line: &str, damage: Option<&str>) -> Option<Self> {
         let (identity, batch) = line.split_once(' ')?;
         let whole = identity.len() == 32 && batch.len() == 20;
-        // What was said of a database that another one has taken the place of does not concern that one.
+        // A damage report on a database that another one has replaced does not concern the replacement.
         let said = damage.and_then(|line| line.strip_prefix(identity)?.strip_prefix(" damaged: "));
         let damage = said.map(str::to_owned);
         Some(Self { identity: identity.to_owned(), batch: batch.parse().ok()?, damage }).filter(|_| whole)
     }
 }
 
-/// Whether another process writes the database; leaves everything as it is.
+/// Fails if another process writes the database; changes nothing.
 pub(super) fn refuse_writer(database: &Path) -> Result<(), StoreError> {
     let Ok(mut file) = File::open(lock_path(database)) else { return Ok(()) };
     match rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared) {

@@ -1,9 +1,9 @@
-//! Lost: what happens when the database's file is deleted or replaced while it is open.
+//! Lost files: handles the deletion or replacement of the database's file while it is open.
 //!
-//! The open file takes data that nobody will find again. So the path's file is compared with the open one now and then
-//! ([`FileId`](super::file_id::FileId)); where they differ, what stands there (or a new file) takes what comes: the running
-//! capture goes on in it under its name, numbered from 0, with its remaining duration and an event that says so. Nothing that
-//! was not committed is lost.
+//! Data written to a deleted file cannot be found again. So the file at the path is compared with the open one from
+//! time to time ([`FileId`](super::file_id::FileId)). If they differ, the file at the path (or a new file) receives the
+//! data from then on. The running capture continues in it under its name, numbered from 0, with its remaining duration
+//! and an event that reports the loss. Nothing that was not committed is lost.
 
 use super::captures::name_is_free;
 use super::insert::{Inserted, timebase_from_name};
@@ -12,7 +12,7 @@ use crate::sample::{Channel, EventKind, Gap, Record, Segment};
 use rusqlite::{Connection, OptionalExtension, params};
 use std::collections::BTreeMap;
 
-/// A capture of the lost file that goes on.
+/// A capture of the lost file that continues.
 #[derive(Debug, Clone)]
 struct Seed {
     id: i64,
@@ -28,18 +28,18 @@ struct Seed {
     segment: Option<Segment>,
 }
 
-/// How a capture's records are numbered in the new file.
+/// The numbering of a capture's records in the new file.
 #[derive(Debug, Clone, Default)]
 struct Moved {
     to: i64,
-    /// Samples that were acknowledged in files that are gone.
+    /// Samples that were acknowledged in earlier, lost files.
     base: u64,
     seq: Option<u64>,
     segments: u32,
     segment: Option<Segment>,
 }
 
-/// What was lost, and where it goes on.
+/// What was lost, and which captures continue.
 #[derive(Debug, Default)]
 pub(super) struct Lost {
     seeds: Vec<Seed>,
@@ -47,7 +47,8 @@ pub(super) struct Lost {
 }
 
 impl Lost {
-    /// Notes the captures that run, from a file that is still open. What was noted before stands where it cannot be read.
+    /// Records the running captures, from a file that is still open. If the file cannot be read, the earlier record
+    /// stays.
     pub(super) fn note(&mut self, connection: &Connection) {
         match seeds(connection) {
             Ok(seeds) => self.seeds = seeds,
@@ -55,7 +56,7 @@ impl Lost {
         }
     }
 
-    /// Makes the captures in the new file; answers the ids of those that could not keep theirs.
+    /// Creates the captures in the new file; returns the ids of those that could not keep theirs.
     pub(super) fn settle(
         &mut self,
         connection: &mut Connection,
@@ -64,7 +65,7 @@ impl Lost {
         let transaction = connection.transaction()?;
         let mut moved = BTreeMap::new();
         for seed in &self.seeds {
-            // The task knows a capture by its first id, however often its file was lost.
+            // The task knows a capture by its first id, however often the file was lost.
             let known = self.moved.iter().find(|(_, moved)| moved.to == seed.id).map_or(seed.id, |(id, _)| *id);
             let base = self.moved.get(&known).map_or(0, |moved| moved.base) + seed.samples as u64;
             let to = seed.create(&transaction, utc_ns)?;
@@ -72,12 +73,12 @@ impl Lost {
         }
         transaction.commit()?;
         self.moved = moved;
-        // They are made: a file that is lost next has its own.
+        // The captures are created: the next file that is lost has its own.
         self.note(connection);
         Ok(self.moved.iter().filter(|(id, moved)| **id != moved.to).map(|(id, moved)| (*id, moved.to)).collect())
     }
 
-    /// The records as the new file numbers them; borrowed where nothing was lost.
+    /// The records as the new file numbers them; borrowed if no file was lost.
     pub(super) fn translated<'a>(&mut self, batch: &'a [(i64, Record)]) -> std::borrow::Cow<'a, [(i64, Record)]> {
         if self.moved.is_empty() {
             return std::borrow::Cow::Borrowed(batch);
@@ -92,7 +93,7 @@ impl Lost {
         std::borrow::Cow::Owned(records)
     }
 
-    /// What was inserted, by the ids that the task knows; acknowledged is also what files had that are gone.
+    /// The inserted records by the ids that the task knows. What lost files acknowledged is included.
     pub(super) fn named(&self, mut inserted: Inserted) -> Inserted {
         for (id, moved) in &self.moved {
             if let Some(samples) = inserted.committed.remove(&moved.to) {
@@ -102,7 +103,7 @@ impl Lost {
         inserted
     }
 
-    /// What was acknowledged so far, in files that are gone.
+    /// The samples acknowledged so far in lost files.
     pub(super) fn acknowledged(&self) -> BTreeMap<i64, u64> {
         self.moved.iter().map(|(id, moved)| (*id, moved.base)).collect()
     }
@@ -118,7 +119,7 @@ impl Moved {
                     self.segments = segment.saturating_sub(1);
                 }
                 let base = self.seq.unwrap_or(0);
-                // In the middle of a segment: it goes on as the new file's first.
+                // In the middle of a segment: it continues as the new file's first.
                 if *seq == base
                     && let Some(segment) = &self.segment
                 {

@@ -1,12 +1,13 @@
-//! The store: SQLite, and the only room that says `rusqlite`.
+//! The store: SQLite, and the only room that uses `rusqlite`.
 //!
 //! In: [`Record`]s of captures through [`RecordSender`], commands as methods of [`Store`]. Out: typed rows through
 //! [`Reader`]. One process writes a database ([`StoreError::Locked`] names the other), through one thread and one
-//! connection (`writer`); any number read beside it, never for longer than one short query.
+//! connection (`writer`). Any number of processes read beside it, never for longer than one short query.
 //!
-//! Promised: what [`WriterProgress::committed`] counts survives kill -9 and power loss (WAL, `synchronous=FULL`); a
-//! record waits at most a second for its commit; a commit that fails loses nothing, it is tried again while the queue
-//! absorbs. Refused: network file systems, files of other programs (left untouched), databases of a newer schema.
+//! Guarantees: what [`WriterProgress::committed`] counts survives kill -9 and power loss (WAL, `synchronous=FULL`). A
+//! record waits at most a second for its commit. A commit that fails loses nothing: it is tried again while the queue
+//! absorbs new records. Refused: network file systems, files of other programs (left untouched), databases of a newer
+//! schema.
 //!
 //! Methods of [`Store`] block until their transaction is committed: from asynchronous code call them through
 //! [`Store::offload`].
@@ -88,25 +89,25 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use writer::{Command, Failure, Writer, WriterParts};
 
-/// Name and version of this program, as captures and results keep it.
+/// Name and version of this program, as stored with captures and results.
 pub const SOFTWARE: &str = concat!("vn100d ", env!("CARGO_PKG_VERSION"));
 /// The smallest queue between reader and disk, in records: 30 s at 800 Hz.
 pub const QUEUE_MIN: usize = 24_000;
 
-/// How large the queue must be for 30 s of data at `rate_hz`, at least [`QUEUE_MIN`].
+/// The queue size that holds 30 s of data at `rate_hz`, at least [`QUEUE_MIN`].
 #[must_use]
 pub fn queue_capacity(rate_hz: f64) -> usize {
     QUEUE_MIN.max((30.0 * rate_hz).ceil() as usize)
 }
 
-/// How a store is opened.
+/// Options for opening a store.
 #[derive(Debug, Clone)]
 pub struct StoreOptions {
     /// Records that the queue holds ([`queue_capacity`]).
     pub queue: usize,
-    /// The clock that rows without a time of their own are stamped with.
+    /// The clock that stamps rows which carry no time.
     pub clock: Arc<dyn Clock>,
-    /// How often it is looked whether the path still names the file that is open.
+    /// The interval at which the path is compared with the open file.
     pub file_check: Duration,
     /// Size of the write-ahead log in bytes above which [`Store::status`] warns.
     pub wal_alarm_bytes: u64,
@@ -123,7 +124,7 @@ impl Default for StoreOptions {
     }
 }
 
-/// A database opened for writing; cheap to clone. The last clone that is dropped writes what is left and closes it.
+/// A database opened for writing; cheap to clone. Dropping the last clone writes what is left and closes the database.
 #[derive(Debug, Clone)]
 pub struct Store {
     inner: Arc<Inner>,
@@ -141,8 +142,8 @@ struct Inner {
 }
 
 impl Store {
-    /// Opens the database at `path` for writing; directories and file are made where they are missing, an older schema
-    /// is brought up to date.
+    /// Opens the database at `path` for writing. Missing directories and a missing file are created, and an older
+    /// schema is upgraded.
     ///
     /// # Errors
     /// [`StoreError`] of kind `CannotCreate` (locked, not ours, cannot be made), `NewerSchema` or `Io`.
@@ -152,7 +153,7 @@ impl Store {
         std::fs::create_dir_all(directory)
             .map_err(|source| StoreError::Create { path: directory.to_owned(), source })?;
         let name = path.file_name().ok_or_else(|| create(std::io::ErrorKind::InvalidInput.into()))?;
-        // Links are followed once, before the lock: two names of one file must meet at one lock.
+        // Links are resolved once, before the lock: two names of one file must share one lock.
         let path = match path.canonicalize() {
             Ok(path) => path,
             Err(_) => directory.canonicalize().map_err(create)?.join(name),
@@ -197,32 +198,32 @@ impl Store {
         })
     }
 
-    /// Where the database is.
+    /// The path of the database.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.inner.path
     }
 
-    /// The way for records into the queue.
+    /// A sender that puts records into the queue.
     #[must_use]
     pub fn records(&self) -> RecordSender {
         self.inner.records.clone()
     }
 
-    /// How the writer is; from memory.
+    /// The state of the writer; read from memory.
     #[must_use]
     pub fn progress(&self) -> WriterProgress {
         progress::locked(&self.inner.progress).clone()
     }
 
-    /// The id under which a capture is in the database: another than the one it was started with only where the file was
-    /// replaced by one that has that id already.
+    /// The id of a capture in the database. It differs from the id at its start only if the file was replaced by one in
+    /// which that id is taken.
     #[must_use]
     pub fn stored_id(&self, id: i64) -> i64 {
         progress::locked(&self.inner.progress).moved.get(&id).copied().unwrap_or(id)
     }
 
-    /// The same for the status page; from memory, never waits for the disk.
+    /// The state for the status page; read from memory, never waits for the disk.
     #[must_use]
     pub fn status(&self) -> StorageStatus {
         let progress = self.progress();
@@ -249,15 +250,15 @@ impl Store {
     /// A connection for reading.
     ///
     /// # Errors
-    /// [`StoreError`] where it cannot be opened.
+    /// [`StoreError`] if it cannot be opened.
     pub fn reader(&self) -> Result<Reader, StoreError> {
         Reader::open(&self.inner.path)
     }
 
-    /// Waits until everything that is in the queue now is on disk; as long as the disk refuses, so long.
+    /// Waits until everything that is in the queue now is on disk. It waits as long as the disk refuses writes.
     ///
     /// # Errors
-    /// [`StoreError::Closed`] where the writer has ended.
+    /// [`StoreError::Closed`] if the writer has ended.
     pub async fn flush(&self) -> Result<(), StoreError> {
         let (reply, answer) = oneshot::channel();
         self.inner.commands.send(Command::Flush(reply)).map_err(|_| StoreError::Closed)?;
@@ -267,7 +268,7 @@ impl Store {
     /// As [`Self::flush`], from a thread outside the asynchronous runtime.
     ///
     /// # Errors
-    /// [`StoreError::Closed`] where the writer has ended.
+    /// [`StoreError::Closed`] if the writer has ended.
     pub fn flush_blocking(&self) -> Result<(), StoreError> {
         let (reply, answer) = oneshot::channel();
         self.inner.commands.send(Command::Flush(reply)).map_err(|_| StoreError::Closed)?;
@@ -277,7 +278,7 @@ impl Store {
     /// Runs one of the store's blocking methods on a thread for such work: `store.offload(move |s| s.pin(7, true)).await`.
     ///
     /// # Errors
-    /// Whatever the method reports; [`StoreError::Closed`] where it could not be run.
+    /// The error that the method reports; [`StoreError::Closed`] if it could not be run.
     pub async fn offload<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Self) -> Result<T, StoreError> + Send + 'static,
@@ -286,8 +287,9 @@ impl Store {
         tokio::task::spawn_blocking(move || work(&store)).await.map_err(|_| StoreError::Closed)?
     }
 
-    /// Runs `work` on the writer's thread in a transaction of its own and answers once that is committed. After an I/O
-    /// error at the commit itself it may be there all the same: commands are made so that they can be given again.
+    /// Runs `work` on the writer's thread in a separate transaction and returns once that is committed. After an I/O
+    /// error at the commit the work may nevertheless have been committed: commands are written so that they can be
+    /// repeated.
     pub(crate) fn execute<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
@@ -295,7 +297,7 @@ impl Store {
         self.begin(schema::Durability::AtCommit, work)?.wait()
     }
 
-    /// As [`Self::execute`], without waiting: what was begun first is done first.
+    /// As [`Self::execute`], without waiting. Work is done in the order in which it was begun.
     pub(crate) fn begin<T: Send + 'static>(
         &self,
         durability: schema::Durability,
@@ -305,7 +307,7 @@ impl Store {
         let job = move |connection: Result<&mut rusqlite::Connection, StoreError>| {
             let result = connection.and_then(|connection| writer::in_transaction(connection, durability, work));
             let failure = result.as_ref().err().filter(|error| writer::concerns_storage(error)).map(Failure::of);
-            // Whoever asked may be gone.
+            // The caller may have stopped waiting.
             let _ = reply.send(result);
             failure
         };
@@ -313,14 +315,14 @@ impl Store {
         Ok(Begun(answer))
     }
 
-    /// Says that a reader of this database met damage ([`StoreError::is_damage`]): nothing more is written to it.
+    /// Reports that a reader of this database found damage ([`StoreError::is_damage`]): nothing more is written to it.
     pub(crate) fn report_damage(&self, error: &StoreError) {
         let failure = Failure::of(error);
         // A writer that has ended writes nothing anyway.
         let _ = self.inner.commands.send(Command::Damage(failure));
     }
 
-    /// Which file is written, as text for [`Reader::open_written`].
+    /// The file that is written, as text for [`Reader::open_written`].
     #[must_use]
     pub fn file(&self) -> String {
         file_id::written_file(self.path())
@@ -331,22 +333,22 @@ impl Store {
         self.inner.clock.utc_ns()
     }
 
-    /// Writes everything that is in the queue, empties the log and closes the database. Further calls answer
+    /// Writes everything in the queue, empties the log and closes the database. Further calls return
     /// [`StoreError::Closed`].
     ///
     /// # Errors
-    /// [`StoreError::Unwritten`] where the disk refused to the end.
+    /// [`StoreError::Unwritten`] if the disk refused writes to the end.
     pub fn close(&self) -> Result<(), StoreError> {
         self.inner.close()
     }
 }
 
-/// Work that the writer was given.
+/// Work that was passed to the writer.
 #[derive(Debug)]
 pub(crate) struct Begun<T>(std::sync::mpsc::Receiver<Result<T, StoreError>>);
 
 impl<T> Begun<T> {
-    /// Waits until it is committed, or has failed.
+    /// Waits until the work is committed or has failed.
     pub(crate) fn wait(self) -> Result<T, StoreError> {
         self.0.recv().map_err(|_| StoreError::Closed)?
     }

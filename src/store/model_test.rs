@@ -1,9 +1,10 @@
 //! The store against a model of it (`model`): random work, power losses, crashes and a disk that refuses, without root.
 //!
-//! After each step the files before and after it are known, and what a power loss between them may leave is made from both.
-//! Every such image must pass `check` and hold exactly one of the states that the store went through, none older than what
-//! was acknowledged. The disk refuses with a limit on the size of files, which cuts a write anywhere; the limit is the
-//! process's, so the test runs in a process of its own. `VN100D_MODEL_CASES` makes it longer, `VN100D_MODEL_SEED` another.
+//! After each step the files before and after it are known, and the possible remains of a power loss between them are
+//! made from both. Every such image must pass `check` and hold exactly one of the states that the store went through,
+//! none older than what was acknowledged. The disk refuses with a limit on the size of files, which cuts a write
+//! anywhere. The limit applies to the process, so the test runs in a separate process. `VN100D_MODEL_CASES` makes it
+//! longer, `VN100D_MODEL_SEED` selects another run.
 
 mod model;
 
@@ -18,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::collections::BTreeMap;
 
-/// What is done to the store. A capture is chosen by its place among those that run.
+/// An operation on the store. A capture is chosen by its place among those that run.
 #[derive(Debug, Clone)]
 enum Action {
     Create,
@@ -28,7 +29,7 @@ enum Action {
         samples: u64,
         duplicates: u64,
     },
-    /// The same while no file may grow beyond so many bytes more than the log has.
+    /// The same while no file may grow beyond this many bytes more than the log has.
     Refused {
         samples: u64,
         room: u64,
@@ -53,7 +54,7 @@ enum Action {
         truncates: bool,
     },
     Restart,
-    /// The power goes, and the last image is what is left.
+    /// The power fails, and the last image is what remains.
     Crash,
 }
 
@@ -94,7 +95,7 @@ impl Files {
     }
 }
 
-/// What is in a database that passes its check: every value of every sample is what was sent.
+/// Reads a database that passes its check: every value of every sample is what was sent.
 fn read(path: &Path) -> Content {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
@@ -153,7 +154,7 @@ enum Mutant {
 }
 
 impl Mutant {
-    /// What such a store stores of what is sent.
+    /// The records as such a store would store them.
     fn changed(self, mut records: Vec<Record>) -> Vec<Record> {
         match self {
             Self::LosesARecord if records.len() > 1 => drop(records.pop()),
@@ -201,7 +202,7 @@ impl Driver {
         self.states.last().cloned().unwrap_or_default()
     }
 
-    /// The store went on to `content` in so many transactions; None says that this is not known.
+    /// The store advanced to `content` in this many transactions; `None` means that the number is not known.
     fn went_on(&mut self, content: Content, transactions: Option<u64>, synced: bool) {
         self.states.push(content);
         let mut after = self.files();
@@ -388,7 +389,7 @@ impl Driver {
             Action::Reader { opens: false } => drop(self.readers.pop()),
             Action::Checkpoint { truncates } => {
                 let foreign = rusqlite::Connection::open(self.store.path()).unwrap();
-                // A reader that prevents it is not waited for.
+                // Do not wait for a reader that prevents it.
                 foreign.busy_timeout(Duration::ZERO).unwrap();
                 let how = if truncates { "TRUNCATE" } else { "PASSIVE" };
                 foreign.query_row(&format!("PRAGMA wal_checkpoint({how})"), [], |_| Ok(())).unwrap();
@@ -401,7 +402,7 @@ impl Driver {
     }
 }
 
-/// No file of this process may become larger, or any may.
+/// Limits the size of every file of this process, or removes the limit.
 fn limit(bytes: Option<u64>) {
     let maximum = getrlimit(Resource::Fsize).maximum;
     setrlimit(Resource::Fsize, Rlimit { current: bytes, maximum }).unwrap();
@@ -411,7 +412,7 @@ fn told(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(otherwise)
 }
 
-/// What the model finds if an acknowledged commit was not synced: the judgement can fail.
+/// An acknowledged commit that was not synced must be found by the model: the check can fail.
 #[test]
 fn the_model_notices_that_an_acknowledged_sample_is_gone() {
     let mut driver = Driver::new(1);
@@ -441,7 +442,7 @@ fn a_store_that_is_broken_fails_its_model() {
     ];
     for mutant in mutants {
         let mut runner = TestRunner::deterministic();
-        // A disk that refuses needs a process of its own.
+        // A disk that refuses needs a separate process.
         let some = proptest::collection::vec(action(), 1..60)
             .prop_map(|all| all.into_iter().filter(|of| !matches!(of, Action::Refused { .. })).collect::<Vec<_>>());
         let failed = (0..CASES).position(|seed| {
@@ -463,7 +464,7 @@ fn a_store_that_is_broken_fails_its_model() {
 fn the_store_is_at_any_crash_what_its_model_says() {
     const INSIDE: &str = "VN100D_MODEL_INSIDE";
     if std::env::var_os(INSIDE).is_none() {
-        // A write beyond the limit is answered with an error only if the signal that comes with it is ignored.
+        // A write beyond the limit returns an error only if the signal that comes with it is ignored.
         let inside = std::process::Command::new("sh")
             .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
             .arg(std::env::current_exe().unwrap())

@@ -1,28 +1,28 @@
-//! Models: sensor models that were left here, as the text they are. What is in one is `simulator`'s affair.
+//! Models: stored sensor models, as text. The room `simulator` interprets their content.
 
 use super::{Page, PageRequest, Reader, Store, StoreError, UtcNs};
 use rusqlite::{OptionalExtension, Row, params};
 
-/// Models that are kept at most.
+/// The maximum number of stored models.
 pub const MODELS_MAX: u64 = 1000;
 
-/// What is known of a sensor model.
+/// The properties of a sensor model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelHead {
-    /// Its number: the interface says `model-` before it.
+    /// Its number; the interfaces prefix it with `model-`.
     pub id: i64,
     /// Its name.
     pub name: String,
     /// Its output rate.
     pub rate_hz: f64,
-    /// When it was left here.
+    /// The time at which it was stored.
     pub created_at: UtcNs,
 }
 
 /// A sensor model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelRow {
-    /// What is known of it.
+    /// Its properties.
     pub head: ModelHead,
     /// The model, JSON text.
     pub body: String,
@@ -43,10 +43,10 @@ fn unknown(id: i64) -> StoreError {
 }
 
 impl Store {
-    /// Keeps a model; answers it, and whether it is new: the same text is the same model.
+    /// Stores a model. Returns it, and whether it is new: the same text is the same model.
     ///
     /// # Errors
-    /// [`StoreError::TooManyModels`], or what the database says.
+    /// [`StoreError::TooManyModels`], or the error that the database reports.
     pub fn keep_model(&self, name: &str, rate_hz: f64, body: String) -> Result<(ModelRow, bool), StoreError> {
         let (name, utc_ns) = (name.to_owned(), self.utc_ns());
         self.execute(move |transaction| {
@@ -67,10 +67,10 @@ impl Store {
         })
     }
 
-    /// Deletes a model. Jobs that were submitted with it have it in their parameters and go on.
+    /// Deletes a model. Jobs that were submitted with it hold it in their parameters and continue.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchModel`], or what the database says.
+    /// [`StoreError::NoSuchModel`], or the error that the database reports.
     pub fn delete_model(&self, id: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             let deleted = transaction.execute("DELETE FROM model WHERE model_id = ?1", [id])?;
@@ -83,16 +83,16 @@ impl Reader {
     /// One model.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchModel`], or what the database says.
+    /// [`StoreError::NoSuchModel`], or the error that the database reports.
     pub fn model(&self, id: i64) -> Result<ModelRow, StoreError> {
         let sql = format!("SELECT {HEAD}, body FROM model WHERE model_id = ?1");
         self.connection.prepare_cached(&sql)?.query_row([id], model_of).optional()?.ok_or_else(|| unknown(id))
     }
 
-    /// What is known of the models, the latest first.
+    /// The properties of the models, the latest first.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn models(&self, page: &PageRequest) -> Result<Page<ModelHead>, StoreError> {
         let sql = format!("SELECT {HEAD} FROM model WHERE model_id < ?1 ORDER BY model_id DESC LIMIT ?2");
         let before = page.after("models")?.unwrap_or(i64::MAX);

@@ -1,19 +1,19 @@
-//! Pages of lists by keyset: a cursor names the last row that was given, so that rows which come and go in between
+//! Pages of lists by keyset. A cursor names the last row that was returned, so that rows added or removed in between
 //! neither repeat nor hide others.
 
 use super::StoreError;
 
-/// Rows of a page where nothing else is asked for.
+/// Rows of a page if no limit is requested.
 pub const LIMIT: u32 = 100;
 /// The most rows of a page.
 pub const LIMIT_MAX: u32 = 1000;
 
-/// Which part of a list is wanted.
+/// The requested part of a list.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct PageRequest {
-    /// How many rows, 1–1000; 100 where absent. Larger numbers are taken as 1000.
+    /// The number of rows, 1–1000; 100 if absent. Larger numbers are taken as 1000.
     pub limit: Option<u32>,
-    /// `next` of the page before; the first page where absent.
+    /// `next` of the previous page; the first page if absent.
     pub cursor: Option<String>,
 }
 
@@ -42,7 +42,7 @@ impl PageRequest {
         self.limit.unwrap_or(LIMIT).clamp(1, LIMIT_MAX) as usize
     }
 
-    /// The key after which the page begins. `list` keeps the cursor of one list from being used on another.
+    /// The key after which the page begins. `list` prevents the use of one list's cursor on another.
     pub(super) fn after(&self, list: &str) -> Result<Option<i64>, StoreError> {
         let Some(cursor) = &self.cursor else { return Ok(None) };
         cursor
@@ -56,7 +56,7 @@ impl PageRequest {
 }
 
 impl<T> Page<T> {
-    /// A page from up to `limit + 1` rows: the one too many tells that there is more.
+    /// Makes a page from up to `limit + 1` rows: an extra row shows that there are more.
     pub(super) fn cut(mut rows: Vec<(i64, T)>, limit: usize, list: &str) -> Self {
         let more = rows.len() > limit;
         rows.truncate(limit);

@@ -1,4 +1,4 @@
-//! Progress: how the writer is, shared between its thread and whoever asks.
+//! Progress: the state of the writer, shared between its thread and its observers.
 
 use crate::observe::StorageState;
 use std::collections::BTreeMap;
@@ -7,22 +7,22 @@ use std::time::Duration;
 
 /// A commit that takes longer than this is slow.
 pub(super) const SLOW: Duration = Duration::from_secs(1);
-/// A writer that has not turned for longer than this stands still; it turns at least once a second.
+/// A writer that has not completed a turn for longer than this is stalled; it turns at least once a second.
 const STANDS: Duration = Duration::from_secs(3);
-/// So many I/O errors within [`IO_FAILURES_WITHIN`] are too many.
+/// The number of I/O errors within [`IO_FAILURES_WITHIN`] that is too many.
 pub(super) const IO_FAILURES: usize = 3;
 const IO_FAILURES_WITHIN: Duration = Duration::from_secs(60);
-/// Less free space than this is little, bytes.
+/// Free space below this is low, bytes.
 const LOW_SPACE_BYTES: f64 = 1e9;
-/// So is less than what comes in this time.
+/// Free space that is filled within this time is low, too.
 const LOW_SPACE_AHEAD: Duration = Duration::from_secs(12 * 3600);
-/// What a row of table `sample` takes in the file, with its share of the tree (measured: benches/store.rs).
+/// Bytes of a row of table `sample` in the file, with its share of the tree (measured: benches/store.rs).
 pub const BYTES_PER_SAMPLE: f64 = 190.0;
 
-/// How the writer is, as of its last step.
+/// The state of the writer, as of its last step.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WriterProgress {
-    /// How commits go.
+    /// The state of the commits.
     pub state: StorageState,
     /// The last error, while `state` is not ok.
     pub error: Option<String>,
@@ -40,19 +40,20 @@ pub struct WriterProgress {
     pub refused: u64,
     /// When the last commit succeeded, real monotonic ns.
     pub last_commit_mono_ns: Option<u64>,
-    /// How long it took.
+    /// The duration of the last commit.
     pub last_commit: Option<Duration>,
-    /// How long the slowest since the start took.
+    /// The duration of the slowest commit since the start.
     pub slowest_commit: Duration,
     /// Commits that took longer than a second.
     pub slow_commits: u64,
-    /// Since when a commit is under way, real ns of a clock that stands while the machine sleeps.
+    /// The start of the commit in progress, real ns of a clock that stops while the machine sleeps.
     pub committing_since_awake_ns: Option<u64>,
     /// Records taken from the queue and not committed.
     pub in_flight: usize,
-    /// Grows as long as the thread is alive, at least once a second; stands still while a commit hangs.
+    /// Increases as long as the thread is alive, at least once a second; does not increase while a commit hangs.
     pub ticks: u64,
-    /// When `ticks` last grew, on the same clock: a machine that slept is no writer that stood. `None` before the first time.
+    /// The time at which `ticks` last increased, on the same clock: a machine that slept is not a stalled writer.
+    /// `None` before the first time.
     pub turned_awake_ns: Option<u64>,
     /// Size of the database file in bytes.
     pub database_bytes: u64,
@@ -60,18 +61,18 @@ pub struct WriterProgress {
     pub wal_bytes: u64,
     /// Free space of the file system in bytes.
     pub free_bytes: u64,
-    /// Samples committed per second of the store's clock, averaged over half a minute: forecasts are in the time that captures
-    /// are in, also where that is accelerated.
+    /// Samples committed per second of the store's clock, averaged over half a minute. Forecasts use the captures'
+    /// time, even if that is accelerated.
     pub samples_per_s: f64,
     /// The file is damaged: nothing is written to it any more.
     pub damaged: bool,
-    /// Captures that go on under another id, in a file that took the place of a lost one.
+    /// Captures that continue under another id, in a file that replaced a lost one.
     pub moved: BTreeMap<i64, i64>,
 }
 
 impl WriterProgress {
-    /// Whether this process should end: with a damaged file at once, else with the third I/O error within a minute.
-    /// Another process has other descriptors, and its start checks the database.
+    /// Whether this process should end: at once with a damaged file, else at the third I/O error within a minute. A new
+    /// process has new descriptors, and its start checks the database.
     #[must_use]
     pub fn gives_up(&self) -> bool {
         if self.damaged {
@@ -85,7 +86,7 @@ impl WriterProgress {
         }
     }
 
-    /// How the store is now: a commit that hangs is slow before it ends, and a writer that does not turn is degraded.
+    /// The present state of the store: a commit that hangs is slow before it ends, and a stalled writer is degraded.
     pub(super) fn state_now(&self, now_awake_ns: u64) -> StorageState {
         let longer = |since: Option<u64>, than: Duration| {
             since.is_some_and(|since| now_awake_ns.saturating_sub(since) > than.as_nanos() as u64)
@@ -97,7 +98,7 @@ impl WriterProgress {
         }
     }
 
-    /// What is wrong now, in words: the last error, or for how long the writer has stood still.
+    /// The present problem as text: the last error, or how long the writer has been stalled.
     pub(super) fn error_now(&self, now_awake_ns: u64) -> Option<String> {
         if self.state_now(now_awake_ns) != StorageState::Degraded {
             return self.error.clone();
@@ -108,7 +109,7 @@ impl WriterProgress {
         Some(format!("{doing} for {:.0} s: look at the disk (`dmesg`, `iostat`)", stood_ns as f64 / 1e9))
     }
 
-    /// How long the free space lasts at the present rate, s; `None` where nothing is written.
+    /// The time in s until the free space is used up at the present rate; `None` if nothing is written.
     pub(super) fn time_to_full_s(&self) -> Option<f64> {
         let growth = self.samples_per_s * BYTES_PER_SAMPLE;
         (growth > 1.0).then(|| self.free_bytes as f64 / growth)
@@ -120,7 +121,7 @@ impl WriterProgress {
         (self.free_bytes as f64) < need.max(LOW_SPACE_BYTES)
     }
 
-    /// What deserves attention although data is taken.
+    /// A condition that deserves attention although data is being stored.
     pub(super) fn warning(&self, wal_alarm_bytes: u64) -> Option<String> {
         let mut warnings = Vec::new();
         if self.low_space() {
@@ -141,7 +142,7 @@ impl WriterProgress {
     }
 }
 
-/// Progress shared between the thread and whoever asks.
+/// Progress shared between the writer's thread and its observers.
 pub(super) type SharedProgress = Arc<Mutex<WriterProgress>>;
 
 pub(super) fn locked(progress: &Mutex<WriterProgress>) -> MutexGuard<'_, WriterProgress> {
@@ -162,10 +163,10 @@ mod tests {
         assert_eq!(progress.state_now(12 * second), StorageState::Slow);
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
         assert!(progress.error_now(14 * second).unwrap().contains("has not ended for 4 s"));
-        // A thread that hangs outside a commit as well.
+        // The same for a thread that hangs outside a commit.
         progress.committing_since_awake_ns = None;
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
-        // What is known of the disk is said instead.
+        // A known state of the disk takes precedence.
         progress.state = StorageState::StorageFull;
         assert_eq!(
             (progress.state_now(14 * second), progress.error_now(14 * second)),

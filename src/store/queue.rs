@@ -1,4 +1,4 @@
-//! Queue: the way of records to the writer.
+//! Queue: passes records to the writer.
 
 use crate::clock::{Clock as _, SystemClock};
 use crate::sample::Record;
@@ -6,17 +6,17 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::mpsc;
 
-/// The age of the oldest record that waits is known to this, ns.
+/// The resolution at which the age of the oldest waiting record is known, ns.
 const MARK_EVERY_NS: u64 = 100_000_000;
 
-/// Knows since when the oldest record waits that is not on disk, in the queue or in the writer's hands.
+/// Tracks since when the oldest record that is not on disk has waited, in the queue or in the writer's hands.
 #[derive(Debug, Default)]
 pub(super) struct Waiting {
-    /// Records that came.
+    /// Records that arrived.
     came: u64,
     /// Records that are on disk.
     written: u64,
-    /// Numbers of records, the oldest that waits or one shortly before it first, and when they came.
+    /// Numbers of records and their arrival times. The first is the oldest waiting record or one shortly before it.
     marks: VecDeque<(u64, u64)>,
 }
 
@@ -28,7 +28,7 @@ pub(super) fn locked(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
 }
 
 impl Waiting {
-    /// Notes that a record came at `now_ns`.
+    /// Notes that a record arrived at `now_ns`.
     fn come(&mut self, now_ns: u64) {
         self.came += 1;
         let is_due = self.marks.back().is_none_or(|(_, at_ns)| now_ns.saturating_sub(*at_ns) >= MARK_EVERY_NS);
@@ -49,7 +49,7 @@ impl Waiting {
         }
     }
 
-    /// When the oldest record came that waits.
+    /// The arrival time of the oldest waiting record.
     pub(super) fn since_ns(&self) -> Option<u64> {
         self.marks.front().map(|(_, at_ns)| *at_ns)
     }
@@ -62,7 +62,7 @@ pub struct RecordSender {
     pub(super) waiting: SharedWaiting,
 }
 
-/// A record that was not taken.
+/// A record that was not accepted.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Refused {
     /// The queue is full.
@@ -75,7 +75,7 @@ impl RecordSender {
     /// Puts a capture's record into the queue; never waits.
     ///
     /// # Errors
-    /// [`Refused`] with the record where the queue is full or the writer has ended.
+    /// [`Refused`] with the record if the queue is full or the writer has ended.
     #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
     pub fn try_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
         self.queue.try_send((capture_id, record)).map(|()| self.came()).map_err(|error| match error {
@@ -84,10 +84,10 @@ impl RecordSender {
         })
     }
 
-    /// Puts a capture's record into the queue, waiting for room: for a reader that may hold its source back.
+    /// Puts a capture's record into the queue, waiting for room: for a reader that may pause its source.
     ///
     /// # Errors
-    /// [`Refused::Closed`] where the writer has ended.
+    /// [`Refused::Closed`] if the writer has ended.
     pub async fn send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
         self.queue.send((capture_id, record)).await.map_err(|error| Refused::Closed(error.0.1))?;
         self.came();
@@ -97,7 +97,7 @@ impl RecordSender {
     /// As [`Self::send`], from a thread outside the asynchronous runtime.
     ///
     /// # Errors
-    /// [`Refused::Closed`] where the writer has ended.
+    /// [`Refused::Closed`] if the writer has ended.
     #[expect(clippy::result_large_err, reason = "the record is given back, it was as large when it came")]
     pub fn blocking_send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
         self.queue.blocking_send((capture_id, record)).map_err(|error| Refused::Closed(error.0.1))?;
@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(waiting.since_ns(), Some(25 * second / 10));
         waiting.write(25);
         assert_eq!((waiting.since_ns(), waiting.marks.len()), (None, 0));
-        // An hour without a record says nothing of the next one.
+        // An hour without a record must not affect the age of the next one.
         waiting.come(3600 * second);
         assert_eq!(waiting.since_ns(), Some(3600 * second));
         // Many at once take one mark.

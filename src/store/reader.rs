@@ -1,7 +1,7 @@
 //! Readers: connections that cannot write, usable beside a running daemon, and a pool of them.
 //!
-//! Every method is one short query; none leaves a read transaction open, because an open one keeps the log from being
-//! emptied (an hour's worth of data: 168 MB).
+//! Every method is one short query. None leaves a read transaction open, because an open one prevents the log from
+//! being emptied (an hour's worth of data: 168 MB).
 
 use super::file_id::FileId;
 use super::{StoreError, schema};
@@ -9,7 +9,7 @@ use rusqlite::{Connection, InterruptHandle};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Connections that the pool keeps for the next one who asks.
+/// Idle connections that the pool keeps.
 const IDLE_MAX: usize = 16;
 
 /// A connection for reading.
@@ -24,14 +24,14 @@ impl Reader {
     ///
     /// # Errors
     /// [`StoreError::NoDatabase`], [`StoreError::Foreign`], [`StoreError::NewerSchema`], [`StoreError::OlderSchema`] or
-    /// what SQLite says.
+    /// the error that SQLite reports.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        // Before the connection: a file that is replaced in between is taken for lost, never the other way.
+        // Before the connection: a file that is replaced in between is then considered lost, never the reverse.
         let file = FileId::of(path);
         Ok(Self { connection: schema::reader_connection(path)?, file })
     }
 
-    /// Opens it in a process of its own, beside the one that writes `file` there ([`super::Store::file`]).
+    /// Opens the database in a separate process, beside the one that writes `file` there ([`super::Store::file`]).
     ///
     /// # Errors
     /// As [`Self::open`], and [`StoreError::Lost`] if another file has taken its place.
@@ -40,27 +40,28 @@ impl Reader {
         Self::open(path)
     }
 
-    /// What tells this database from all others, also from one whose captures have the same ids; copies have the same.
+    /// An identifier that distinguishes this database from all others, also from one whose captures have the same ids;
+    /// copies share it.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn identity(&self) -> Result<String, StoreError> {
         super::writer::identity_of(&self.connection)
     }
 
-    /// A handle with which another thread ends a query of this reader that takes too long.
+    /// A handle with which another thread interrupts a query of this reader that takes too long.
     #[must_use]
     pub fn interrupt(&self) -> Interrupt {
         Interrupt(Arc::new(self.connection.get_interrupt_handle()))
     }
 }
 
-/// Ends a running query; the query then answers an error for which [`StoreError::is_interrupted`] holds.
+/// Interrupts a running query, which then returns an error for which [`StoreError::is_interrupted`] holds.
 #[derive(Clone)]
 pub struct Interrupt(Arc<InterruptHandle>);
 
 impl Interrupt {
-    /// Ends the query that runs now, if one does.
+    /// Interrupts the query that runs now, if any.
     pub fn interrupt(&self) {
         self.0.interrupt();
     }
@@ -72,7 +73,7 @@ impl std::fmt::Debug for Interrupt {
     }
 }
 
-/// Readers that are lent out and come back; cheap to clone.
+/// A pool of readers; cheap to clone.
 #[derive(Debug, Clone)]
 pub struct ReaderPool {
     path: PathBuf,
@@ -80,19 +81,19 @@ pub struct ReaderPool {
 }
 
 impl ReaderPool {
-    /// A pool for the database at `path`; connections are opened as they are asked for.
+    /// A pool for the database at `path`; connections are opened on demand.
     #[must_use]
     pub fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), idle: Arc::default() }
     }
 
-    /// A reader; it goes back when dropped.
+    /// A reader; it returns to the pool when dropped.
     ///
     /// # Errors
     /// As [`Reader::open`].
     pub fn get(&self) -> Result<PooledReader, StoreError> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        // A file that was deleted or replaced is not read on.
+        // A reader of a file that was deleted or replaced is discarded.
         idle.retain(|reader| !reader.file.is_lost(&self.path));
         let reader = idle.pop();
         drop(idle);
@@ -106,7 +107,7 @@ impl ReaderPool {
     /// Runs `work` with a reader on a thread for blocking work.
     ///
     /// # Errors
-    /// Whatever `work` reports; [`StoreError::Closed`] where it could not be run.
+    /// The error that `work` reports; [`StoreError::Closed`] if it could not be run.
     pub async fn read<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
@@ -116,7 +117,7 @@ impl ReaderPool {
     }
 }
 
-/// A reader on loan.
+/// A reader borrowed from the pool.
 #[derive(Debug)]
 pub struct PooledReader {
     reader: Option<Reader>,

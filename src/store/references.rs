@@ -1,28 +1,28 @@
-//! References: what a sensor went through, as diagnoses are given it. The text is kept once, in parts, so that neither the
-//! writer nor whoever brings it holds all of it; it goes with the last diagnosis that has it.
+//! References: the motion that a sensor underwent, as supplied with diagnoses. The text is stored once, in parts, so
+//! that neither the writer nor the client holds all of it. It is deleted with the last diagnosis that uses it.
 
 use super::{Reader, Store, StoreError};
 use rusqlite::{OptionalExtension, Transaction, params};
 
 /// Bytes of a part: some milliseconds of the writer's time.
 pub const REFERENCE_PART_BYTES: usize = 1 << 20;
-/// Parts that one step of clearing away deletes.
+/// Parts that one purge step deletes.
 const STEP_PARTS: i64 = 8;
-/// References that no job has any more.
+/// References that no job uses any more.
 const ORPHANS: &str = "FROM reference WHERE claimed = 1 \
     AND NOT EXISTS (SELECT 1 FROM job WHERE job.reference_id = reference.reference_id)";
 
 impl Store {
-    /// Begins to keep a reference: the SHA-256 of its text and its length. Returns its id, and whether it is there whole already;
-    /// otherwise [`Self::keep_reference_part`] brings its parts.
+    /// Begins to store a reference, given the SHA-256 of its text and its length. Returns its id, and whether it is
+    /// already complete. Otherwise [`Self::keep_reference_part`] adds its parts.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn begin_reference(&self, sha256: &str, bytes: u64) -> Result<(i64, bool), StoreError> {
         let (sha256, utc_ns) = (sha256.to_owned(), self.utc_ns());
         let parts = bytes.div_ceil(REFERENCE_PART_BYTES as u64).max(1) as i64;
         self.execute(move |transaction| {
-            // What was about to go stays for whoever brings it again.
+            // A reference that was about to be removed stays for the client that sends it again.
             transaction.execute(
                 "INSERT INTO reference (sha256, bytes, parts, created_utc_ns) VALUES (?1, ?2, ?3, ?4) \
                  ON CONFLICT (sha256) DO UPDATE SET claimed = 0 \
@@ -36,10 +36,10 @@ impl Store {
         })
     }
 
-    /// Keeps a part of a reference, counted from 0.
+    /// Stores a part of a reference, counted from 0.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn keep_reference_part(&self, id: i64, part: u32, content: Vec<u8>) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             transaction
@@ -52,10 +52,10 @@ impl Store {
         })
     }
 
-    /// Lets a reference go that came for a diagnosis which was refused, unless another one has it.
+    /// Releases a reference that was sent for a diagnosis which was refused, unless another diagnosis uses it.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn let_reference_go(&self, id: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             transaction.execute("UPDATE reference SET claimed = 1 WHERE reference_id = ?1", [id])?;
@@ -63,10 +63,10 @@ impl Store {
         })
     }
 
-    /// Takes away some parts of a reference that no job has any more; false if there is none.
+    /// Removes some parts of a reference that no job uses any more; returns `false` if there is none.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub(super) fn purge_reference(transaction: &Transaction<'_>) -> Result<bool, StoreError> {
         let sql = format!("SELECT reference_id {ORPHANS} LIMIT 1");
         let Some(id) = transaction.query_row(&sql, [], |row| row.get::<_, i64>(0)).optional()? else {
@@ -81,7 +81,7 @@ impl Store {
     }
 }
 
-/// The id of the reference with this SHA-256, for a job that is to have it.
+/// The id of the reference with this SHA-256, claimed for a job.
 pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, StoreError> {
     let sql = "UPDATE reference SET claimed = 1 WHERE sha256 = ?1 RETURNING reference_id";
     let id = transaction.query_row(sql, [sha256], |row| row.get(0)).optional()?;
@@ -100,7 +100,7 @@ impl Reader {
     /// The text of a reference.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchReference`], or what the database says.
+    /// [`StoreError::NoSuchReference`], or the error that the database reports.
     pub fn reference(&self, sha256: &str) -> Result<String, StoreError> {
         let unknown = || StoreError::NoSuchReference { sha256: sha256.to_owned() };
         let sql =
@@ -117,7 +117,7 @@ impl Reader {
         String::from_utf8(text).map_err(|_| unknown())
     }
 
-    /// Whether there are references that no job has any more.
+    /// Whether there are references that no job uses any more.
     pub(super) fn has_orphans(&self) -> Result<bool, StoreError> {
         let sql = format!("SELECT EXISTS (SELECT 1 {ORPHANS})");
         Ok(self.connection.prepare_cached(&sql)?.query_row([], |row| row.get(0))?)
@@ -179,7 +179,7 @@ mod tests {
         world.store.keep_reference_part(id, 0, b"text".to_vec()).unwrap();
         world.store.submit_job(job(capture, 1, "abc"), u64::MAX).unwrap();
         world.store.delete_capture(capture).unwrap();
-        // Its rows go, and then the parts of the reference one step later.
+        // The capture's rows are removed, and the parts of the reference one step later.
         while parts(&world.reader()) > 0 {
             assert!(world.store.purge_step().unwrap());
         }

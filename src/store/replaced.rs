@@ -1,4 +1,4 @@
-//! The database deleted or replaced, open or closed: what goes on where, and what stays untouched.
+//! The database deleted or replaced, open or closed: which captures continue, and which files stay untouched.
 
 use crate::observe::StorageState;
 use crate::sample::Record;
@@ -25,7 +25,7 @@ fn night(world: &World) -> (PathBuf, i64) {
     (world.store.path().to_owned(), id)
 }
 
-/// Another database with captures of its own.
+/// Another database with its own captures.
 fn other(world: &World) -> PathBuf {
     let path = world.directory.path().join("other.db");
     let store = Store::open(&path, StoreOptions::default()).unwrap();
@@ -42,7 +42,7 @@ fn other(world: &World) -> PathBuf {
     path
 }
 
-/// Names and samples of what is in a database that is whole.
+/// Names and samples of the captures in an intact database.
 fn content(path: &Path) -> Vec<(String, u64)> {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
@@ -59,7 +59,7 @@ fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log()
     let world = World::new();
     let (path, id) = night(&world);
     let other = other(&world);
-    // Whoever reads the old file keeps its log from being emptied.
+    // A reader of the old file keeps its log from being emptied.
     let reader = Reader::open(&path).unwrap();
     assert_eq!(reader.capture(id).unwrap().samples, 100);
     let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
@@ -85,7 +85,7 @@ fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log()
     kept.push(".lost-1-wal");
     std::fs::rename(PathBuf::from(kept), schema::wal_path(&moved)).unwrap();
     assert_eq!(content(&moved), [("night".to_owned(), 150)]);
-    // Lost again: each capture goes on once.
+    // Lost again: each capture continues once.
     writer.pretend_io_error();
     std::fs::remove_file(&path).unwrap();
     writer.write_now(samples(id, 160..165));
@@ -164,7 +164,7 @@ fn an_older_copy_of_the_same_database_never_takes_the_newer_log() {
     assert_eq!(reader.capture(id).unwrap().samples, 100);
     let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
     assert_eq!(writer.write_now(samples(id, 100..150)), 0);
-    // What the log held goes into the file; it begins anew with what comes.
+    // What the log held goes into the file; the log begins again with the next records.
     let copied = schema::reopen(&path).unwrap();
     copied.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())).unwrap();
     assert_eq!(writer.write_now(samples(id, 150..160)), 0);
@@ -188,7 +188,7 @@ fn a_copy_that_is_still_on_its_way_is_waited_for() {
     assert_eq!(writer.attempt(), StorageState::StorageLost);
     for part in 2..=10 {
         assert_eq!(writer.attempt(), StorageState::StorageLost, "{part}: {:?}", progress::locked(&progress));
-        // The copy stands still for a while now and then.
+        // The copy pauses now and then.
         if part % 3 != 0 {
             std::fs::write(&path, &whole[..4096 * part]).unwrap();
         }
@@ -246,7 +246,7 @@ fn a_log_that_is_taken_away_while_it_is_closed_ends_the_writing() {
 fn a_database_moved_into_place_with_its_own_log_keeps_it() {
     let world = World::new();
     let (path, id) = night(&world);
-    // Another database, copied while its last batch stands in its log alone.
+    // Another database, copied while its last batch is in its log alone.
     let source = other(&world);
     let (mut second, _) = bare_writer(&source, &world.directory.path().join("other.lock"));
     assert_eq!(second.write_now(samples(3, 1000..1050)), 0);

@@ -1,4 +1,4 @@
-//! Results: what jobs have computed, as the JSON documents that the interfaces give out.
+//! Results: what jobs have computed, as the JSON documents that the interfaces return.
 
 use super::{Reader, StoreError, UtcNs};
 use rusqlite::{OptionalExtension, Row, params};
@@ -8,15 +8,15 @@ use rusqlite::{OptionalExtension, Row, params};
 pub struct ResultRow {
     /// Its id.
     pub id: i64,
-    /// The job that made it; absent once that is deleted.
+    /// The job that made it; absent once that job is deleted.
     pub job_id: Option<i64>,
     /// The capture it is about.
     pub capture_id: i64,
-    /// Which computation.
+    /// The kind of computation.
     pub kind: String,
-    /// What made it: a result of other software than [`super::SOFTWARE`] is stale.
+    /// The software that made it: a result of other software than [`super::SOFTWARE`] is stale.
     pub software: String,
-    /// When.
+    /// The time of its creation.
     pub created_at: UtcNs,
     /// The document, JSON text, byte by byte as it was stored.
     pub body: String,
@@ -37,19 +37,19 @@ fn result_of(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
 }
 
 impl Reader {
-    /// One result; None where there is none with that id.
+    /// One result; `None` if there is none with that id.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn result(&self, id: i64) -> Result<Option<ResultRow>, StoreError> {
         let sql = format!("SELECT {RESULT_COLUMNS} FROM result WHERE id = ?1");
         Ok(self.connection.prepare_cached(&sql)?.query_row([id], result_of).optional()?)
     }
 
-    /// The latest result of this kind for a capture; None where there is none.
+    /// The latest result of this kind for a capture; `None` if there is none.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn latest_result(&self, capture_id: i64, kind: &str) -> Result<Option<ResultRow>, StoreError> {
         let sql =
             format!("SELECT {RESULT_COLUMNS} FROM result WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");

@@ -1,31 +1,31 @@
-//! Retention's rows: what it decides from, what it announces, and the space it gives back.
+//! Rows for retention: the facts it decides on, its announcements, and the space it gives back.
 
 use super::progress::BYTES_PER_SAMPLE;
 use super::{Reader, Store, StoreError, UtcNs};
 use rusqlite::params;
 
-/// Free pages that stay in the file for what comes next: 64 MiB of 4 KiB.
+/// Free pages that stay in the file for later data: 64 MiB of 4 KiB.
 const SPARE_PAGES: i64 = 16_384;
 /// Pages given back in one transaction: some tens of ms, so that the writer is free in between.
 const STEP_PAGES: i64 = 1024;
 
-/// A capture, as far as retention is concerned.
+/// The facts about a capture that retention needs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionRow {
     /// Its id.
     pub id: i64,
     /// Its name.
     pub name: String,
-    /// Since when it is there whole: its end, or where it was imported or simulated its making.
+    /// The time since which the capture is complete: its end or, if it was imported or simulated, its creation.
     pub since: UtcNs,
-    /// What its samples and the references of its diagnoses take in the file, bytes; of a reference that diagnoses of several
-    /// captures have, each counts its share.
+    /// Bytes in the file of its samples and of the references of its diagnoses. A reference that diagnoses of several
+    /// captures use counts in equal shares.
     pub bytes: u64,
-    /// Whether it runs or waits.
+    /// Whether the capture runs or waits.
     pub open: bool,
     /// Whether it is kept from deletion.
     pub pinned: bool,
-    /// When its deletion was announced, and for when, UTC ns.
+    /// The time at which its deletion was announced, and the time it was announced for, UTC ns.
     pub announced: Option<(i64, i64)>,
 }
 
@@ -33,9 +33,10 @@ impl Reader {
     /// All captures, oldest id first.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn retention_rows(&self) -> Result<Vec<RetentionRow>, StoreError> {
-        // What was imported has the times of its stamps, which may be years ago or to come: its making counts.
+        // An imported capture has the times of its stamps, which may be years in the past or in the future: its
+        // creation counts.
         let sql = "SELECT id, name, CASE WHEN state IN ('imported', 'simulated') THEN created_utc_ns \
                    ELSE max(created_utc_ns, coalesce(ended_utc_ns, created_utc_ns)) END, samples, \
                    state IN ('waiting', 'capturing'), pinned, deletion_said_utc_ns, delete_at_utc_ns, \
@@ -61,10 +62,10 @@ impl Reader {
         Ok(rows.collect::<Result<_, _>>()?)
     }
 
-    /// Whether the file has more free pages than it keeps for what comes next ([`Store::give_back_step`]).
+    /// Whether the file has more free pages than it keeps for later data ([`Store::give_back_step`]).
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn has_space_to_give_back(&self) -> Result<bool, StoreError> {
         let number = |name| self.connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
         Ok(number("auto_vacuum")? == 2 && number("freelist_count")? > SPARE_PAGES)
@@ -72,11 +73,11 @@ impl Reader {
 }
 
 impl Store {
-    /// Writes down what is announced of captures' deletions: for each id when it was said and for when (UTC ns), or
-    /// nothing any more.
+    /// Records the announcements of captures' deletions. For each id: the time of the announcement and the time of the
+    /// deletion (UTC ns), or `None` to withdraw it.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn announce_deletions(&self, changes: Vec<(i64, Option<(i64, i64)>)>) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             let sql = "UPDATE capture SET deletion_said_utc_ns = ?2, delete_at_utc_ns = ?3 WHERE id = ?1";
@@ -90,13 +91,13 @@ impl Store {
     }
 
     /// Gives some free pages back to the file system, in one transaction of some tens of milliseconds. A database that
-    /// was made without `auto_vacuum` keeps them, and fills them with what comes next.
+    /// was made without `auto_vacuum` keeps them and reuses them for later data.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn give_back_step(&self) -> Result<(), StoreError> {
         self.execute(|transaction| {
-            // Each row of the answer is a page: read to the end, or it stops.
+            // Each row of the result is a page: the statement must be read to the end, or it stops.
             let mut statement = transaction.prepare(&format!("PRAGMA incremental_vacuum({STEP_PAGES})"))?;
             let mut rows = statement.query([])?;
             while rows.next()?.is_some() {}

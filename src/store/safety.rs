@@ -1,4 +1,4 @@
-//! What holds when commits fail, clocks are set and requests are repeated.
+//! The guarantees that hold when commits fail, clocks are set and requests are repeated.
 
 use super::tests::{World, a_capture, bare_writer, gap, sample, segment};
 use super::*;
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 const PERIOD_NS: u64 = 25_000_000;
 
-/// The sensor's clock runs on over `missing` samples before `from`: the fixtures count on without them.
+/// The sensor's clock runs on over `missing` samples before `from`; the fixtures count without them.
 fn late(record: Record, from: u64, missing: u64) -> Record {
     let shift = missing * PERIOD_NS;
     match record {
@@ -109,7 +109,7 @@ fn the_same_request_makes_one_capture_and_can_be_taken_back() {
     world.store.withdraw("request").unwrap();
     assert!(world.reader().capture(id).is_err());
     assert_eq!(world.store.unfinished().unwrap(), []);
-    // One that has samples stays.
+    // A capture that has samples stays.
     let capture = NewCapture { token: Some("another".to_owned()), ..capture };
     let id = world.store.create_capture(capture).unwrap();
     world.send(id, [segment(1, 0), sample(1, 0)]);
@@ -211,7 +211,7 @@ fn a_backup_is_whole_and_a_database_of_its_own() {
     assert_ne!(identity(&out), identity(world.store.path()));
     assert!(matches!(world.reader().backup(&out, false, &mut |_, _| ()), Err(StoreError::Exists { .. })));
     world.reader().backup(&out, true, &mut |_, _| ()).unwrap();
-    // The database itself is never what is replaced, nor one whose log is there.
+    // A backup never replaces the database itself, nor a file whose log exists.
     let itself = world.store.path();
     assert!(matches!(world.reader().backup(itself, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
     std::fs::write(world.directory.path().join("copy.db-wal"), b"log").unwrap();
@@ -255,7 +255,7 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     let whole = damage_root(&path, "sample");
     let files = || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
     let before = files();
-    // Whoever asked hears what SQLite said; the next one hears what to do.
+    // The first caller receives SQLite's error; the next one receives the instruction what to do.
     assert!(store.purge_step().unwrap_err().is_damage());
     let told = store.purge_step().unwrap_err();
     assert_eq!(told.kind(), StoreErrorKind::Io);
@@ -269,11 +269,11 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     std::thread::sleep(COMMIT_AFTER + Duration::from_millis(300));
     assert_eq!(store.close().unwrap_err().to_string(), told.to_string());
     assert!(files() == before, "the damaged files were changed");
-    // The next start knows it, even where its own check finds nothing.
+    // The next start knows of the damage, even if its own check finds nothing.
     std::fs::write(&path, whole).unwrap();
     let refused = Store::open(&path, StoreOptions::default()).map(drop).unwrap_err();
     assert_eq!(refused.to_string(), told.to_string());
-    // As it says: where the full check finds nothing, it is a person's decision to go on.
+    // As the error states: if the full check finds nothing, a person decides whether to continue.
     assert_eq!(check(&path).unwrap().findings, []);
     std::fs::remove_file(lock::lock_path(&path)).unwrap();
     let store = Store::open(&path, StoreOptions::default()).unwrap();
@@ -319,7 +319,7 @@ fn a_commit_that_meets_damage_is_not_tried_again() {
     assert!(Store::open(&path, StoreOptions::default()).is_err());
 }
 
-/// Counted among those of commits its failures would end the process, or make the state flip with every commit.
+/// If its failures counted among those of commits, they would end the process or make the state flip with every commit.
 #[test]
 fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
     let world = World::new();
@@ -356,7 +356,7 @@ fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
     assert_eq!(found, (first.host_utc_ns + 1_000, 16));
 }
 
-/// A writer beside an old capture, with a batch in the log, and what is in file and log once page `gap` is damaged.
+/// A writer beside an old capture, with a batch in the log, and the content of file and log once page `gap` is damaged.
 fn beside_damage(world: &World) -> (writer::Writer, SharedProgress, impl Fn() -> [Vec<u8>; 2] + use<>) {
     let path = with_old_capture(world);
     let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
@@ -383,7 +383,7 @@ fn damage_that_is_found_after_an_error_leaves_file_and_log_as_they_are() {
     for stopped in [false, true] {
         let world = World::new();
         let (mut writer, progress, files) = beside_damage(&world);
-        // Whoever reads keeps the log from being emptied while the writer is closed.
+        // A reader keeps the log from being emptied while the writer is closed.
         let reader = Reader::open(world.store.path()).unwrap();
         assert_eq!(reader.capture(1).unwrap().samples, 6010);
         writer.pretend_io_error();
@@ -412,7 +412,7 @@ fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
     writer.take_report(Failure::of(&StoreError::Damaged { report: "a page".to_owned() }));
     let seen = progress::locked(&progress).clone();
     assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("vn100d recover")), "{seen:?}");
-    // It is said once.
+    // The damage is reported once.
     writer.take_report(Failure::of(&StoreError::Damaged { report: "another".to_owned() }));
     assert_eq!(progress::locked(&progress).failures, seen.failures);
 }

@@ -5,10 +5,10 @@ use crate::sample::Channel;
 use rusqlite::types::ValueRef;
 use rusqlite::{OptionalExtension, Row, params};
 
-/// Rows that one query reads at most; longer chunks are read in several, so that no read transaction lasts.
+/// The maximum number of rows per query. Longer chunks are read in several queries, so that no read transaction lasts.
 const ROWS_PER_QUERY: u64 = 65_536;
 
-/// Which samples a capture has: `first..=last`, none where it is empty.
+/// The range of samples in a capture: `first..=last`; a capture without samples has none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SeqRange {
     /// The first sample's `seq`.
@@ -20,7 +20,7 @@ pub struct SeqRange {
 /// The three clocks of a chunk's samples.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Times {
-    /// The sensor's clock in ns, where it was sent.
+    /// The sensor's clock in ns, if it was sent.
     pub device_ns: Vec<Option<u64>>,
     /// The host's monotonic clock in ns.
     pub host_mono_ns: Vec<u64>,
@@ -35,11 +35,11 @@ pub struct Chunk {
     pub first_seq: u64,
     /// The number of each row's segment.
     pub segment: Vec<u32>,
-    /// What was asked for, in that order.
+    /// The requested channels, in the requested order.
     pub channels: Vec<Channel>,
-    /// One column per channel, in the channel's unit; NaN where the sample has no value.
+    /// One column per channel, in the channel's unit; NaN if the sample has no value.
     pub columns: Vec<Vec<f64>>,
-    /// The clocks, where they were asked for.
+    /// The clocks, if requested.
     pub times: Option<Times>,
 }
 
@@ -53,12 +53,12 @@ impl Chunk {
             times: times.then(Times::default),
         }
     }
-    /// How many samples it has.
+    /// The number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
         self.segment.len()
     }
-    /// Whether it has none: the capture has no sample at or after the one asked for.
+    /// Whether the chunk is empty: the capture has no sample at or after the requested one.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.segment.is_empty()
@@ -74,7 +74,7 @@ impl Reader {
     /// Up to `limit` samples from `from_seq` on, without their times.
     ///
     /// # Errors
-    /// What the database says; a `seq` that is left out there is [`StoreError::Damaged`].
+    /// The error that the database reports; a missing `seq` is [`StoreError::Damaged`].
     pub fn read_chunk(
         &self,
         capture_id: i64,
@@ -132,10 +132,10 @@ impl Reader {
         Ok(chunk)
     }
 
-    /// The first and last sample of a capture; None where it has none.
+    /// The first and last sample of a capture; `None` if it has none.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn seq_range(&self, capture_id: i64) -> Result<Option<SeqRange>, StoreError> {
         let end = |order: &str| -> Result<Option<i64>, StoreError> {
             let sql = format!("SELECT seq FROM sample WHERE capture_id = ?1 ORDER BY seq {order} LIMIT 1");
@@ -150,7 +150,7 @@ impl Reader {
     /// Segment, device time and civil time of one sample.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] where it is not there, or what the database says.
+    /// [`StoreError::Damaged`] if the sample does not exist, or the error that the database reports.
     pub fn sample_clocks(&self, capture_id: i64, seq: u64) -> Result<(u32, Option<u64>, i64), StoreError> {
         let sql = "SELECT segment_id, device_time_ns, host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2";
         let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, Option<i64>>(1)?.map(|ns| ns as u64), row.get(2)?));

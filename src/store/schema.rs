@@ -1,4 +1,4 @@
-//! Opening: the one place that says which file is ours, what its schema is and which pragmas a connection has.
+//! Opening: the one place that decides which file is ours, what its schema is and which pragmas a connection has.
 
 use super::StoreError;
 use super::file_id::{refuse_replaced, written};
@@ -14,7 +14,7 @@ use std::time::Duration;
 pub const APPLICATION_ID: i32 = 0x564E_3130;
 /// First SQLite without the WAL-reset race (sqlite.org/wal.html#walresetbug).
 const SQLITE_NEEDED: (i32, &str) = (3_051_003, "3.51.3");
-/// In order, never edited after a release.
+/// The migrations in order, never edited after a release.
 const MIGRATIONS: &[&str] = &[
     include_str!("../../migrations/0001_captures.sql"),
     include_str!("../../migrations/0002_jobs.sql"),
@@ -31,7 +31,7 @@ const MIGRATIONS: &[&str] = &[
 const WRITER_BUSY: Duration = Duration::from_millis(5000);
 /// How long a reader waits.
 const READER_BUSY: Duration = Duration::from_millis(2000);
-/// Pages that a reader keeps, KiB: it reads on or looks up a row, and the system's own cache has the rest.
+/// The cache of a reader, KiB: it reads sequentially or looks up a row, and the system's own cache holds the rest.
 const READER_CACHE_KIB: i64 = 256;
 /// Statements that a connection keeps prepared.
 const STATEMENTS: usize = 64;
@@ -53,14 +53,14 @@ pub(super) fn check_sqlite() -> Result<(), StoreError> {
     Ok(())
 }
 
-/// The writer's connection to a database that exists or is made; its schema is brought up to date.
+/// The writer's connection to an existing or new database; its schema is upgraded.
 ///
-/// A database that is damaged is not opened: until it has passed, only a connection that cannot write has touched it.
+/// A damaged database is not opened: until it has passed the check, only a connection that cannot write has touched it.
 pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Connection, StoreError> {
     check_sqlite()?;
     let existing = std::fs::metadata(path).is_ok_and(|file| file.len() > 0);
     if existing {
-        // A foreign file is looked at through a connection that cannot write.
+        // A foreign file is examined through a connection that cannot write.
         let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
         let ours = refuse_foreign(&connection, path).and_then(|()| refuse_newer(&connection, path));
         ours.map_err(|error| match error {
@@ -77,8 +77,8 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
     Ok(connection)
 }
 
-/// The writer's connection to a database that must be there: what it reopens after an error. Until it is told otherwise
-/// ([`keep_log`]) it leaves the log as it is when it is closed: the file may be damaged.
+/// The writer's connection to a database that must exist: used to reopen it after an error. Unless changed with
+/// [`keep_log`], closing the connection leaves the log as it is, because the file may be damaged.
 pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
     let connection = open_for_writing(path, OpenFlags::empty())?;
     keep_log(&connection, true)?;
@@ -92,7 +92,7 @@ pub(super) fn keep_log(connection: &Connection, keep: bool) -> Result<(), rusqli
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, keep).map(drop)
 }
 
-/// Makes a copy a database of its own: another identity, and nothing left in a log.
+/// Makes a copy an independent database: it gets a new identity, and nothing is left in a log.
 pub(super) fn make_independent(path: &Path) -> Result<(), StoreError> {
     let connection = writer_connection(path, OpenFlags::empty())?;
     connection.execute("UPDATE writer SET identity = lower(hex(randomblob(16)))", [])?;
@@ -100,7 +100,7 @@ pub(super) fn make_independent(path: &Path) -> Result<(), StoreError> {
     connection.close().map_err(|(_, error)| StoreError::Sqlite(error))
 }
 
-/// Empties the log and shortens its file, where no reader prevents it; never waits.
+/// Empties the log and truncates its file, if no reader prevents it; never waits.
 pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.busy_timeout(Duration::ZERO)?;
     let emptied = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
@@ -108,7 +108,7 @@ pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error>
     emptied
 }
 
-/// Whether the error says that the file is not as SQLite wrote it.
+/// Whether the error reports that the file is not as SQLite wrote it.
 pub(super) fn says_damaged(error: &rusqlite::Error) -> bool {
     use rusqlite::ErrorCode as Code;
     matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
@@ -129,7 +129,7 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.busy_timeout(WRITER_BUSY)?;
     // A new file has no pages yet: it takes the id before it takes WAL mode.
     if connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0))? == 0 {
-        // Before the first table: what is deleted can then be given back to the file system in small steps.
+        // Before the first table: freed pages can then be given back to the file system in small steps.
         connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
         connection.pragma_update(None, "application_id", APPLICATION_ID)?;
     }
@@ -141,8 +141,8 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
     common_pragmas(connection)
 }
 
-/// Whether a file is a database of captures, whatever its version: by SQLite's header (its first 16 bytes, and the
-/// application's id in bytes 68 to 71, big endian).
+/// Whether a file is a database of captures, of any version. This is determined from SQLite's header (its first 16
+/// bytes, and the application's id in bytes 68 to 71, big endian).
 #[must_use]
 pub fn is_database(path: &Path) -> bool {
     let mut head = [0; 72];
@@ -150,17 +150,17 @@ pub fn is_database(path: &Path) -> bool {
     read && head.starts_with(b"SQLite format 3\0") && head[68..] == APPLICATION_ID.to_be_bytes()
 }
 
-/// When the pages of a transaction reach the disk.
+/// The moment at which the pages of a transaction reach the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Durability {
-    /// Before its commit answers.
+    /// Before its commit returns.
     AtCommit,
-    /// With the next transaction that is synced: a loss of power before it takes this one back, whole.
+    /// With the next transaction that is synced: a power loss before that undoes this transaction as a whole.
     Later,
 }
 
-/// Said before each transaction, so that none has another one's. The log is synced before a checkpoint and a file after it
-/// either way, so that the file stays whole.
+/// Set before each transaction, so that none inherits another's. In either mode the log is synced before a checkpoint
+/// and the file after it, so that the file stays intact.
 pub(super) fn set_durability(connection: &Connection, durability: Durability) -> Result<(), rusqlite::Error> {
     let synchronous = match durability {
         Durability::AtCommit => "FULL",
@@ -169,7 +169,7 @@ pub(super) fn set_durability(connection: &Connection, durability: Durability) ->
     connection.pragma_update(None, "synchronous", synchronous)
 }
 
-/// A connection that can only read. It never checkpoints: that is the writer's.
+/// A connection that can only read. It never checkpoints: only the writer does.
 pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     check_sqlite()?;
     match std::fs::metadata(path) {
@@ -181,8 +181,8 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     refuse_replaced(path)?;
     connection.busy_timeout(READER_BUSY)?;
     if let Err(StoreError::Sqlite(error)) = refuse_foreign(&connection, path) {
-        // WAL mode needs a shared-memory file; where none can be made and no log is left the file itself is complete. Where
-        // this process writes it that is true for a moment only.
+        // WAL mode needs a shared-memory file. If none can be created and no log is left, the file itself is complete.
+        // If this process writes it, that is true for a moment only.
         let log = wal_path(path);
         if written().contains_key(path) || std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
             return Err(error.into());

@@ -1,4 +1,4 @@
-//! What the store promises, on real files.
+//! The store's guarantees, on real files.
 
 use super::*;
 use crate::sample::record::CaptureEnd;
@@ -216,12 +216,12 @@ fn samples_that_are_there_already_stay_wherever_in_a_statement_they_come() {
         let world = World::new();
         let id = world.capturing();
         let mut connection = rusqlite::Connection::open(world.store.path()).unwrap();
-        // The writer has a transaction of its own now and then: one that begins with a read would not wait for it.
+        // The writer sometimes runs its own transaction: one that begins with a read would not wait for it.
         let transaction = connection.transaction_with_behavior(rusqlite::TransactionBehavior::Immediate).unwrap();
         let of = |from: u64, to: u64| (from..to).map(|seq| (id, sample(1, seq))).collect::<Vec<_>>();
         super::insert::insert(&transaction, &[(id, segment(1, 0))], 0, 0).unwrap();
         let mut first = of(from, to);
-        // One of other values under the same number is not taken for new.
+        // A sample with other values under the same number is not taken for new.
         if let Record::Sample { sample, .. } = &mut first[0].1 {
             sample.set(Channel::GyroX, 42.0);
         }
@@ -348,7 +348,7 @@ fn a_full_queue_gives_the_record_back_at_once() {
     assert_eq!(refused, Refused::Full(sample(1, sent)));
     assert_eq!((sent, sender.queued(), sender.room()), (4, 4, 0));
     std::thread::sleep(Duration::from_millis(20));
-    // The writer stands: it has seen none of them, and their age is known all the same.
+    // The writer is stalled: it has seen none of the records, and their age is known nevertheless.
     assert!(store.status().oldest_waiting_s.unwrap() >= 0.02, "{:?}", store.status());
     hold.send(()).unwrap();
     holder.join().unwrap().unwrap();
@@ -455,7 +455,7 @@ fn a_gap_without_the_sample_behind_it_is_left_to_be_measured_again() {
     let id = world.store.create_capture(NewCapture::new("pty", CaptureState::Capturing)).unwrap();
     let mut records = a_capture();
     records.pop();
-    // The power went between the commit of a gap and that of the sample that ended it.
+    // The power failed between the commit of a gap and that of the sample that ended it.
     records.push(Record::Gap(Gap {
         before_seq: 150,
         from_utc_ns: START_NS,
@@ -579,7 +579,7 @@ fn a_name_that_was_only_liked_gives_way_and_one_that_was_told_does_not() {
         world.store.begin_import(capture, None)
     };
     let called = |end: ImportEnd| world.reader().capture(end.id()).unwrap().name;
-    // Begun together, each finds the name free.
+    // Begun together, both find the name free.
     let (first, second) = (begin(None, Some("desk")).unwrap(), begin(None, Some("desk")).unwrap());
     let (told, unnamed, other) =
         (begin(Some("desk"), None).unwrap(), begin(None, None).unwrap(), begin(None, Some("a/b")).unwrap());
@@ -649,7 +649,7 @@ fn a_job_whose_process_dies_three_times_fails_and_a_daemon_that_ends_counts_for_
     };
     die(false);
     die(false);
-    // It has come further: what it dies of now is something else.
+    // The job has progressed: a further death has another cause.
     store.claim_job().unwrap();
     assert!(store.checkpoint_job(job, JobCheckpoint { next_seq: 1, state: vec![7] }, 0.1).unwrap());
     store.release_job(job).unwrap();

@@ -1,13 +1,14 @@
-//! When each sample was taken, and which samples lie in a range of time.
+//! The time axis: when each sample was taken, and which samples lie in a range of time.
 //!
-//! In: a capture and times as a person asks for them. Out: `seq` of the range's ends, and each sample's time in ns since the
-//! capture's first one. One segment is kept at a time, however many there are, and every look-up is a short query.
+//! In: a capture and times as a user enters them. Out: `seq` of the range's ends, and each sample's time in ns since
+//! the capture's first one. Only one segment is kept at a time, however many there are, and every look-up is a short
+//! query.
 
 use super::{CaptureRow, Chunk, PageRequest, Reader, SegmentRow, StoreError};
 use crate::sample::Timebase;
 use crate::units::period_ns;
 
-/// A time as it was asked for.
+/// A requested time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Moment {
     /// UTC in ns since 1970.
@@ -17,18 +18,18 @@ pub enum Moment {
 }
 
 impl Moment {
-    /// RFC 3339, or seconds since the capture's first sample; `None` where the text is neither.
+    /// RFC 3339, or seconds since the capture's first sample; `None` if the text is neither.
     #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         if let Ok(seconds) = text.parse::<f64>() {
             let ns = seconds * 1e9;
-            // Beyond 2^62 ns (146 years) sums could not be held.
+            // Beyond 2^62 ns (146 years) sums would overflow.
             return (0.0..4.6e18).contains(&ns).then(|| Self::Since(ns.round() as i64));
         }
         chrono::DateTime::parse_from_rfc3339(text).ok()?.timestamp_nanos_opt().map(Self::Utc)
     }
 
-    /// Since the first sample, which was taken at `origin_ns` (UTC), ns.
+    /// The time in ns since the first sample, which was taken at `origin_ns` (UTC).
     #[must_use]
     pub fn since(self, origin_ns: i64) -> i64 {
         match self {
@@ -38,7 +39,7 @@ impl Moment {
     }
 }
 
-/// A stretch of a capture.
+/// A range of samples of a capture.
 #[derive(Debug)]
 pub struct SampleRange {
     /// The capture, as it was when the range was looked up.
@@ -52,10 +53,11 @@ pub struct SampleRange {
 }
 
 impl SampleRange {
-    /// The samples of a capture from one moment on and before another; to its ends where they are absent.
+    /// The samples of a capture from one moment on and before another; an absent moment stands for the capture's own
+    /// end.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchCapture`], or what the database says.
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn read(reader: &Reader, name: &str, from: Option<Moment>, to: Option<Moment>) -> Result<Self, StoreError> {
         let id = reader.resolve(name)?;
         let capture = reader.capture(id)?;
@@ -66,16 +68,16 @@ impl SampleRange {
         Ok(Self { capture, axis, from_seq, to_seq: to_seq.max(from_seq) })
     }
 
-    /// How many samples it has.
+    /// The number of samples.
     #[must_use]
     pub fn samples(&self) -> u64 {
         self.to_seq - self.from_seq
     }
 
-    /// When its first and its last sample were taken, s since the capture's first one; both 0 where it has none.
+    /// The times of its first and its last sample, s since the capture's first one; both 0 if it has none.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn ends_s(&mut self, reader: &Reader) -> Result<[f64; 2], StoreError> {
         if self.samples() == 0 {
             return Ok([0.0; 2]);
@@ -88,8 +90,8 @@ impl SampleRange {
     }
 }
 
-/// When each sample was taken: by the sensor's clock within each of its epochs, by the rate where the sensor sends no
-/// time, by the stamps of a recording. It keeps one segment at a time, however many there are.
+/// The time of each sample: by the sensor's clock within each of its epochs, by the rate if the sensor sends no time,
+/// by the stamps of a recording. It keeps one segment at a time, however many there are.
 #[derive(Debug)]
 pub struct TimeAxis {
     capture_id: i64,
@@ -101,21 +103,21 @@ impl TimeAxis {
     /// The axis of a capture; it begins at its first sample.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn read(reader: &Reader, capture_id: i64) -> Result<Self, StoreError> {
         let first = PageRequest { limit: Some(1), cursor: None };
         let origin_ns = reader.segments(capture_id, &first)?.rows.first().map_or(0, |segment| segment.from.0);
         Ok(Self { capture_id, origin_ns, segment: None })
     }
 
-    /// UTC of what times count from, ns since 1970.
+    /// UTC of the origin of the times, ns since 1970.
     #[must_use]
     pub fn origin_ns(&self) -> i64 {
         self.origin_ns
     }
 
-    /// `seq` of the first sample at or after the moment, `end` where none is. Found by bisection: where the axis itself
-    /// goes back (the host's clock was stepped while the sensor was away) it is one of the places in question.
+    /// The `seq` of the first sample at or after the moment, `end` if there is none. Found by bisection: if the axis
+    /// itself runs back (the host's clock was stepped while the sensor was away), it is one of several possible places.
     fn seq_at(&mut self, reader: &Reader, moment: Moment, end: u64) -> Result<u64, StoreError> {
         let wanted_ns = moment.since(self.origin_ns);
         let (mut low, mut high) = (0, end);
@@ -128,11 +130,11 @@ impl TimeAxis {
         Ok(low)
     }
 
-    /// The times of a chunk that was read with its clocks, one per sample, ns since the capture's first one; none where it
-    /// was read without.
+    /// The times of a chunk that was read with its clocks, one per sample, ns since the capture's first one; empty if
+    /// it was read without clocks.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn times(&mut self, reader: &Reader, chunk: &Chunk) -> Result<Vec<i64>, StoreError> {
         let Some(times) = &chunk.times else { return Ok(Vec::new()) };
         let clocks = times.device_ns.iter().zip(&times.host_utc_ns);
@@ -143,7 +145,7 @@ impl TimeAxis {
         .collect()
     }
 
-    /// Since the capture's first sample, ns.
+    /// The time of a row, ns since the capture's first sample.
     fn time_ns(
         &mut self,
         reader: &Reader,

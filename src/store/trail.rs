@@ -82,12 +82,12 @@ pub struct ConfigurationRow {
     pub registers: serde_json::Value,
 }
 
-/// How many samples are missing before each: by the first sample behind a gap the sum of all gaps up to it.
+/// The number of samples missing before each sample: by the first sample behind a gap, the sum of all gaps up to it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Missing(Vec<(u64, u64)>);
 
 impl Missing {
-    /// Of gaps in order: the first sample behind each, and how many it lacks.
+    /// Builds the sums from gaps in order: the first sample behind each, and how many it lacks.
     #[must_use]
     pub fn of(gaps: impl IntoIterator<Item = (u64, u64)>) -> Self {
         let mut sum = 0;
@@ -110,7 +110,7 @@ impl Reader {
     /// A capture's segments in order.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn segments(&self, capture_id: i64, page: &PageRequest) -> Result<Page<SegmentRow>, StoreError> {
         let sql = "SELECT segment_id, epoch, first_seq, samples, rate_hz, timebase, channels, first_utc_ns, last_utc_ns, \
                    first_device_time_ns, last_device_time_ns FROM segment WHERE capture_id = ?1 AND segment_id > ?2 \
@@ -139,7 +139,8 @@ impl Reader {
     /// One segment.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] where samples belong to a segment that is not there, or what the database says.
+    /// [`StoreError::Damaged`] if samples belong to a segment that is not there, or the error that the database
+    /// reports.
     pub fn segment(&self, capture_id: i64, segment: u32) -> Result<SegmentRow, StoreError> {
         let before = i64::from(segment.saturating_sub(1));
         let rows = self.segments(capture_id, &PageRequest::one_after("segments", before))?.rows;
@@ -148,11 +149,11 @@ impl Reader {
         })
     }
 
-    /// Civil time minus device time, ns, where an epoch of the sensor's clock was first met; None where its segments have
-    /// no device time.
+    /// Civil time minus device time, ns, at the first sample of an epoch of the sensor's clock; `None` if its segments
+    /// have no device time.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn epoch_offset_ns(&self, capture_id: i64, epoch: u32) -> Result<Option<i64>, StoreError> {
         let sql = "SELECT first_utc_ns - first_device_time_ns FROM segment WHERE capture_id = ?1 AND epoch = ?2 \
                    AND first_device_time_ns IS NOT NULL ORDER BY segment_id LIMIT 1";
@@ -162,7 +163,8 @@ impl Reader {
     /// The rate of one segment in Hz.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] where samples belong to a segment that is not there, or what the database says.
+    /// [`StoreError::Damaged`] if samples belong to a segment that is not there, or the error that the database
+    /// reports.
     pub fn segment_rate_hz(&self, capture_id: i64, segment: u32) -> Result<f64, StoreError> {
         let sql = "SELECT rate_hz FROM segment WHERE capture_id = ?1 AND segment_id = ?2";
         let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, segment], |row| row.get(0));
@@ -174,7 +176,7 @@ impl Reader {
     /// Samples missing before the sample `seq`, over all gaps that lie before it.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn missing_before(&self, capture_id: i64, seq: u64) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(missing), 0) FROM gap WHERE capture_id = ?1 AND before_seq < ?2";
         let missing: i64 =
@@ -182,10 +184,10 @@ impl Reader {
         Ok(missing as u64)
     }
 
-    /// The same for any sample, read once: 16 bytes a gap.
+    /// The same for any sample, read once: 16 bytes per gap.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn missing(&self, capture_id: i64) -> Result<Missing, StoreError> {
         let sql = "SELECT before_seq, missing FROM gap WHERE capture_id = ?1 ORDER BY before_seq";
         let mut statement = self.connection.prepare_cached(sql)?;
@@ -197,7 +199,7 @@ impl Reader {
     /// Samples missing by the cause of their gaps.
     ///
     /// # Errors
-    /// What the database says.
+    /// The error that the database reports.
     pub fn missing_by_cause(&self, capture_id: i64) -> Result<BTreeMap<String, u64>, StoreError> {
         let sql = "SELECT cause, sum(missing) FROM gap WHERE capture_id = ?1 GROUP BY cause";
         let mut statement = self.connection.prepare_cached(sql)?;
@@ -209,9 +211,10 @@ impl Reader {
     /// A capture's gaps in the order they were recorded.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn gaps(&self, capture_id: i64, page: &PageRequest) -> Result<Page<GapRow>, StoreError> {
-        // `+`: by the key from the cursor on. By the index of captures each page would sort all the gaps of its capture.
+        // `+`: select by the key from the cursor on. With the index of captures each page would sort all the gaps of
+        // its capture.
         let sql = "SELECT gap_id, from_utc_ns, to_utc_ns, missing, missing_exact, cause, before_seq, from_device_ns, \
                    to_device_ns FROM gap WHERE +capture_id = ?1 AND gap_id > ?2 ORDER BY gap_id LIMIT ?3";
         self.page(sql, capture_id, page, "gaps", |row| {
@@ -233,7 +236,7 @@ impl Reader {
     /// A capture's events in the order they were recorded.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn events(&self, capture_id: i64, page: &PageRequest) -> Result<Page<EventRow>, StoreError> {
         let sql = "SELECT event_id, utc_ns, kind, message, detail FROM event WHERE capture_id = ?1 AND event_id > ?2 \
                    ORDER BY event_id LIMIT ?3";
@@ -245,7 +248,7 @@ impl Reader {
     /// A capture's configurations in the order they were read.
     ///
     /// # Errors
-    /// [`StoreError::BadCursor`], or what the database says.
+    /// [`StoreError::BadCursor`], or the error that the database reports.
     pub fn configurations(&self, capture_id: i64, page: &PageRequest) -> Result<Page<ConfigurationRow>, StoreError> {
         let sql = "SELECT configuration_id, utc_ns, before_seq, registers FROM configuration WHERE capture_id = ?1 \
                    AND configuration_id > ?2 ORDER BY configuration_id LIMIT ?3";

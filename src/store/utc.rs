@@ -1,15 +1,16 @@
-//! Civil times that are set right later: the host's clock had not been set when a capture began.
+//! Corrections of civil times: the host's clock had not been set when a capture began.
 //!
-//! [`crate::sample::Record::UtcSet`] leaves one row in table `utc_correction`, in the transaction of its batch. The writer
-//! then moves the capture's times in steps of a few thousand rows ([`step`]), each in a transaction of its own that also
-//! keeps how far it has come and renews the checksums: a kill costs one step, and what arrives meanwhile is committed in
-//! between. Tables are gone through from the newest row to the oldest, so that civil time never runs back on the way.
+//! [`crate::sample::Record::UtcSet`] leaves one row in table `utc_correction`, in the transaction of its batch. The
+//! writer then moves the capture's times in steps of a few thousand rows ([`step`]). Each step is a separate
+//! transaction that also stores its progress and renews the checksums: a kill costs one step, and new data is committed
+//! in between. Tables are processed from the newest row to the oldest, so that civil time never runs back on the way.
 //!
-//! An earlier boot of the host began at another wrong time, so that its rows, where they were never corrected, keep theirs: a
-//! correction reaches back to the first segment of the present boot ([`since`]), or to where the clock was set back since.
+//! An earlier boot of the host began at another wrong time, so its rows keep their times if they were never corrected.
+//! A correction reaches back to the first segment of the present boot ([`since`]), or to the point where the clock was
+//! set back since.
 //!
-//! Samples that the accounting still held when the clock was set come after the record, with the old time. So a correction
-//! begins once the first sample with a time of its own is there ([`close`]), or the capture has ended.
+//! Samples that the accounting still held when the clock was set arrive after the record, with the old time. So a
+//! correction begins once the first sample with a later time is there ([`close`]), or the capture has ended.
 
 use super::StoreError;
 use super::batch::{self, BatchRow, batch_row};
@@ -18,8 +19,8 @@ use rusqlite::{Connection, OptionalExtension, params};
 /// Rows of one step: some tens of milliseconds.
 pub(super) const STEP_ROWS: i64 = 4096;
 
-/// Where times stand: table, what identifies the capture, what orders its rows, the columns and which of them are of the
-/// present boot, from sample (event, for events) `?6` on.
+/// A place that holds times: the table, what identifies the capture, the key that orders its rows, the columns, and
+/// which rows are of the present boot, from sample (event, for events) `?6` on.
 struct Place {
     table: &'static str,
     capture: &'static str,
@@ -27,7 +28,7 @@ struct Place {
     columns: &'static [(&'static str, &'static str)],
 }
 
-/// In the order in which they are gone through; samples last.
+/// In the order in which they are processed; samples last.
 const PLACES: [Place; 6] = [
     Place {
         table: "capture",
@@ -47,7 +48,7 @@ const PLACES: [Place; 6] = [
         key: "segment_id",
         columns: &[("first_utc_ns", "first_seq >= ?6"), ("last_utc_ns", "first_seq + samples > ?6")],
     },
-    // By place, not by number: that is what its index has.
+    // By place, not by number: its index is on the place.
     Place {
         table: "gap",
         capture: "capture_id",
@@ -78,8 +79,8 @@ pub(super) struct Since {
     event: i64,
 }
 
-/// How far a correction that comes now reaches back: to the first segment of the boot `boot_id`, or to where the clock was
-/// set back since (`since_seq`). The whole capture where the boot is not known.
+/// Determines how far back a new correction reaches: to the first segment of the boot `boot_id`, or to the point where
+/// the clock was set back since (`since_seq`). It is the whole capture if the boot is not known.
 pub(super) fn since(
     connection: &Connection,
     capture_id: i64,
@@ -95,7 +96,7 @@ pub(super) fn since(
             .unwrap_or(i64::MAX))
     };
     if let Some(seq) = since_seq.filter(|seq| *seq > 0) {
-        // The step back is told by an event, the last of its kind.
+        // An event records the step back, the last of its kind.
         let sql = "SELECT event_id FROM event WHERE capture_id = ?1 AND kind = 'clock_step' AND utc_ns < ?2 \
                    ORDER BY event_id DESC LIMIT 1";
         return Ok(Since { seq: seq as i64, event: event(sql, i64::MAX)? });
@@ -108,7 +109,7 @@ pub(super) fn since(
         .optional()?;
     match first {
         Some((seq, utc_ns)) if seq > 0 => {
-            // A run of the program tells its first sample by an event with that sample's time.
+            // A run of the program records its first sample in an event with that sample's time.
             let sql = "SELECT event_id FROM event WHERE capture_id = ?1 AND kind = 'capture_started' \
                        ORDER BY abs(utc_ns - ?2), event_id DESC LIMIT 1";
             Ok(Since { seq, event: event(sql, utc_ns)? })
@@ -118,7 +119,7 @@ pub(super) fn since(
     }
 }
 
-/// The civil time of a sample as it is once the corrections that are noted are done.
+/// The civil time of a sample after the noted corrections are done.
 pub(super) fn corrected(connection: &Connection, capture_id: i64, seq: u64, utc_ns: i64) -> Result<i64, StoreError> {
     let sql = "SELECT by_ns, before_utc_ns FROM utc_correction JOIN capture ON capture.id = capture_id \
                WHERE capture_id = ?1 AND ?2 >= first_seq AND ?2 < coalesce(end_seq, samples) \
@@ -134,7 +135,7 @@ pub(super) fn corrected(connection: &Connection, capture_id: i64, seq: u64, utc_
     Ok(corrected)
 }
 
-/// Notes that times of the capture before `before_utc_ns` are to be moved; `next_seq` is that of its next sample.
+/// Notes that times of the capture before `before_utc_ns` must be moved; `next_seq` is that of its next sample.
 pub(super) fn note(
     connection: &Connection,
     capture_id: i64,
@@ -144,7 +145,7 @@ pub(super) fn note(
     next_seq: u64,
 ) -> Result<(), StoreError> {
     close(connection, capture_id, next_seq)?;
-    // No time that lies before can then run over.
+    // Then no earlier time can overflow.
     if before_utc_ns.checked_add(by_ns).is_none() {
         return Ok(());
     }
@@ -155,20 +156,20 @@ pub(super) fn note(
     Ok(())
 }
 
-/// Samples with times below this still belong to the correction that was noted last; None where there is none.
+/// Samples with times below this still belong to the correction that was noted last; `None` if there is none.
 pub(super) fn open_before(connection: &Connection, capture_id: i64) -> Result<Option<i64>, StoreError> {
     let sql = "SELECT max(before_utc_ns) FROM utc_correction WHERE capture_id = ?1 AND end_seq IS NULL";
     Ok(connection.prepare_cached(sql)?.query_row([capture_id], |row| row.get(0))?)
 }
 
-/// The sample `seq` is the first that was taken after the clock was set.
+/// Records that the sample `seq` is the first that was taken after the clock was set.
 pub(super) fn close(connection: &Connection, capture_id: i64, seq: u64) -> Result<(), StoreError> {
     let sql = "UPDATE utc_correction SET end_seq = ?2 WHERE capture_id = ?1 AND end_seq IS NULL";
     connection.prepare_cached(sql)?.execute(params![capture_id, seq as i64])?;
     Ok(())
 }
 
-/// When the program begins: what the accounting of an earlier run held is gone.
+/// Closes all corrections when the program starts: the samples that the accounting of an earlier run held are gone.
 pub(super) fn close_all(connection: &Connection) -> Result<(), StoreError> {
     let sql = "UPDATE utc_correction SET end_seq = (SELECT samples FROM capture WHERE id = capture_id) \
                WHERE end_seq IS NULL";
@@ -176,8 +177,8 @@ pub(super) fn close_all(connection: &Connection) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Does one step of the oldest correction that can be gone on with; false where there is none. To be called in a
-/// transaction of its own.
+/// Does one step of the oldest correction that can continue; returns `false` if there is none. Must be called in a
+/// separate transaction.
 pub(super) fn step(connection: &Connection) -> Result<bool, StoreError> {
     let Some(correction) = next(connection)? else { return Ok(false) };
     let place = PLACES.get(correction.place).filter(|_| correction.live);
@@ -220,7 +221,7 @@ fn next(connection: &Connection) -> Result<Option<Correction>, StoreError> {
     Ok(connection.prepare_cached(sql)?.query_row([], read).optional()?)
 }
 
-/// Moves the times of some rows; answers the lowest key among them, None where there are none below `next_key`.
+/// Moves the times of some rows. Returns the lowest key among them, or `None` if there are none below `next_key`.
 fn rows(connection: &Connection, correction: &Correction, place: &Place) -> Result<Option<i64>, StoreError> {
     let Place { table, capture, key, .. } = place;
     let sql = format!(
@@ -264,7 +265,7 @@ fn samples(connection: &Connection, correction: &Correction, place: &Place) -> R
     Ok((from > first).then_some(from))
 }
 
-/// Moves what lies before the time that cannot be; answers how many rows changed.
+/// Moves the times before the limit; returns how many rows changed.
 fn move_times(
     connection: &Connection,
     correction: &Correction,
@@ -280,7 +281,7 @@ fn move_times(
         })
         .collect();
     let early: Vec<String> = columns.iter().map(|(column, since)| format!("{column} < ?5 AND {since}")).collect();
-    // A row that would become equal to another stays as it is: it must not hold up the rest.
+    // A row that would become equal to another keeps its time: it must not block the rest.
     let sql = format!(
         "UPDATE OR IGNORE {table} SET {} WHERE {capture} = ?1 AND {key} >= ?2 AND {key} < ?3 AND (({}))",
         moved.join(", "),
@@ -300,7 +301,7 @@ mod tests {
     use std::path::Path;
     use std::time::{Duration, Instant};
 
-    /// The clock is set so much forward; what lies before 2020 was taken before that.
+    /// The clock is set forward by this much; times before 2020 were recorded before that.
     const BY_NS: i64 = START_NS - 100_000_000_000;
     const START_NS: i64 = 1_800_000_000_000_000_000;
     const UNSET_NS: i64 = 1_577_836_800_000_000_000;
@@ -331,7 +332,8 @@ mod tests {
         Record::UtcSet { by_ns, before_utc_ns, boot_id: boot_id.map(str::to_owned), since_seq }
     }
 
-    /// What a capture sends that began in 1970: segments and gaps, the clock is set, two samples were still held.
+    /// The records of a capture that began in 1970: segments and gaps, then the clock is set while two samples are
+    /// still held.
     fn records() -> Vec<Record> {
         let mut records = vec![early(segment(1, 0)), event(5)];
         for seq in 0..COUNT {
@@ -390,7 +392,7 @@ mod tests {
         for part in records().chunks(5000) {
             writer.write_now(part.iter().map(|record| (id, record.clone())));
         }
-        // As a kill right after the clock was set leaves it: noted, nothing done.
+        // The state that a kill right after the clock was set leaves: noted, nothing done.
         assert_eq!(
             (one(&path, LEFT), one(&path, &format!("SELECT count(*) FROM sample WHERE host_utc_ns < {UNSET_NS}"))),
             (1, COUNT as i64 + 2)
@@ -399,7 +401,7 @@ mod tests {
         let (mut steps, mut images) = (0, 0);
         loop {
             let before = connection.total_changes();
-            // Whoever asks for the last sample on the way has the time that it will have.
+            // A query for the last sample during the correction returns its final time.
             for seq in [0, COUNT / 2, COUNT + 1, COUNT + 2] {
                 let sql = format!("SELECT host_utc_ns FROM sample WHERE seq = {seq}");
                 let will_be = corrected(&connection, id, seq, one(&path, &sql)).unwrap();
@@ -426,7 +428,7 @@ mod tests {
         all_right(&path, COUNT + 3);
     }
 
-    /// The files as a kill leaves them are opened anew: the correction goes on, beside a capture that goes on.
+    /// Opens the files as a kill leaves them: the correction continues, beside a capture that continues.
     fn killed_here(path: &Path, image: &Path, id: i64) {
         std::fs::copy(path, image).unwrap();
         std::fs::copy(schema::wal_path(path), schema::wal_path(image)).unwrap();
@@ -474,7 +476,7 @@ mod tests {
         }
         world.store.flush_blocking().unwrap();
         all_right(&path, seq);
-        // A second time: what is right already stays.
+        // A second time: what is already right stays.
         world.send(id, [utc_set(BY_NS, UNSET_NS, None, None), sample(4, seq)]);
         world.store.close().unwrap();
         all_right(&path, seq + 1);
@@ -492,7 +494,7 @@ mod tests {
         Record::Event(EventRecord { utc_ns, kind: EventKind::CaptureStarted, message, detail: None })
     }
 
-    /// The record as a clock has it that is off by so much.
+    /// The record with the time of a clock that is off by this much.
     fn off(record: Record, by_ns: i64) -> Record {
         match record {
             Record::Sample { seq, segment, mut sample } => {
@@ -504,7 +506,7 @@ mod tests {
         }
     }
 
-    /// Writes the records, does all corrections; answers a query of rows of numbers.
+    /// Writes the records and does all corrections; returns the rows of numbers that a query selects.
     fn corrected_rows(records: Vec<Record>, sql: &str) -> Vec<i64> {
         let world = World::new();
         let id = world.capturing();
@@ -538,7 +540,7 @@ mod tests {
         records.push(event(7));
         records.push(started(START_NS + 100 * PERIOD_NS - second_off));
         let Record::Gap(between) = gap(100, 3) else { panic!() };
-        // The clock of the later of its two samples gives its times.
+        // The clock of the later of its two samples determines its times.
         let (from_utc_ns, to_utc_ns) = (between.from_utc_ns - second_off, START_NS + 100 * PERIOD_NS - second_off);
         records.push(Record::Gap(Gap { from_utc_ns, to_utc_ns, ..between }));
         records.push(of_boot(off(segment(2, 100), second_off), "two"));
@@ -589,7 +591,7 @@ mod tests {
         let middle = START_NS + 52 * PERIOD_NS - second_off - step / 2;
         let right: Vec<i64> = (0..101).map(|seq| START_NS + seq * PERIOD_NS).collect();
         assert_eq!(corrected_rows(steps(Some(utc_set(step, middle, Some("one"), None)), None), SAMPLES), right);
-        // As after a step back, which is noted in no row: what lies before it stays.
+        // As after a step back that no row records: what lies before it stays.
         let mut expected = right.clone();
         expected.iter_mut().take(52).for_each(|utc_ns| *utc_ns -= BY_NS);
         assert_eq!(corrected_rows(steps(None, Some(52)), SAMPLES), expected);

@@ -1,14 +1,14 @@
 //! The writer: one thread that owns the only connection that writes.
 //!
-//! Records come through a bounded queue, commands (closures, each in a transaction of its own) through a channel.
-//! Records are committed when the oldest has waited [`COMMIT_AFTER`] or [`COMMIT_RECORDS`] have come together, whichever
-//! is first, and kept in memory until a commit has succeeded. While commits fail the thread leaves the queue alone (it
-//! absorbs what arrives), tries again with a capped delay, and says so in [`WriterProgress`].
+//! Records arrive through a bounded queue, commands (closures, each in a separate transaction) through a channel.
+//! Records are committed when the oldest has waited [`COMMIT_AFTER`] or [`COMMIT_RECORDS`] have accumulated, whichever
+//! is first. They are kept in memory until a commit has succeeded. While commits fail, the thread leaves the queue
+//! alone (it absorbs new records), tries again with a capped delay, and reports it in [`WriterProgress`].
 //!
-//! A failed commit may be on disk all the same, and after a failed fsync the kernel may have dropped what it was given.
-//! So after an I/O error the connection is closed and reopened, the file checked, and the batch's number read back. Where
-//! it is not there it is written again, in new pages that a new fsync vouches for. Where it is there it is made durable
-//! first: the log is copied into the file or, where a reader prevents that, written over itself.
+//! A failed commit may nevertheless be on disk, and after a failed fsync the kernel may have dropped its data. So after
+//! an I/O error the connection is closed and reopened, the file checked, and the batch's number read back. If the batch
+//! is missing, it is written again, in new pages that a new fsync covers. If it is present, it is first made durable:
+//! the log is copied into the file or, if a reader prevents that, written over itself.
 
 mod failure;
 mod file;
@@ -42,38 +42,39 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
-/// The longest a record that was taken from the queue waits for its commit to begin, in real time: with this commit and the one
-/// before it, during which it waited in the queue, it stays under a second.
+/// The longest time that a record taken from the queue waits for its commit to begin, in real time. With this commit
+/// and the one before it, during which it waited in the queue, it stays under a second.
 pub const COMMIT_AFTER: Duration = Duration::from_millis(750);
-/// So many records are committed without waiting.
+/// This many records are committed without waiting.
 pub const COMMIT_RECORDS: usize = 8192;
-/// How long the check after an I/O error may take: a large database is then taken as it is.
+/// The time limit of the check after an I/O error; a larger database is then accepted as it is.
 const QUICK_CHECK: Duration = Duration::from_secs(2);
 /// The shortest rest between two steps of correcting civil times.
 const REST: Duration = Duration::from_millis(5);
-/// How long the end may wait for a disk that refuses.
+/// How long the shutdown waits for a disk that refuses writes.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
-/// How long the end goes on correcting civil times; what is left then is done at the next start.
+/// How long the shutdown continues to correct civil times; the next start does the rest.
 const STOP_CORRECTING: Duration = Duration::from_secs(1);
-/// A step of correcting that failed is tried again after this, and after so many in a row at the next start.
+/// The delay before a failed step of correcting is tried again. After several failures in a row the next start tries
+/// it.
 const CORRECT_AGAIN: Duration = Duration::from_secs(60);
 const CORRECTION_FAILURES: u32 = 5;
 
 type Work = Box<dyn FnOnce(Result<&mut Connection, StoreError>) -> Option<Failure> + Send>;
 
-/// What the thread is told besides records.
+/// The commands to the thread, besides records.
 pub(super) enum Command {
     /// Run this.
     Run(Work),
     /// A reader met damage.
     Damage(Failure),
-    /// Answer when everything that is in the queue now is committed.
+    /// Reply when everything that is in the queue now is committed.
     Flush(oneshot::Sender<()>),
     /// Write what is there and end.
     Stop,
 }
 
-/// Runs `work` in a transaction of its own.
+/// Runs `work` in a separate transaction.
 pub(super) fn in_transaction<T>(
     connection: &mut Connection,
     durability: Durability,
@@ -86,7 +87,7 @@ pub(super) fn in_transaction<T>(
     Ok(value)
 }
 
-/// What the writer is made of.
+/// The parts from which the writer is built.
 pub(super) struct WriterParts {
     pub(super) path: PathBuf,
     pub(super) clock: Arc<dyn Clock>,
@@ -109,37 +110,37 @@ pub(super) struct Writer {
     waiting: SharedWaiting,
     lock: WriterLock,
     connection: Option<Connection>,
-    /// Which file it is, and since when that is known.
+    /// The identity of the file, and since when it is known.
     file: FileId,
     file_checked: Instant,
     file_check: Duration,
-    /// While it is closed: another file stands in its place, and was said to.
+    /// The connection is closed: another file is in its place, which was reported.
     replaced: bool,
-    /// The file was lost: what goes into the one that took its place.
+    /// The file was lost: what goes into the replacement.
     lost: Lost,
     identity: String,
     wal_alarm_bytes: u64,
     warned: bool,
     /// The database is damaged: nothing is written any more.
     damage: Option<Damage>,
-    /// Civil times are to be corrected; the next step not before the moment.
+    /// Civil times are to be corrected; the next step is due at this moment.
     correcting: Option<Instant>,
     /// Steps that failed since one succeeded, for a reason that does not pass by itself.
     correction_failures: u32,
     /// Taken from the queue, not yet committed.
     batch: Vec<(i64, Record)>,
-    /// The number the batch will have.
+    /// The number of the next batch.
     number: i64,
-    /// The batch was handed to a commit that failed: it may be there.
+    /// The batch was passed to a commit that failed: it may be on disk.
     in_doubt: bool,
-    /// An I/O error happened: the file is to be checked when it is opened again.
+    /// An I/O error happened: the file must be checked when it is reopened.
     suspect: bool,
-    /// When the oldest record of the batch must be committed.
+    /// The deadline for committing the oldest record of the batch.
     due: Option<Instant>,
-    /// No attempt before this.
+    /// The earliest time of the next attempt.
     retry_at: Option<Instant>,
     retry_after: Duration,
-    /// Who waits for how many more records to be committed.
+    /// The callers that wait, and for how many more records to be committed.
     flushes: Vec<(usize, oneshot::Sender<()>)>,
     measured_at: Instant,
     samples_since: u64,
@@ -179,7 +180,7 @@ impl Writer {
             lock,
             connection: Some(connection),
             damage: None,
-            // A run before this one may have left some.
+            // An earlier run may have left some.
             correcting: Some(Instant::now()),
             correction_failures: 0,
             batch: Vec::with_capacity(COMMIT_RECORDS),
@@ -198,12 +199,13 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Writes down outside the database what was acknowledged. Also tells why a disk refuses: SQLite does not say.
+    /// Records outside the database what was acknowledged. Also determines why a disk refuses writes, which SQLite does
+    /// not report.
     fn remember(&self) -> Option<std::io::Error> {
         self.lock.mark(&self.identity, self.number - 1).err()
     }
 
-    /// Works until told to stop or every sender is gone.
+    /// Works until a stop command arrives or every sender is gone.
     pub(super) async fn run(mut self) -> Result<(), StoreError> {
         let mut records_open = true;
         loop {
@@ -232,7 +234,7 @@ impl Writer {
             let asked = !self.flushes.is_empty() && self.records.is_empty();
             let retry = self.retry_at.is_some_and(|at| now >= at);
             if self.damage.is_some() {
-                // What comes is left in the queue: the process is about to end.
+                // New records stay in the queue: the process is about to end.
             } else if retry || self.retry_at.is_none() && (full || asked || self.due.is_some_and(|due| now >= due)) {
                 self.commit();
             }
@@ -253,7 +255,7 @@ impl Writer {
         }
     }
 
-    /// Runs a command. A batch that is being gathered is committed first, so that a command finds what preceded it.
+    /// Runs a command. A batch that is being gathered is committed first, so that a command sees what preceded it.
     fn run_command(&mut self, work: Work) {
         if self.retry_at.is_none() && self.damage.is_none() {
             self.commit();
@@ -263,7 +265,7 @@ impl Writer {
             return;
         }
         if self.retry_at.is_some() && self.connection.is_none() {
-            // Only the batch tries the disk again, at its own pace: a command that asks now hears so at once.
+            // Only the batch tries the disk again, at its own pace: a command that arrives now fails at once.
             let reason = locked(&self.progress).error.clone().unwrap_or_default();
             work(Err(StoreError::Refusing { reason }));
             return;
@@ -298,7 +300,7 @@ impl Writer {
         self.connection.as_mut().ok_or(StoreError::Closed)
     }
 
-    /// Opens the same file again, if it is still what was committed.
+    /// Reopens the same file, if it still holds what was committed.
     fn reopen(&mut self) -> Result<(), StoreError> {
         let connection = schema::reopen(&self.path).map_err(|error| match error {
             StoreError::Foreign { .. } => StoreError::Damaged { report: "its header is not one of ours".to_owned() },
@@ -326,7 +328,7 @@ impl Writer {
         StoreError::Lost { path: self.path.clone(), detail }
     }
 
-    /// Whether the path still names the file that is open. A database that was deleted takes data in vain.
+    /// Checks whether the path still names the open file. Data written to a deleted database is lost.
     fn check_file(&mut self) {
         self.file_checked = Instant::now();
         if !self.file.is_lost(&self.path) {
@@ -341,7 +343,7 @@ impl Writer {
         }
     }
 
-    /// Opens what stands in the lost file's place, or a new file, and lets the captures go on there.
+    /// Opens the replacement of the lost file, or a new file, and continues the captures there.
     fn take_new_file(&mut self) -> Result<(), StoreError> {
         let path = &self.path;
         let opened = self.file.judged(path, |file| {
@@ -369,7 +371,7 @@ impl Writer {
 
     fn commit(&mut self) {
         if self.batch.is_empty() {
-            // Nothing to write, but a broken connection is mended all the same.
+            // There is nothing to write, but a broken connection is nevertheless repaired.
             match self.connection().map(drop) {
                 Ok(()) if self.retry_at.is_some() => self.recovered(),
                 Ok(()) => {}
@@ -417,12 +419,12 @@ impl Writer {
         }
     }
 
-    /// A step of correcting civil times, between commits; false where none can follow at once.
+    /// Does a step of correcting civil times, between commits; returns `false` if none can follow at once.
     fn correct_times(&mut self) -> bool {
         let begun = Instant::now();
         let connection = match self.connection() {
             Ok(connection) => connection,
-            // Commits have none either.
+            // Commits have no space either.
             Err(error) => {
                 self.fail(Failure::of(&error));
                 return false;
@@ -433,7 +435,7 @@ impl Writer {
             self.correction_failures = 0;
         }
         match done {
-            // At least as long as the step took, the writer is the capture's alone.
+            // The writer serves only the capture for at least as long as the step took.
             Ok(true) => self.correcting = Some(Instant::now() + begun.elapsed().max(REST)),
             Ok(false) => self.correcting = None,
             Err(error) => {
@@ -444,8 +446,9 @@ impl Writer {
         self.correcting.is_some()
     }
 
-    /// A step failed. It reads and writes where no commit does, so it says nothing of those: what an old capture needs must
-    /// not hold up the one that runs, nor end the process. What concerns both the next commit finds by itself.
+    /// Handles a failed step. It reads and writes when no commit does, so its failure is unrelated to commits: the
+    /// correction of an old capture must neither delay the running one nor end the process. The next commit detects by
+    /// itself what concerns both.
     fn put_off_correcting(&mut self, error: &StoreError) {
         tracing::warn!(message = "Civil times could not be corrected; it is tried again.", %error);
         self.correcting = Some(Instant::now() + CORRECT_AGAIN);
@@ -466,10 +469,10 @@ impl Writer {
         }
     }
 
-    /// The batch is acknowledged: the next one has the next number.
+    /// The batch is acknowledged: the next one gets the next number.
     fn remember_commit(&mut self) {
         self.number += 1;
-        // A mark that could not be written is only older than it might be.
+        // A mark that could not be written is merely out of date.
         let _ = self.remember();
     }
 
@@ -501,7 +504,7 @@ impl Writer {
         self.flushes = waiting;
         let done: Vec<(usize, oneshot::Sender<()>)> = done;
         for (_, reply) in done {
-            // Whoever asked may have given up waiting.
+            // The caller may have stopped waiting.
             let _ = reply.send(());
         }
     }
@@ -549,7 +552,7 @@ impl Writer {
         }
         let patience = Instant::now() + STOP_PATIENCE;
         loop {
-            // A batch in doubt stays as it was handed over: its number stands for exactly these records.
+            // A batch in doubt stays as it was passed on: its number stands for exactly these records.
             while !self.in_doubt && self.batch.len() < COMMIT_RECORDS {
                 match self.records.try_recv() {
                     Ok(record) => self.batch.push(record),
@@ -589,7 +592,7 @@ impl Writer {
                     return self.stop_damaged();
                 }
             }
-            // A reader beside us may keep the log from being emptied; the next start does it then.
+            // A reader in another process may keep the log from being emptied; the next start does it then.
             Err(error) => tracing::warn!(message = "The write-ahead log stays until the next start.", %error),
         }
         if let Some(connection) = self.connection.take() {

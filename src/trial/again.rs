@@ -1,7 +1,8 @@
-//! Again: whether what a diagnosis found holds on data that it did not see.
+//! Again: whether the result of a diagnosis holds on data that it did not see.
 //!
-//! Of a case with a gap the same device is recorded once more and diagnosed under the model that was given and under the corrected one;
-//! the corrected model is simulated with a fresh seed, and that is diagnosed under itself and under the model that was given.
+//! For a case with a gap, the same device is recorded once more and diagnosed under the model that was given and under the
+//! corrected one. The corrected model is also simulated with a fresh seed, and that simulation is diagnosed under the corrected
+//! model and under the model that was given.
 
 use super::judge::is_of_delivery;
 use super::key::Key;
@@ -11,14 +12,14 @@ use crate::simulator::{SensorModel, Simulator, SimulatorError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// What `closed` on the second record may differ from what was said.
+/// The tolerance between `closed` on the second record and the value that was stated.
 pub const WITHIN: f64 = 0.03;
 
-/// Four more diagnoses of a case: reports, or why there is none.
+/// Four more diagnoses of a case: reports, or the reason why there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Diagnoses {
-    /// The second record under the model that was given; none where there can be no second record.
+    /// The second record under the model that was given; none if there can be no second record.
     pub second: Option<Result<Value, String>>,
     /// And under the corrected model.
     pub second_corrected: Option<Result<Value, String>>,
@@ -34,12 +35,12 @@ pub struct Diagnoses {
 pub struct Again {
     /// Part of the gap that the corrected model closes on the second record.
     pub closed: Option<f64>,
-    /// Whether the second record shows no gap under the corrected model but in parameters.
+    /// Whether the second record shows no gap under the corrected model, except in parameters.
     pub second_clean: Option<bool>,
     /// Whether the corrected model explains its own simulation.
     pub itself_clean: bool,
-    /// Whether the cause that was named first, beside the delivery's, is named of the corrected model's simulation under the model that was given; none
-    /// where none was.
+    /// Whether the cause that was named first, beside the delivery's, is named of the corrected model's simulation under the
+    /// model that was given; none if none was.
     pub returns: Option<bool>,
 }
 
@@ -71,18 +72,20 @@ impl Again {
     }
 }
 
-/// The part of a diagnosis's gap that another model closes: the same discrepancy under that model. None where nothing was there to
+/// The part of a diagnosis's gap that another model closes: the same discrepancy under that model. None if there was no gap to
 /// close.
 #[must_use]
 pub fn closed_under(report: &Value, other: &Value) -> Option<f64> {
     let of = |report: &Value, name: &str| report["discrepancy"][name].as_f64();
     let (before, floor) = (of(report, "after_parameters")?, of(report, "floor")?);
-    // The other model's parameters are about right: refitting them cannot do better but by chance, and may do worse.
+    // The other model's parameters are about right: refitting them improves the result only by chance, and may make it
+    // worse.
     let after = of(other, "after_parameters")?.min(of(other, "before")?);
     of(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
 }
 
-/// A simulation of a model as long as a recording, at its temperature and with its channels; stamps where it has some.
+/// A simulation of a model as long as a recording, at its temperature and with its channels; with stamps if the
+/// recording has some.
 ///
 /// # Errors
 /// [`SimulatorError`]: the model cannot be run.

@@ -1,4 +1,4 @@
-//! Cases: a device with effects that its model lacks or has otherwise, its key, and recordings of it.
+//! Cases: a device with effects that its model lacks or has with other numbers, its key, and recordings of it.
 
 use super::class::Sense;
 use super::columns::{Column, Columns};
@@ -23,12 +23,12 @@ use std::collections::BTreeMap;
 struct Has {
     effect: Effect,
     sense: Sense,
-    /// What the model says of it, if anything.
+    /// The model's statement of the effect, if there is one.
     declared: Option<BTreeMap<String, Value>>,
     over_limit: f64,
 }
 
-/// A sealed case. The same seed and number give the same device with the same events, the take's number gives the noise.
+/// A sealed case. The same seed and number give the same device with the same events; the take's number determines the noise.
 #[derive(Debug)]
 pub struct Case {
     seed: u64,
@@ -39,7 +39,7 @@ pub struct Case {
     has: Vec<Has>,
     /// The model that the diagnosis is given.
     model: SensorModel,
-    /// What it is made of, where somebody recorded it.
+    /// The recording that it is made of, if there is one.
     stretch: Option<Stretch>,
 }
 
@@ -64,7 +64,7 @@ impl Case {
         Self::with(seed, number, recipe, setting, None)
     }
 
-    /// A case of a stretch that somebody recorded: the effects act on it.
+    /// A case of a stretch of an existing recording: the effects act on it.
     ///
     /// # Errors
     /// [`ImposeError`]: kinds that are not of [`Stretch::kinds`].
@@ -110,7 +110,7 @@ impl Case {
         Ok(made)
     }
 
-    /// The model with what it has of the effects.
+    /// The model with the effects that it states.
     fn model_with_effects(&self) -> Result<SensorModel, ImposeError> {
         let key = self.key();
         let level = |channel: &str| {
@@ -122,8 +122,8 @@ impl Case {
         })
     }
 
-    /// The same device recorded once more: the same effects at the same times, other noise. `None` where somebody recorded it, and
-    /// where limits follow from the samples, so that they would be others.
+    /// The same device recorded once more: the same effects at the same times, other noise. `None` for an existing recording, and
+    /// for limits that follow from the samples, because they would be others.
     #[must_use]
     pub fn again(self) -> Option<Self> {
         let same = self.stretch.is_none() && self.recipe.kinds().all(|kind| kind != Kind::Saturation);
@@ -147,14 +147,14 @@ impl Case {
         self.model.clone()
     }
 
-    /// Whether it is read as a table is, so that its rate follows from its stamps.
+    /// Whether it is read as a table, so that its rate follows from its stamps.
     #[must_use]
     pub fn is_table(&self) -> bool {
         self.stretch.is_none() && self.setting.stamps.is_some()
     }
 
-    /// Where somebody recorded it: its channels with nothing imposed, and the model with the case's N, B and K; of a case of nothing
-    /// the model as it was fitted to them.
+    /// For an existing recording: its channels without imposed effects, and the model with the case's N, B and K; for a case
+    /// without effects, the model as it was fitted to the channels.
     #[must_use]
     pub fn as_it_is(&self) -> Option<(Recording, SensorModel)> {
         let stretch = self.stretch.as_ref()?;
@@ -243,8 +243,8 @@ impl Case {
     }
 }
 
-/// The model that has what the key says: true N, B and K, and the effects as the sensor has them; `None` where the model
-/// format cannot say it: what is outside the library, and limits that follow from the samples.
+/// The model that corresponds to the key: true N, B and K, and the effects as the sensor has them. `None` if the model format
+/// cannot state it: effects outside the library, and limits that follow from the samples.
 ///
 /// `declared` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
 #[must_use]
@@ -272,7 +272,7 @@ pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
     with(&plain, has.map(|effect| (effect, &effect.parameters)), |_| None)
 }
 
-/// Whether a model has all that an effect of this kind does.
+/// Whether a model covers every property of an effect of this kind.
 fn can_be_said(kind: Kind) -> bool {
     kind.effect().is_some() && kind != Kind::Saturation
 }

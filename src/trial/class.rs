@@ -1,13 +1,13 @@
-//! Classes: what a case is a test of, and in which sense an effect of it is one.
+//! Classes: the property that a case tests, and the sense in which an effect belongs to it.
 
 use serde::{Deserialize, Serialize};
 
-/// What a case is a test of.
+/// The property that a case tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(clippy::exhaustive_enums, reason = "each is counted in its own way")]
 pub enum Class {
-    /// Nothing but wrong parameters.
+    /// Only wrong parameters.
     None,
     /// One effect that the sensor has and the model states rightly.
     Known,
@@ -63,13 +63,13 @@ impl Class {
         matches!(self, Self::Single | Self::Pair | Self::Several | Self::Superfluous | Self::Size)
     }
 
-    /// Whether the library lacks what its cases have.
+    /// Whether the library lacks the effects of its cases.
     #[must_use]
     pub fn is_outside(self) -> bool {
         matches!(self, Self::Outside | Self::Kept)
     }
 
-    /// Whether nothing is to be named in its cases.
+    /// Whether its cases have no effect to name.
     #[must_use]
     pub fn is_silent(self) -> bool {
         matches!(self, Self::None | Self::Known)
@@ -95,7 +95,7 @@ pub enum Sense {
 }
 
 impl Sense {
-    /// The sense that a diagnosis states: the documented words; none for another word.
+    /// The sense that a diagnosis states, from the documented words; none for any other word.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         match name {
@@ -106,8 +106,8 @@ impl Sense {
         }
     }
 
-    /// Whether a cause of sense `stated` says of an effect of this sense what is so. Of an effect that both have at two places each
-    /// of three sentences is true: the model lacks the one, the sensor lacks the other, and the two differ.
+    /// Whether a cause of sense `stated` is a true statement about an effect of this sense. For an effect that both have at two
+    /// places, each of three statements is true: the model lacks the one, the sensor lacks the other, and the two differ.
     #[must_use]
     pub fn accepts(self, stated: Self) -> bool {
         match self {

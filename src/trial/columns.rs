@@ -11,14 +11,15 @@ pub struct Column {
     pub channel: Channel,
     /// Its values, U.
     pub values: Vec<f64>,
-    /// The white part that is in them, U, of the same length: what effects on the white part alone act on.
+    /// The white part that is in them, U, of the same length: the input of effects on the white part alone.
     pub white: Vec<f64>,
     /// The white part's standard deviation before any effect, U: the unit of sizes.
     pub scale: f64,
 }
 
 impl Column {
-    /// Multiplies the white part, and with it what is of it in the values; `gain` takes a sample's number and its white part in σ.
+    /// Multiplies the white part, and with it its contribution to the values; `gain` takes a sample's number and its white part
+    /// in σ.
     pub fn amplify(&mut self, mut gain: impl FnMut(usize, f64) -> f64) {
         for (i, (value, white)) in self.values.iter_mut().zip(&mut self.white).enumerate() {
             let new = *white * gain(i, *white / self.scale);
@@ -27,14 +28,14 @@ impl Column {
         }
     }
 
-    /// Adds a course to the values, told in σ per sample.
+    /// Adds a course to the values; the course is in σ per sample.
     pub fn add(&mut self, mut course: impl FnMut(usize) -> f64) {
         let scale = self.scale;
         self.values.iter_mut().enumerate().for_each(|(i, value)| *value += scale * course(i));
     }
 }
 
-/// Samples of several channels at one rate, and what goes with them.
+/// Samples of several channels at one rate, with their temperature and stamps.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Columns {
@@ -42,7 +43,7 @@ pub struct Columns {
     pub rate_hz: f64,
     /// The channels, all of one length.
     pub columns: Vec<Column>,
-    /// The sensor's true temperature at every sample, °C; empty where none is known.
+    /// The sensor's true temperature at every sample, °C; empty if it is not known.
     pub temperature_c: Vec<f64>,
     /// Which samples are missing; empty if none is.
     pub missing: Vec<bool>,
@@ -54,7 +55,7 @@ pub struct Columns {
 const AROUND_S: f64 = 1.0;
 
 impl Columns {
-    /// Of a recording that somebody made: its white part is what differs from the mean over a second, its scale that of the
+    /// Columns of an existing recording. The white part is the difference from the mean over a second. Its scale is that of the
     /// differences between neighbours (their median, so that lines of outliers do not count).
     #[must_use]
     pub fn of(recording: &Recording) -> Self {
@@ -136,7 +137,7 @@ pub(super) fn scale(values: &[f64]) -> f64 {
     let mean_square = steps.iter().map(|step| step * step).sum::<f64>() / steps.len() as f64;
     let middle = steps.len() / 2;
     let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
-    // Where a coarse resolution makes most differences 0 or one step, the median says nothing.
+    // If a coarse resolution makes most differences 0 or one step, the median carries no information.
     let coarse = steps.iter().filter(|step| **step == 0.0).count() * 10 > steps.len();
     // 0.6745: the median of a normal distribution's absolute value.
     let of_steps = if coarse { mean_square.sqrt() } else { median / 0.6745 };

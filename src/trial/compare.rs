@@ -1,4 +1,4 @@
-//! Comparing: how far the numbers of a cause are off those of the effect that it is.
+//! Comparing: how far the numbers of a cause are off those of the effect that it matches.
 
 use super::fit::{intervals_of, told_intervals};
 use super::key::{Key, TrueEffect};
@@ -17,7 +17,7 @@ fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64>
     entries.iter().filter_map(move |entry| entry[name].as_f64())
 }
 
-/// Errors of place of a cause that is an effect, by what they are: `frequency_bins`, `at_s`, `edge_s`.
+/// Errors of place of a cause that matches an effect, by their kind: `frequency_bins`, `at_s`, `edge_s`.
 pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
     let bins = key.samples as f64 / key.rate_hz;
     for (channel, parameters) in truth.meant(cause.sense) {
@@ -45,7 +45,7 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
     }
 }
 
-/// Parameters that say where something is, or that are free: not compared as sizes.
+/// Parameters that state a place, or that are free: not compared as sizes.
 const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s", "to_s", "reference_c", "order"];
 
 /// Relative errors of a cause's parameters.
@@ -76,8 +76,8 @@ pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut B
     into.retain(|_, errors| !errors.is_empty());
 }
 
-/// Numbers whose intervals are not held against the truth, since the forms of cases are others: sizes of spikes are even over another
-/// range, bursts and louder intervals have soft ends, and where a temperature's effect is zero is free.
+/// Numbers whose intervals are not compared with the truth, since the forms of cases are others: sizes of spikes are even over
+/// another range, bursts and louder intervals have soft ends, and the temperature at which an effect is zero is free.
 fn is_of_another_form(kind: Kind, name: &str) -> bool {
     match kind {
         Kind::Spikes => name == "amplitude",
@@ -87,8 +87,8 @@ fn is_of_another_form(kind: Kind, name: &str) -> bool {
     }
 }
 
-/// How many intervals of a cause's numbers hold the true ones, and how many there are. A stated entry is held against the true one that
-/// lies nearest to it, and only if it is the nearest to that as well.
+/// How many intervals of a cause's numbers hold the true ones, and how many there are. A stated entry is compared with the true
+/// one that lies nearest to it, and only if it is the nearest to that as well.
 pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [usize; 2] {
     let mut held = [0; 2];
     for (channel, parameters) in truth.meant(cause.sense) {
@@ -102,7 +102,7 @@ pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [u
             for (name, ends) in intervals.as_object().into_iter().flatten() {
                 let ends = ends[0].as_f64().zip(ends[1].as_f64()).filter(|_| !is_of_another_form(truth.kind, name));
                 if let (Some(value), Some((low, high))) = (truth_of[name].as_f64(), ends) {
-                    // Which of a shared source's signs is the positive one nobody can tell.
+                    // Which of a shared source's signs is the positive one cannot be determined.
                     let other = (truth.kind == Kind::CommonMode).then_some(-value);
                     held[1] += 1;
                     held[0] += usize::from([Some(value), other].iter().flatten().any(|own| (low..=high).contains(own)));
@@ -118,8 +118,8 @@ const BINS: f64 = 4.0;
 /// Part of the record within which two times mean one step.
 const STEP_PART: f64 = 0.02;
 
-/// The place of the stated entry that means this true one: the first one of what has no place, or the one that is nearest in frequency or
-/// time.
+/// The place of the stated entry that means this true one: the first one for effects without a place, or the one that is nearest
+/// in frequency or time.
 fn alike(truth: &Value, stated: &[Value], key: &Key) -> Option<usize> {
     let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());
     let Some(place) = place else { return (!stated.is_empty()).then_some(0) };

@@ -1,4 +1,4 @@
-//! Declared: what a model states of an effect: rightly, at another size, or elsewhere.
+//! Declared: a model's statement of an effect: right, of another size, or at another place.
 
 use super::class::Sense;
 use super::draw::Draw;
@@ -14,17 +14,17 @@ use serde_json::Value;
 use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
-/// Factors between a size that a model has and the sensor's, to either side, and the least that is left of one where the size
-/// meets a bound.
+/// Factors between a size that a model has and the sensor's, to either side, and the least remaining factor if the size meets a
+/// bound.
 const OFF: [f64; 2] = [1.5, 30.0];
 const LEFT: f64 = 1.3;
-/// How far off another place is, in parts of the band or of the record, to which it belongs as a circle.
+/// The distance of another place, in parts of the band or of the record, which are treated as a circle.
 const SHIFT: [f64; 2] = [0.15, 0.85];
-/// Draws of a size or a place before there is none.
+/// Draws of a size or a place before the draw is given up.
 const TRIES: usize = 400;
 
-/// By channel, in the documented form, what a model that has the effect states of it, and the factor by which it is larger there
-/// than in the sensor; `None` where no model can state it.
+/// By channel, in the documented form, the statement of a model that has the effect, and the factor by which the effect is larger
+/// there than in the sensor; `None` if no model can state it.
 #[must_use]
 pub fn declared(
     effect: &Effect,
@@ -49,7 +49,7 @@ pub fn declared(
     Some((declared, factor))
 }
 
-/// One draw of what a model states, and by which factor the size that came of it is larger than the sensor's.
+/// One draw of a model's statement, and the factor by which the resulting size is larger than the sensor's.
 fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (BTreeMap<String, Value>, f64) {
     let (kind, larger, shift) = (effect.kind, draw.log_uniform(OFF[0], OFF[1]), draw.uniform(SHIFT[0], SHIFT[1]));
     let factor = if draw.chance(0.5) { larger } else { 1.0 / larger };
@@ -68,7 +68,7 @@ fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (
     (declared, least.unwrap_or(1.0))
 }
 
-/// By which factor the size of an entry is larger in what was made of it: of several numbers that which changed least.
+/// The factor by which the size of an entry is larger in the statement; of several numbers, the one that changed least.
 fn grown(kind: Kind, before: &Value, made: &Value) -> f64 {
     let size = |number: f64| match kind {
         Kind::HeavyTails | Kind::LowPass => 1.0 / number,
@@ -80,7 +80,8 @@ fn grown(kind: Kind, before: &Value, made: &Value) -> f64 {
     factors.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap_or(1.0)
 }
 
-/// Whether the stretches of two statements have less than half of the shorter in common; true of what has none.
+/// Whether the stretches of two statements have less than half of the shorter in common; true for effects without
+/// stretches.
 fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> bool {
     one.iter().all(|(channel, entry)| {
         let (own, its) = (intervals(entries(entry)), intervals(entries(&other[channel])));
@@ -89,8 +90,8 @@ fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> 
     })
 }
 
-/// How far above its limit the difference of two sizes is, of an effect that is itself so far above: in what adds up it is the
-/// difference, in what is counted the nats of two rates.
+/// How far above its limit the difference of two sizes is, of an effect that is itself so far above: for effects that add up it
+/// is the difference, for counted ones the nats of two rates.
 #[must_use]
 pub fn over_limit(kind: Kind, over: f64, factor: f64) -> f64 {
     match kind {
@@ -173,7 +174,7 @@ fn moved(entry: &Value, shift: f64, rate_hz: f64, length_s: f64) -> Value {
     let band_hz = 0.5 * rate_hz;
     for name in ["frequency_hz", "fundamental_hz"] {
         if let Some(hz) = entry[name].as_f64() {
-            // Of a comb all harmonics have to stay below half the rate.
+            // All harmonics of a comb have to stay below half the rate.
             let harmonics = entry["amplitudes"].as_array().map_or(1, Vec::len) as f64;
             let room = 0.98 * band_hz / harmonics;
             let to = hz + shift * room;
@@ -199,7 +200,7 @@ fn moved(entry: &Value, shift: f64, rate_hz: f64, length_s: f64) -> Value {
     made
 }
 
-/// An interval moved by a part of the record; what would reach beyond the end is that much earlier.
+/// An interval moved by a part of the record; one that would reach beyond the end is that much earlier.
 fn round_about([from, to]: [f64; 2], shift: f64, length_s: f64) -> [f64; 2] {
     let long = to - from;
     let begin = (from + shift * length_s) % (length_s - long).max(0.01 * length_s);
@@ -232,8 +233,8 @@ fn numbers(value: &Value) -> Vec<f64> {
     }
 }
 
-/// A model that states these effects besides what it has. Where limits or steps are absolute, its bias is the level: from
-/// another one no noise would reach them. `None` where the model's format cannot say it.
+/// A model that states these effects besides its own. If limits or steps are absolute, its bias is the level: from another level
+/// no noise would reach them. `None` if the model's format cannot state it.
 #[must_use]
 pub fn with<'a>(
     model: &SensorModel,

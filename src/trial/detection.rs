@@ -1,7 +1,7 @@
 //! Detection: how the share of effects named grows with their size, and the sizes at which half and 90 % are.
 //!
-//! The share is a logistic curve in the logarithm of the size. Its limits have intervals by profile likelihood; an interval that
-//! does not close within the sizes that could have been told is not determined, and is none.
+//! The share is a logistic curve in the logarithm of the size. Its limits have intervals by profile likelihood. An interval that
+//! does not close within the range of possible sizes is not determined, and is reported as none.
 
 use super::bound::{Bound, bound};
 use super::kind::Kind;
@@ -14,25 +14,25 @@ use serde::Serialize;
 pub struct Limit {
     /// The size.
     pub size: f64,
-    /// Profile likelihood, 95 %; none where it is not determined.
+    /// Profile likelihood, 95 %; none if it is not determined.
     pub ci95: Option<[f64; 2]>,
 }
 
-/// At which sizes an effect is named, told for the study's length.
+/// The sizes at which an effect is named, for the study's length.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Detection {
-    /// What sizes are measured in; σ is the white part's standard deviation per sample.
+    /// The unit of the sizes; σ is the white part's standard deviation per sample.
     pub unit: &'static str,
-    /// The length that sizes are told for, samples.
+    /// The length to which sizes refer, samples.
     pub samples: usize,
-    /// The study's 90 % limit, over which sizes are told elsewhere.
+    /// The study's 90 % limit, to which other sizes are relative.
     pub limit: f64,
-    /// Half are named; none where nearly all are, or none is.
+    /// The size at which half are named; none if nearly all are named, or none is.
     pub size_50: Option<Limit>,
     /// 90 % are.
     pub size_90: Option<Limit>,
-    /// What no test can be below at 90 % ([`super::bound`]).
+    /// The lower bound of every test at 90 % ([`super::bound`]).
     pub bound_90: Option<f64>,
     /// Why there is no bound.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -54,9 +54,9 @@ impl Detection {
     }
 }
 
-/// Fewer right or wrong ones tell no curve.
+/// With fewer right or wrong cases, the curve is not determined.
 const LEAST: usize = 3;
-/// Sizes beyond which nothing is told: far outside those that there are.
+/// The range of sizes outside which no limit is reported: far outside the sizes that occur.
 const TOLD: [f64; 2] = [0.05, 100.0];
 /// A weak belief that the slope is a few: separated data would send it to infinity.
 const SLOPE: f64 = 3.0;
@@ -66,7 +66,7 @@ const SLOPES: [f64; 2] = [0.05, 80.0];
 /// Half of χ²'s 95 % point with one degree of freedom: nats that a profile may fall.
 const FALL: f64 = 1.920_729;
 
-/// Sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` where few are right, or few wrong.
+/// Sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` if few are right, or few are wrong.
 pub(super) fn limits(sizes: &[(f64, bool)]) -> Option<[Limit; 2]> {
     let right = sizes.iter().filter(|(_, right)| *right).count();
     if right < LEAST || sizes.len() - right < LEAST {
@@ -76,7 +76,7 @@ pub(super) fn limits(sizes: &[(f64, bool)]) -> Option<[Limit; 2]> {
     let odds = [0.0, 9.0_f64.ln()];
     let best = log_likelihood(sizes, level, slope);
     let found = odds.map(|odds| ((odds - level) / slope).exp());
-    // A curve that falls, or passes ½ far outside the sizes that there were, tells nothing.
+    // A curve that falls, or that passes ½ far outside the sizes that occurred, determines no limit.
     let told = slope > 0.0 && found[0] > TOLD[0] && found[1] < TOLD[1];
     told.then(|| [0, 1].map(|at| Limit { size: found[at], ci95: interval(sizes, odds[at], found[at], best) }))
 }
@@ -118,7 +118,7 @@ fn log_likelihood(sizes: &[(f64, bool)], level: f64, slope: f64) -> f64 {
     sizes.iter().map(one).sum::<f64>() - 0.5 * WEIGHT * (slope - SLOPE).powi(2)
 }
 
-/// Where the profile of the size at these log odds has fallen as far as 95 % allow, to both sides.
+/// The sizes at which the profile at these log odds has fallen as far as 95 % allow, to both sides.
 ///
 /// # Source
 /// D. Venzon, S. Moolgavkar, Appl. Statist. 37 (1988) 87.

@@ -1,8 +1,8 @@
 //! Draws: the sealed seed and a purpose in, random numbers out.
 //!
-//! Each purpose has a ChaCha8 stream of its own under SHA-256("vn100d-trial-1", seed, case, capture, purpose). What belongs to
-//! the device is drawn with capture 0, what belongs to one recording of it with the capture's number: a second capture of the
-//! same device shares the first and not the second.
+//! Each purpose has a separate ChaCha8 stream under SHA-256("vn100d-trial-1", seed, case, capture, purpose). Draws for the device
+//! use capture 0, draws for one recording of it use the capture's number: a second capture of the same device shares the first
+//! and not the second.
 
 use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -39,7 +39,7 @@ impl Draw {
         Self(ChaCha8Rng::from_seed(hash.finalize().into()))
     }
 
-    /// A stream that starts where this one stands; what either draws then says nothing of the other.
+    /// A stream that starts from the state of this one. Later draws of the two are independent.
     #[must_use]
     pub fn split(&mut self) -> Self {
         let mut seed = [0; 32];
@@ -62,7 +62,8 @@ impl Draw {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// Square root of (ν − 2)/χ²(ν): what makes a normal number one of Student's t with its variance kept.
+    /// Square root of (ν − 2)/χ²(ν): the factor that turns a normal number into one of Student's t with the same
+    /// variance.
     pub fn student_factor(&mut self, degrees_of_freedom: f64) -> f64 {
         // Degrees of freedom above 2 are always a valid χ².
         let chi = ChiSquared::new(degrees_of_freedom).map_or(degrees_of_freedom, |chi| chi.sample(&mut self.0));
@@ -74,7 +75,7 @@ impl Draw {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// Whether something of this probability happens.
+    /// Whether an event of this probability happens.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
@@ -101,7 +102,7 @@ impl Draw {
         }
     }
 
-    /// Samples until the next of events that happen in each sample with `probability`, from 1; none where that is beyond any
+    /// Samples until the next of events that happen in each sample with `probability`, from 1; none if that is beyond any
     /// recording.
     pub fn wait(&mut self, probability: f64) -> Option<usize> {
         let ahead = (1.0 - self.0.random::<f64>()).ln() / (-probability).ln_1p();
@@ -109,7 +110,8 @@ impl Draw {
     }
 
     /// The samples (from 1, below `samples`) of events that happen with `probability` in each, at least half as many as are
-    /// expected and one: an effect that by chance does not show up would be counted against who does not name it.
+    /// expected and one. Without this minimum, an effect that by chance does not occur would count against a diagnosis that does
+    /// not name it.
     #[must_use]
     pub fn events(&mut self, probability: f64, samples: usize) -> Vec<usize> {
         let least = (0.5 * probability * samples as f64).ceil() as usize;

@@ -1,18 +1,19 @@
 //! Fits: whether a cause that was named is an effect that a case has. The rules, which `docs/validation.md` repeats:
 //!
-//! 1. It is, if it has the documented name of the effect and at least one of its channels. A `timing` has no channel of its own.
+//! 1. It is, if it has the documented name of the effect and at least one of its channels. A `timing` has no channel.
 //! 2. Laws that are the same count as right and are counted apart as equivalent:
 //!    * `tone` for a comb, where a tone stands on every harmonic, within two widths of a Fourier bin;
 //!    * `variance_change` in intervals that are louder for `bursts`, and `bursts` for a louder interval, where the times they
 //!      have in common are at least half of all they cover: more white noise in a stretch has one law, whatever its name;
 //!    * a `profile` for an interval or for a dependence on temperature, and two or more intervals for a profile: a profile can
 //!      follow either. The other way round it is the wrong form, and no fit.
-//! 3. Its sense has to be the true one: an effect that the model lacks, one that it has and the sensor does not, one that both have differently. Of one
-//!    that both have, at two places, each of the three says what is so. A report that states no sense says that it is lacking.
-//! 4. Of what is outside the library the effects of docs/effects.md that describe it are right, where they have the
+//! 3. Its sense has to be the true one: an effect that the model lacks, one that it has and the sensor does not, or one that both
+//!    have differently. For an effect that both have at two places, each of the three is a true statement. A report that states
+//!    no sense is read as stating that the effect is lacking.
+//! 4. For an effect outside the library, the effects of docs/effects.md that describe it are right, if they have the
 //!    parameters that do.
-//! 5. Everything else is spurious: also the right effect on none of its channels, a comb for a single tone, a single interval for
-//!    a wave, a resonance for a tone.
+//! 5. All other causes are spurious: also the right effect on none of its channels, a comb for a single tone, a single interval
+//!    for a wave, a resonance for a tone.
 
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
@@ -112,7 +113,7 @@ pub(super) fn intervals_of(truth: &TrueEffect, cause: &Cause) -> Vec<[f64; 2]> {
     truth.meant(cause.sense).values().next().map_or_else(Vec::new, |entry| intervals(entries(entry)))
 }
 
-/// Those of a cause on its first channel that has any, s.
+/// The intervals of a cause on its first channel that has any, s.
 pub(super) fn told_intervals(cause: &Cause) -> Vec<[f64; 2]> {
     let of = |channel: &String| intervals(cause.entries(channel));
     cause.channels.iter().map(of).find(|found| !found.is_empty()).unwrap_or_default()

@@ -1,9 +1,9 @@
-//! Ground: the noise and the temperature that a sealed case has beneath its effects. Code of its own, apart from the library
-//! that is under test.
+//! Ground: the noise and the temperature that a sealed case has beneath its effects. The code is separate from the library that
+//! is under test.
 //!
-//! White noise and random walk are drawn sample by sample. Noise with a power of the frequency is made in the frequency
-//! domain on a circle more than twice as long as the record, of which the record is a part: its spectrum holds from half the
-//! rate down to less than one period of the record.
+//! White noise and random walk are drawn sample by sample. Noise with a power of the frequency is made in the frequency domain on
+//! a circle more than twice as long as the record, and the record is a part of that circle. Its spectrum holds from half the rate
+//! down to less than one period of the record.
 
 use super::draw::Draw;
 use realfft::RealFftPlanner;
@@ -55,7 +55,7 @@ fn even_smooth(least: usize) -> usize {
     (least.max(8)..).filter(|length| length.is_multiple_of(2)).find(smooth).unwrap_or(least)
 }
 
-/// How the sensor's temperature goes: it rises to a level as after switching on, and wanders.
+/// The course of the sensor's temperature: it rises to a level as after switching on, and wanders.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct TemperatureCourse {

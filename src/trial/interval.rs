@@ -11,7 +11,7 @@ pub struct Rate {
     pub count: usize,
     /// Of how many.
     pub of: usize,
-    /// Their ratio; none of none is no rate.
+    /// Their ratio; none of none has no rate.
     pub share: Option<f64>,
     /// [`clopper_pearson`], 95 %.
     pub ci95: Option<[f64; 2]>,
@@ -30,7 +30,7 @@ impl Rate {
         }
     }
 
-    /// How many of these are so.
+    /// The rate of values that are true.
     pub fn of(answers: impl IntoIterator<Item = bool>) -> Self {
         let (mut count, mut of) = (0, 0);
         for answer in answers {
@@ -41,7 +41,7 @@ impl Rate {
     }
 }
 
-/// The exact interval of a probability after `count` of `of`, at least of this confidence whatever the probability is.
+/// The exact interval of a probability after `count` of `of`, at least of this confidence for any probability.
 ///
 /// # Source
 /// C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404: quantiles of Beta(k, n − k + 1) and Beta(k + 1, n − k).
@@ -55,7 +55,7 @@ pub fn clopper_pearson(count: usize, of: usize, confidence: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// Of the beta distribution, by bisection: it is asked seldom, and has to be right in the far tails.
+/// The quantile of the beta distribution, by bisection: it is needed seldom, and has to be right in the far tails.
 fn quantile(a: f64, b: f64, probability: f64) -> f64 {
     let (mut low, mut high) = (0.0_f64, 1.0_f64);
     for _ in 0..100 {

@@ -1,4 +1,4 @@
-//! Judgements: one case's diagnosis held against its key.
+//! Judgements: one case's diagnosis compared with its key.
 
 use super::again::Again;
 use super::class::{Class, Sense};
@@ -12,17 +12,18 @@ use super::report::{Cause, Of, Place, Report};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What came of a case: its diagnosis, or why there was none, and what the true effects close where that was measured.
+/// The result of a case: its diagnosis, or the reason why there was none, and the part of the gap that the true effects
+/// close if that was measured.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Answer {
     /// The diagnosis, or the refusal's sentence.
     pub report: Result<Report, String>,
-    /// Of a case that somebody recorded: the diagnosis of the same channels as they are.
+    /// For an existing recording: the diagnosis of the same channels without imposed effects.
     pub own: Option<Report>,
-    /// What the model with the true effects closes, scored as `closed` is.
+    /// The part that the model with the true effects closes, scored as `closed` is.
     pub closed_by_truth: Option<f64>,
-    /// What came of it on data that the diagnosis did not see, where that was measured.
+    /// The result on data that the diagnosis did not see, if that was measured.
     pub again: Option<Again>,
 }
 
@@ -40,13 +41,13 @@ pub struct Found {
     pub named: bool,
     /// Under another name or form of the same law.
     pub equivalent: bool,
-    /// Whether all its channels were named and no other; none where it was not named, and for what has no channel.
+    /// Whether all its channels were named and no other; none if it was not named, and for an effect without channel.
     pub channels_exact: Option<bool>,
-    /// Whether `where` has its places and no others; none where it was not named, and for what has no channel.
+    /// Whether `where` has its places and no others; none if it was not named, and for an effect without channel.
     pub placed: Option<bool>,
     /// How many 95 % intervals of its parameters hold the truth, and of how many.
     pub intervals: [usize; 2],
-    /// What was located, by what it is (`frequency_bins`, `at_s`, `edge_s`): absolute errors.
+    /// Errors of place by their kind (`frequency_bins`, `at_s`, `edge_s`): absolute.
     pub location: BTreeMap<&'static str, Vec<f64>>,
     /// Parameters: relative errors.
     pub parameters: BTreeMap<String, Vec<f64>>,
@@ -78,23 +79,23 @@ pub struct Judgement {
     pub class: Class,
     /// Whether all its effects are large enough to count: 1.5 times the limit or above.
     pub counts: bool,
-    /// The verdict; `refused` where there was none.
+    /// The verdict; `refused` if there was none.
     pub verdict: String,
     /// Why it was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refusal: Option<String>,
-    /// What was named, strongest first, without what the recording has of itself.
+    /// The causes that were named, strongest first, without those of the recording itself.
     pub causes: Vec<Named>,
     /// How many causes are the recording's own, named also of it as it is.
     pub own: usize,
-    /// Whether the recording as it is is called unknown: then that verdict tells nothing of the case.
+    /// Whether the recording as it is is called unknown: then that verdict carries no information about the case.
     pub own_unknown: bool,
     /// The verdict on the recording as it is, and how many causes are named of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub control: Option<(String, usize)>,
     /// The case's effects.
     pub effects: Vec<Found>,
-    /// Places where nothing of the case is; none where nobody can tell.
+    /// Places at which the case has no effect; none if that cannot be determined.
     pub false_places: Option<usize>,
     /// The part of the gap that is reproduced without a name.
     pub remainder: Option<f64>,
@@ -102,9 +103,9 @@ pub struct Judgement {
     pub closed: Option<f64>,
     /// Its interval.
     pub closed_ci95: Option<[f64; 2]>,
-    /// What the true effects close.
+    /// The part that the true effects close.
     pub closed_by_truth: Option<f64>,
-    /// What holds on other data.
+    /// The results on other data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub again: Option<Again>,
 }
@@ -116,32 +117,32 @@ impl Judgement {
         self.causes.first().is_some_and(|cause| cause.right)
     }
 
-    /// Whether its causes are of account in what is counted over all classes: its effects are large enough, or nothing is to be named.
+    /// Whether its causes count in the rates over all classes: its effects are large enough, or it has no effect to name.
     #[must_use]
     pub fn is_of_account(&self) -> bool {
         self.counts || self.class.is_silent()
     }
 
-    /// Whether a cause was named that the case does not have.
+    /// Whether a cause was named that is not an effect of the case.
     #[must_use]
     pub fn spurious(&self) -> bool {
         self.causes.iter().any(|cause| !cause.right)
     }
 
-    /// Whether it was called unknown.
+    /// Whether the verdict is `unknown_effect`.
     #[must_use]
     pub fn unknown(&self) -> bool {
         self.verdict == "unknown_effect"
     }
 
-    /// Of what is outside the library: whether it is called unknown, is reproduced and said to be without a name, or is named by an
-    /// effect that describes it.
+    /// For an effect outside the library: whether the verdict is unknown, the effect is reproduced and reported as nameless, or
+    /// it is named by an effect that describes it.
     #[must_use]
     pub fn answered(&self) -> bool {
         self.unknown() || self.remainder.is_some() || self.causes.iter().any(|cause| cause.right)
     }
 
-    /// Whether nothing is named.
+    /// Whether no cause is named.
     #[must_use]
     pub fn silent(&self) -> bool {
         self.causes.is_empty() && self.verdict != "refused"
@@ -153,7 +154,7 @@ impl Judgement {
         self.verdict != "refused" && self.effects.iter().all(|effect| effect.named)
     }
 
-    /// Every effect, nothing else, and nothing left.
+    /// Whether every effect was named, no other cause was named, and no gap is left.
     #[must_use]
     pub fn exactly(&self) -> bool {
         self.all_found() && !self.spurious() && (self.verdict == "effects" || self.own_unknown)
@@ -162,9 +163,9 @@ impl Judgement {
 
 /// Judges an answer.
 ///
-/// Of a recording that somebody made only what the imposed effects change is judged: a cause that is named of the same channels as
-/// they are, by its effect's name, is its own on these channels, unless an effect of the case is on them; one that is left with
-/// no channel is neither right nor spurious.
+/// For an existing recording, only the changes by the imposed effects are judged. A cause is the recording's own on the channels
+/// on which the same channels without imposed effects have a cause of the same effect name, unless an effect of the case is on
+/// them. A cause that is left with no channel is neither right nor spurious.
 #[must_use]
 pub fn judge(key: &Key, answer: &Answer) -> Judgement {
     let (all, verdict, refusal) = match &answer.report {
@@ -199,7 +200,7 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         control: answer.own.as_ref().map(|own| (own.verdict.clone(), own.causes.len())),
         causes: causes.iter().map(named).collect(),
         effects: key.effects.iter().map(|truth| found(truth, &causes, &places, key)).collect(),
-        // Nobody knows where the recording's own effects lie.
+        // The places of the recording's own effects are not known.
         false_places: report.filter(|_| answer.own.is_none()).map(|_| false_places(&places, key).count()),
         remainder: report.and_then(|report| report.remainder),
         closed: report.and_then(|report| report.closed),
@@ -209,14 +210,14 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
     }
 }
 
-/// Whether a cause is set aside: whether the sensor's clock or the delivery scatters nobody can say from stamps of arrival.
+/// Whether a cause is set aside: stamps of arrival cannot show whether the sensor's clock or the delivery scatters.
 pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
     cause.effect == "timing"
         && key.stamps.is_some_and(|stamps| stamps.deliver_late())
         && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
 }
 
-/// A cause without the channels on which the recording has it of itself; none where no channel is left.
+/// A cause without the channels on which the recording itself has it; none if no channel is left.
 fn beyond(own: &Report, mut cause: Cause, key: &Key) -> Option<Cause> {
     let imposed = |channel: &String| {
         let on = |truth: &&TrueEffect| truth.channels.contains(channel);

@@ -1,7 +1,7 @@
-//! Keys: what a sealed case has, and the manifest that binds them before anything is diagnosed.
+//! Keys: the contents of a sealed case, and the manifest that binds the keys before any case is diagnosed.
 //!
-//! A manifest lists SHA-256 of every case's key as compact JSON. A key holds 16 bytes of salt, so that nobody finds it by
-//! trying. The manifest is written first, the keys are opened last and have to have the digests that it lists.
+//! A manifest lists SHA-256 of every case's key as compact JSON. A key holds 16 bytes of salt, so that it cannot be found by
+//! trying. The manifest is written first. The keys are opened last and have to have the digests that it lists.
 
 use super::class::{Class, Sense};
 use super::kind::Kind;
@@ -30,16 +30,17 @@ pub struct TrueEffect {
     pub over_limit: f64,
     /// The channels.
     pub channels: Vec<String>,
-    /// By channel, in the documented form, as far as known before there are samples. Of an effect that the sensor lacks those
-    /// that the model has.
+    /// By channel, in the documented form, as far as known before there are samples. For an effect that the sensor lacks, they
+    /// are the model's.
     pub parameters: BTreeMap<String, Value>,
-    /// What the model says, where it has the effect.
+    /// The model's statement, if it has the effect.
     #[serde(rename = "told")]
     pub declared: Option<BTreeMap<String, Value>>,
 }
 
 impl TrueEffect {
-    /// The parameters that a cause of this sense is about. Of what both have at two places, one that the sensor lacks is the model's.
+    /// The parameters that a cause of this sense refers to. For an effect that both have at two places, a cause of an effect that
+    /// the sensor lacks refers to the model's.
     #[must_use]
     pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
         match &self.declared {
@@ -49,7 +50,7 @@ impl TrueEffect {
     }
 }
 
-/// What a case has.
+/// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Key {
@@ -67,7 +68,7 @@ pub struct Key {
     pub effects: Vec<TrueEffect>,
     /// N, B, K of each channel as they are.
     pub true_nbk: BTreeMap<String, [f64; 3]>,
-    /// How samples are stamped, where they are.
+    /// How samples are stamped, if they are.
     pub stamps: Option<Stamps>,
     /// 16 random bytes.
     pub salt: String,
@@ -87,7 +88,7 @@ pub enum KeyError {
         /// Its own.
         found: String,
     },
-    /// Not as many keys as digests.
+    /// The numbers of keys and digests differ.
     #[error("the manifest has {expected} cases; there are keys of {found}")]
     Count {
         /// The manifest's.
@@ -107,7 +108,7 @@ impl Key {
     }
 }
 
-/// What is published before a trial.
+/// The document that is published before a trial.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Manifest {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// The kinds with their names in keys, scores and on the command line.
 macro_rules! kinds {
     ($($list:ident: $($kind:ident = $name:literal),+;)+) => {
-        /// What a sealed case has that its model lacks, or the other way round.
+        /// An effect that a sealed case has and its model lacks, or the other way round.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[expect(
             missing_docs,
@@ -106,11 +106,11 @@ kinds! {
 }
 
 impl Kind {
-    /// Those of the library: the stationary effects of docs/effects.md.
+    /// The kinds of the library: the stationary effects of docs/effects.md.
     pub const LIBRARY: &[Self] = LIBRARY;
-    /// Those that no effect of section 5 describes, on which the diagnosis may be tuned.
+    /// The kinds that no effect of section 5 describes, on which the diagnosis may be tuned.
     pub const TUNED: &[Self] = TUNED;
-    /// Others like them, on which nothing is tuned: they give the published figure.
+    /// Others like them that must not be used for tuning: they give the published figure.
     pub const KEPT: &[Self] = KEPT;
 
     /// Every kind.
@@ -118,7 +118,7 @@ impl Kind {
         Self::LIBRARY.iter().chain(Self::TUNED).chain(Self::KEPT).copied()
     }
 
-    /// Whether nothing may be tuned on it.
+    /// Whether it must not be used for tuning.
     #[must_use]
     pub fn is_kept(self) -> bool {
         Self::KEPT.contains(&self)
@@ -130,7 +130,7 @@ impl Kind {
         Self::all().find(|kind| kind.name() == name)
     }
 
-    /// The documented name of the effect; none for what is outside the library.
+    /// The documented name of the effect; none outside the library.
     #[must_use]
     pub fn effect(self) -> Option<&'static str> {
         match self {
@@ -139,8 +139,8 @@ impl Kind {
         }
     }
 
-    /// Effects of docs/effects.md that describe a kind outside the library. Where a diagnosis has one and names it, that
-    /// is an answer.
+    /// Effects of docs/effects.md that describe a kind outside the library. A diagnosis that knows one of them and names it gives
+    /// a valid answer.
     #[must_use]
     pub fn described(self) -> &'static [&'static str] {
         match self {
@@ -199,7 +199,7 @@ impl Kind {
         }
     }
 
-    /// The effects of which nobody could tell it apart on one channel.
+    /// The effects that cannot be distinguished from it on one channel.
     #[must_use]
     pub fn like(self) -> &'static [&'static str] {
         match self {
@@ -264,7 +264,7 @@ impl Kind {
         }
     }
 
-    /// Channels that it takes at least.
+    /// The least number of channels that it acts on.
     #[must_use]
     pub fn channels_min(self) -> usize {
         if matches!(self, Self::CommonMode) || self.has_source() { 2 } else { 1 }
@@ -276,13 +276,13 @@ impl Kind {
         matches!(self, Self::DelayedCrosstalk | Self::ProductCrosstalk)
     }
 
-    /// Whether it acts on stamps, of which there have to be some.
+    /// Whether it acts on stamps, so that the record has to have stamps.
     #[must_use]
     pub fn needs_stamps(self) -> bool {
         matches!(self, Self::Timing | Self::WanderingClock)
     }
 
-    /// Whether it cannot be without a measured temperature.
+    /// Whether it requires a measured temperature.
     #[must_use]
     pub fn needs_temperature(self) -> bool {
         matches!(
@@ -297,8 +297,8 @@ impl Kind {
         )
     }
 
-    /// Whether it is the same all the time and has exactly the law that the documented parameters say, so that a model can state
-    /// it rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
+    /// Whether it is the same all the time and has exactly the law of the documented parameters, so that a model can state it
+    /// rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
     #[must_use]
     pub fn can_be_known(self) -> bool {
         matches!(
@@ -335,7 +335,7 @@ impl Kind {
         )
     }
 
-    /// Whether two kinds may be in one case: not where they are one effect, or nearly, nor where the one cuts the other off.
+    /// Whether two kinds may be in one case: not if they are one effect, or nearly, nor if the one cuts the other off.
     #[must_use]
     pub fn goes_with(self, other: Self) -> bool {
         let both = |two: [Self; 2]| two.contains(&self) && two.contains(&other);

@@ -1,9 +1,9 @@
 //! Limits: sizes at which a feasibility study in Python named an effect in 90 % of its cases, and how they change with length.
 //!
 //! The study's cases had 65,536 samples (27 min at 40 Hz) and two channels. Sizes are in units of the white part's standard
-//! deviation per sample, unless said. With n the samples, what shows in variances falls as n^-½, a tone's amplitude likewise,
-//! counts of single samples as 1/n; slow courses of the level grow as n^½ beyond the study's length, because the random walk
-//! that hides them does.
+//! deviation per sample, unless stated otherwise. With n the samples, effects on variances and a tone's amplitude have limits
+//! that fall as n^-½, and counts of single samples as 1/n. Slow courses of the level have limits that grow as n^½ beyond the
+//! study's length, because the random walk that hides them does.
 
 use super::class::Sense;
 use super::impose::Role;
@@ -11,11 +11,11 @@ use super::kind::Kind;
 
 /// Samples of the study's cases: the length for which limits are given.
 pub const STUDY: usize = 65_536;
-/// Log-likelihood that a single burst has to give, nats: the price of an interval at this length, and as much again.
+/// Log-likelihood that a single burst has to gain, nats: the price of an interval at this length, and as much again.
 const BURST_NATS: f64 = 20.0;
-/// The highest corner over the rate at which a low-pass is named always; the study met no limit.
+/// The highest corner over the rate at which a low pass is always named; the study met no limit.
 pub(super) const CORNER: f64 = 0.42;
-/// Where no limit is known, cases count as this far above it.
+/// If no limit is known, cases count as this far above it.
 pub(super) const ABOVE: f64 = 1.5;
 
 /// The size of `kind` that is named in 90 % of the cases of `samples`.
@@ -34,7 +34,7 @@ pub(super) const ABOVE: f64 = 1.5;
 /// | saturation | share of the samples at the limit |
 /// | common_mode | share of each channel |
 ///
-/// 1 for what has no limit: filters, and what is outside the library.
+/// 1 for kinds without a limit: filters, and effects outside the library.
 #[must_use]
 pub fn limit(kind: Kind, samples: usize) -> f64 {
     let longer = samples as f64 / STUDY as f64;
@@ -65,13 +65,13 @@ pub fn limit(kind: Kind, samples: usize) -> f64 {
 pub(super) const UNEVEN: f64 = 1.25;
 /// The coarsest step beside other effects, σ: a coarser one rounds them away.
 const FINE: f64 = 1.5;
-/// Events that a model expects at least of spikes that the sensor lacks: the absence of a few is no evidence.
+/// Events that a model expects at least of spikes that the sensor lacks: the absence of a few is not evidence.
 const EXPECTED: f64 = 12.0;
 
-/// From which to which size over the limit an effect is drawn in cases of `samples`.
+/// The range of sizes over the limit from which an effect is drawn in cases of `samples`.
 ///
-/// An effect of three or four starts from 1.5 times the limit, since a case counts where all its effects are above. A bias that
-/// the model states rightly changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
+/// An effect of three or four starts from 1.5 times the limit, since a case counts if all its effects are above. A bias that the
+/// model states rightly changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
 #[must_use]
 pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
     let limit = limit(kind, samples);
@@ -90,10 +90,10 @@ pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
 
 /// Times the limit that sizes start from.
 pub const LEAST: f64 = 0.5;
-/// And that they reach, where nothing physical is in the way.
+/// The multiple of the limit that sizes reach if no physical bound applies.
 const MOST: f64 = 100.0;
 
-/// Times the limit that the sizes of `kind` reach in cases of `samples`: 100, or what makes sense.
+/// Times the limit that the sizes of `kind` reach in cases of `samples`: 100, or the physical bound.
 ///
 /// | kind | no more than |
 /// |---|---|
@@ -113,7 +113,7 @@ pub fn most(kind: Kind, samples: usize) -> f64 {
         Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.05,
         Kind::VarianceInterval | Kind::VarianceProfile => 2.0 * LOUDEST.ln(),
         Kind::VariancePerC => 3.0,
-        // Its jitter grows in parts of a period, whatever the length is.
+        // Its jitter grows in parts of a period, for any length.
         Kind::Timing => 40.0 * limit(kind, samples),
         _ => f64::INFINITY,
     };
@@ -123,7 +123,7 @@ pub fn most(kind: Kind, samples: usize) -> f64 {
 /// Factor on the amplitude of noise that no change of its size is beyond.
 pub(super) const LOUDEST: f64 = 50.0;
 
-/// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit where it has one.
+/// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit if there is one.
 #[must_use]
 pub fn one(kind: Kind) -> f64 {
     match kind {
@@ -133,7 +133,7 @@ pub fn one(kind: Kind) -> f64 {
     }
 }
 
-/// What sizes are measured in, in words; σ is the white part's standard deviation per sample.
+/// The unit of the sizes, in words; σ is the white part's standard deviation per sample.
 #[must_use]
 pub fn unit(kind: Kind) -> &'static str {
     match kind {

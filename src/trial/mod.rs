@@ -1,18 +1,18 @@
-//! Trial: a blind check of the diagnosis on cases that somebody else might have made. Pure.
+//! Trial: a blind check of the diagnosis on cases that an independent party might have made. Pure.
 //!
-//! In: a sealed seed; diagnoses in the form of docs/formats.md, whoever made them. Out: recordings with models that lack
-//! something ([`case`]), keys and a manifest that binds them ([`key`]), scores ([`score`]) and a page of them ([`page`]).
+//! In: a sealed seed; diagnoses in the form of docs/formats.md, from any program. Out: recordings with models that lack an effect
+//! ([`case`]), keys and a manifest that binds them ([`key`]), scores ([`score`]) and a page of them ([`page`]).
 //!
-//! A case is a device ([`setting`]) with noise by code of its own ([`ground`]) and with effects whose forms are on purpose not
-//! those that the diagnosis fits ([`impose`]); how large they are follows from the limits of a feasibility study ([`limit`]).
-//! Below which size no test at all finds one is in [`bound`], from which on this one does in [`detection`]. Which cases there are is in [`plan`],
-//! what a model says of the effects that it has in [`declared`], how stamps are written in [`stamps`], which sets are frozen in [`suite`].
-//! Whether a cause that was named is right is decided by the rules of [`mod@fit`], whether `where` is by those of [`place`], whether it
-//! holds on other data by those of [`again`].
-//! Effects act on columns of samples ([`columns`]), made here or recorded: [`recorded`] imposes them on a recording that somebody made.
+//! A case is a device ([`setting`]) with noise from separate code ([`ground`]). Its effects have forms that differ on purpose
+//! from those that the diagnosis fits ([`impose`]). Their sizes follow from the limits of a feasibility study ([`limit`]).
+//! [`bound`] computes the size below which no test finds an effect, and [`detection`] the size from which on this diagnosis does.
+//! [`plan`] determines the cases, [`declared`] a model's statements of the effects that it has, [`stamps`] the form of stamps,
+//! and [`suite`] the frozen sets. The rules of [`mod@fit`] decide whether a cause that was named is right, those of [`place`]
+//! whether `where` is right, and those of [`again`] whether the result holds on other data. Effects act on columns of samples
+//! ([`columns`]), made here or recorded: [`recorded`] imposes them on an existing recording.
 //!
-//! Order, which the shell keeps: cases are made by another process than the one that diagnoses them and cross over as
-//! parcels ([`parcel`]), which say nothing of the key; the manifest comes first, the keys last.
+//! Order, which the shell keeps: one process makes the cases and another diagnoses them. The cases cross over as
+//! parcels ([`parcel`]), which carry no information about the key. The manifest comes first, the keys last.
 
 pub mod again;
 pub mod bound;

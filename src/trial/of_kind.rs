@@ -41,7 +41,7 @@ pub struct Spread {
     pub count: usize,
     /// The median.
     pub median: f64,
-    /// What nine of ten stay below.
+    /// The value below which nine of ten stay.
     pub p90: f64,
 }
 
@@ -65,7 +65,7 @@ pub struct OfKind {
     pub channels_exact: Rate,
     /// Part of the gap that is closed, median.
     pub closed: Option<f64>,
-    /// And of what the true effect closes, median.
+    /// The part that the true effect closes, median.
     pub closed_of_truth: Option<f64>,
     /// Errors of place: `frequency_bins` (1/length), `at_s`, `edge_s`.
     pub location: BTreeMap<&'static str, Spread>,
@@ -73,17 +73,17 @@ pub struct OfKind {
     pub parameters: BTreeMap<String, Spread>,
     /// Share right by size over the limit, all sizes.
     pub curve: Vec<Bin>,
-    /// Size over the limit at which half are right, by a logistic curve through all; none where nearly all are, or none is.
+    /// Size over the limit at which half are right, by a logistic curve through all; none if nearly all are, or none is.
     pub size_50: Option<f64>,
     /// And 90 %.
     pub size_90: Option<f64>,
-    /// The same in the kind's own unit, with intervals, beside what no test can be below.
+    /// The same in the kind's own unit, with intervals, beside the lower bound of every test.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detection: Option<Detection>,
 }
 
 impl OfKind {
-    /// Of all judgements; none where it is alone in no case.
+    /// Of all judgements; none if it is alone in no case.
     #[must_use]
     pub fn of(kind: Kind, all: &[Judgement]) -> Option<Self> {
         let alone = |one: &&Judgement| matches!(one.effects.as_slice(), [only] if only.kind == kind && only.sense == Sense::Missing);

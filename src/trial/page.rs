@@ -1,4 +1,4 @@
-//! Pages: a trial's score as one HTML file without scripts or anything from elsewhere.
+//! Pages: a trial's score as one HTML file without scripts or external resources.
 
 use super::detection::Limit;
 use super::interval::Rate;

@@ -1,8 +1,8 @@
 //! Parcels: a case's recording and model as bytes, from the process that makes cases to the one that diagnoses them.
 //!
-//! One line of JSON (rate, channels, samples, what else there is, the model), then the columns as 64-bit floating-point numbers,
-//! little endian: the channels in order, the temperature, the stamps. A parcel says nothing of the key. One that is a table is written as
-//! the CSV of docs/formats.md and read again before it is diagnosed.
+//! One line of JSON (rate, channels, samples, which other columns there are, the model), then the columns as 64-bit
+//! floating-point numbers, little endian: the channels in order, the temperature, the stamps. A parcel carries no information
+//! about the key. A parcel that is a table is written as the CSV of docs/formats.md and read again before it is diagnosed.
 
 use crate::diagnosis::Recording;
 use crate::sample::Channel;
@@ -48,7 +48,7 @@ struct Head {
     model: Value,
 }
 
-/// What a parcel holds.
+/// The contents of a parcel.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that callers take apart")]
 pub struct Parcel {

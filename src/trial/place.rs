@@ -1,10 +1,10 @@
-//! Places: where the effects of a case lie, and whether a diagnosis says so.
+//! Places: where the effects of a case lie, and whether a diagnosis reports these places.
 //!
-//! A cause is placed where each channel that it shares with the effect has a place of it that overlaps the effect's band and
-//! time there, and no place of it lies on a channel without the effect. Of a line, a resonance, a step, a burst or a louder interval the
-//! place has to state the band or the time, and may not be much wider. A place is false where nothing of the case is: of a
-//! cause or of a remainder, on a channel without an effect that sensor and model differ in; places of parameters are never false. A
-//! report that does not state what its places are of is held to what it says: all of them may be of any cause.
+//! A cause is placed if two conditions hold. Each channel that it shares with the effect has a place of it that overlaps the
+//! effect's band and time there. No place of it lies on a channel without the effect. For a line, a resonance, a step, a burst or
+//! a louder interval, the place has to state the band or the time, and may not be much wider. A place of a cause or of a
+//! remainder is false if it lies on a channel without an effect in which sensor and model differ; places of parameters are never
+//! false. If a report does not state the owners of its places, all of them may belong to any cause.
 
 use super::class::Sense;
 use super::fit::intervals;
@@ -16,11 +16,11 @@ use serde_json::Value;
 /// Frequencies, Hz, or times, s, from and to.
 type Stretch = [f64; 2];
 
-/// A stretch with an effect in it, and the width of the widest place that says so.
+/// A stretch with an effect in it, and the width of the widest place that counts as locating it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Reach(Stretch, f64);
 
-/// Where an effect lies on a channel; none is anywhere.
+/// The place of an effect on a channel; none is anywhere.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Lies {
     bands_hz: Vec<Reach>,
@@ -30,7 +30,7 @@ struct Lies {
 /// Widths of a Fourier bin by which a line's place may be off, and by which it may reach to either side.
 const BINS: f64 = 2.0;
 const BINS_WIDE: f64 = 4.0;
-/// How many times wider than what is there a place may be.
+/// How many times wider than the true stretch a place may be.
 const WIDER: f64 = 4.0;
 /// Widths of a resonance, to either side, that are its own.
 const WIDTHS: f64 = 2.0;
@@ -97,14 +97,14 @@ impl Lies {
     }
 }
 
-/// Whether a place lies where an effect does; of one that both have at two places either is its.
+/// Whether a place lies at the place of an effect; for an effect that both have at two places, either counts.
 fn lies_at(truth: &TrueEffect, place: &Place, key: &Key) -> bool {
     let declared = truth.declared.iter().flatten();
     let mut on = truth.parameters.iter().chain(declared).filter(|(channel, _)| **channel == place.channel);
     on.any(|(_, entry)| entries(entry).iter().any(|one| Lies::of(truth.kind, one, key).is_at(place)))
 }
 
-/// Whether a cause that is this effect is placed; none if the effect has no channel of its own, or the cause names no channel.
+/// Whether a cause that is this effect is placed; none if the effect has no channel, or the cause names no channel.
 #[must_use]
 pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key) -> Option<bool> {
     let of_all = truth.kind.needs_stamps() || cause.channels.is_empty();
@@ -220,7 +220,7 @@ mod tests {
                 }
                 wide.push(place(channel, Of::Cause(0), Some([0.0, 0.5 * key.rate_hz]), Some([0.0, length_s])));
             }
-            // What has neither a band nor a time is anywhere.
+            // An effect with neither a band nor a time is anywhere.
             let has_place = !right.is_empty();
             let right = if has_place { right } else { wide.clone() };
             assert_eq!(is_placed(truth, &cause, &right, &key), Some(true), "{kind}");

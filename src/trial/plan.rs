@@ -5,7 +5,7 @@ use super::draw::Draw;
 use super::kind::Kind;
 use super::recipe::Recipe;
 
-/// Cases of 2,500 that are of each class. Those that are kept come only where they are asked for.
+/// Cases of 2,500 that are of each class. Those that are kept come only if they are asked for.
 pub const MIX: [(Class, f64); 9] = [
     (Class::None, 400.0),
     (Class::Known, 100.0),
@@ -18,7 +18,7 @@ pub const MIX: [(Class, f64); 9] = [
     (Class::Kept, 400.0),
 ];
 
-/// Part of the cases of another size whose effect stands elsewhere, where it can.
+/// Part of the cases of another size whose effect stands elsewhere, if it can.
 const ELSEWHERE: f64 = 0.5;
 
 /// Why a plan was refused.
@@ -56,8 +56,8 @@ impl Default for Wanted {
 }
 
 impl Wanted {
-    /// From words: classes, and kinds; the default if there is no word. Kinds alone are wanted one at a time; a class without
-    /// kinds of its own has all.
+    /// From words: classes, and kinds; the default if there is no word. Kinds that are given without a class come one at a time;
+    /// a class without given kinds has all.
     ///
     /// # Errors
     /// [`PlanError`]: a word that is neither.
@@ -127,7 +127,7 @@ pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Recipe> {
 
 fn of_class(class: Class, count: usize, wanted: &Wanted, draw: &mut Draw) -> Vec<Recipe> {
     let in_turn = |mut kinds: Vec<Kind>, draw: &mut Draw| -> Vec<Kind> {
-        // Which of them get one more than the others is chance.
+        // Chance determines which of them get one more than the others.
         draw.shuffle(&mut kinds);
         kinds.into_iter().cycle().take(count).collect()
     };

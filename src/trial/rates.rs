@@ -1,4 +1,4 @@
-//! Rates: what a trial comes to in short, each with its count, of how many, and its interval.
+//! Rates: the summary of a trial, each rate with its count, its total and its interval.
 
 use super::again::WITHIN;
 use super::class::Class;
@@ -15,14 +15,14 @@ pub const SURE: f64 = 0.97;
 pub struct NamedRate {
     /// Its name in JSON and on the command line.
     pub name: &'static str,
-    /// What it means.
+    /// Its meaning.
     pub meaning: &'static str,
     /// The rate.
     pub rate: Rate,
 }
 
-/// All of them, in order. Only cases with effects of 1.5 times the limit or above count, but for those in which nothing is to be
-/// named and those outside the library. False places and refusals are counted of all.
+/// All of them, in order. Only cases with effects of 1.5 times the limit or above count, except cases without an effect to name
+/// and cases outside the library. False places and refusals are counted over all cases.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Rates(pub Vec<NamedRate>);
@@ -41,7 +41,7 @@ impl Serialize for Rates {
 pub type Halves = [(String, usize)];
 
 impl Rates {
-    /// Of all judgements of a trial, and of a recording's halves where there is one.
+    /// Of all judgements of a trial, and of a recording's halves if there is one.
     #[must_use]
     pub fn of(all: &[Judgement], halves: &Halves) -> Self {
         let mut rates = Vec::new();

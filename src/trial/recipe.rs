@@ -1,4 +1,4 @@
-//! Recipes: what a case is made of.
+//! Recipes: the contents of a case.
 
 use super::class::{Class, Sense};
 use super::kind::Kind;

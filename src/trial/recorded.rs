@@ -1,13 +1,14 @@
-//! Recorded: what a trial takes from a recording that somebody made, instead of noise of its own.
+//! Recorded: cases whose noise comes from an existing recording instead of the trial's own noise.
 //!
-//! A recording has lines, knocks and drifts of its own, and nobody knows all of them. So it is first asked for them: a stretch of
-//! it is diagnosed as it is, what is found goes into a model, and that again, until nothing is named any more or it has been done
-//! often enough. A case has that model, with N, B and K a little wrong or far off as in made-up cases. An effect is imposed only on
-//! channels on which the stretch has none like it, since nobody could tell the two apart. What is named of the same channels
-//! as they are, under the model with the same N, B and K, is the recording's own and is neither right nor spurious ([`super::judge`]).
+//! A recording has its own lines, knocks and drifts, and not all of them are known. The trial therefore first searches for them:
+//! a stretch is diagnosed as it is, the findings go into a model, and both steps are repeated until no cause is named any more or
+//! the number of rounds is reached. A case has that model, with N, B and K a little wrong or far off as in made-up cases. An
+//! effect is imposed only on channels on which the stretch has no similar effect, since the two could not be separated. A cause
+//! that is also named of the same channels without imposed effects, under the model with the same N, B and K, is the recording's
+//! own and is neither right nor spurious ([`super::judge`]).
 //!
-//! Where the stretch has a resolution of its own, it comes after what is imposed: each value is spread evenly over its step
-//! first, which rounding takes back exactly where nothing was imposed.
+//! If the stretch has a resolution, it acts after the imposed effects: each value is spread evenly over its step first, and
+//! rounding reverses this exactly if no effect was imposed.
 
 use super::columns::{Columns, around, scale};
 use super::draw::Draw;
@@ -25,24 +26,24 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Effects by channel.
 pub type Own = BTreeMap<Channel, BTreeSet<String>>;
 
-/// A temperature that varies less, °C, tells nothing of what depends on it.
+/// A temperature that varies less, °C, carries no information about effects that depend on it.
 const SPREAD_C: f64 = 0.5;
-/// Its readings are steps: what depends on it follows their mean over so long, s.
+/// The temperature's readings are steps: effects that depend on it follow their mean over this time, s.
 const SMOOTH_S: f64 = 60.0;
 /// Flicker and walk that a first model has, in units of the white part per sample: those of the study's devices.
 const FIRST: [f64; 2] = [0.063, 8e-4];
 
-/// What is known of a recording before cases are made of it.
+/// The properties of a recording that are known before cases are made of it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Survey {
     /// Stretches.
     pub stretches: usize,
-    /// What can be imposed on every one of them.
+    /// The kinds that can be imposed on every one of them.
     pub kinds: Vec<Kind>,
 }
 
-/// Why there are no cases of a recording.
+/// The reason why there are no cases of a recording.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordedError {
@@ -59,19 +60,19 @@ pub enum RecordedError {
     Constant,
 }
 
-/// A stretch of a recording with the model that has what it shows of itself.
+/// A stretch of a recording with the model that has the recording's own effects.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Stretch {
     /// The stretch.
     pub recording: Recording,
-    /// N, B, K and the effects that it has of itself.
+    /// N, B, K and the recording's own effects.
     pub model: SensorModel,
     /// These effects by channel, and those that are named under the model even so.
     pub own: Own,
 }
 
-/// A recording in consecutive stretches of `samples`; a shorter one in one. What is left at the end is left out.
+/// A recording in consecutive stretches of `samples`; a shorter one in one. The remainder at the end is left out.
 ///
 /// # Errors
 /// [`RecordedError`]: no stretch is long enough, or nothing varies.
@@ -79,7 +80,7 @@ pub fn cut(recording: &Recording, samples: usize) -> Result<Vec<Recording>, Reco
     cut_in(recording, samples, SAMPLES_MIN)
 }
 
-/// The same, where stretches may be shorter than a case.
+/// The same, if stretches may be shorter than a case.
 ///
 /// # Errors
 /// As [`cut`].
@@ -115,7 +116,7 @@ pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Ve
     Ok((0..recording.len() / length).map(part).collect())
 }
 
-/// A model to begin with: white noise as large as the differences between neighbours say, flicker and walk as a device has them.
+/// An initial model: white noise from the differences between neighbours, flicker and walk as a device has them.
 #[must_use]
 pub fn first_model(recording: &Recording) -> SensorModel {
     let rate_hz = recording.rate_hz;
@@ -157,7 +158,7 @@ impl Stretch {
         Kind::all().filter(possible).collect()
     }
 
-    /// Channels on which it has nothing like a kind.
+    /// Channels without an effect that is like a kind.
     fn free(&self, kind: Kind) -> Vec<Channel> {
         let like = |channel: &Channel| {
             self.own.get(channel).is_some_and(|own| kind.like().iter().any(|effect| own.contains(*effect)))
@@ -165,7 +166,7 @@ impl Stretch {
         self.model.channels.keys().copied().filter(|channel| !like(channel)).collect()
     }
 
-    /// Mean and spread of its temperature in the form of a course, where it varies enough.
+    /// Mean and spread of its temperature in the form of a course, if it varies enough.
     fn temperature(&self) -> Option<TemperatureCourse> {
         let celsius: Vec<f64> =
             self.recording.temperature_c.iter().flatten().copied().filter(|value| value.is_finite()).collect();
@@ -287,7 +288,7 @@ impl Stretch {
         columns.into_recording(untouched.temperature_c)
     }
 
-    /// The resolution that a channel has of itself, U.
+    /// The resolution of a channel itself, U.
     fn step(&self, channel: Channel) -> Option<f64> {
         let effects = &self.model.channels.get(&channel)?.effects;
         let own = effects.iter().find(|effect| effect.name() == "resolution")?;
@@ -303,7 +304,7 @@ fn round(columns: &mut Columns, steps: &[Option<f64>]) {
     }
 }
 
-/// Values with the last one before, or the first one after, where there is none.
+/// Values with the last one before, or the first one after, if there is none.
 fn filled(values: &[f64]) -> Vec<f64> {
     let mut last = values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0);
     let mut next = |value: &f64| {
@@ -322,7 +323,7 @@ mod tests {
     use crate::trial::recipe::Recipe;
     use serde_json::json;
 
-    /// A made-up case as if somebody had recorded it, one channel of it in steps, with gaps.
+    /// A made-up case in the form of an existing recording, one channel of it in steps, with gaps.
     fn stretch() -> Stretch {
         let made = (0..).map(|number| Case::make(5, number, &Recipe::lacking(&[]), Some(20_000)).unwrap());
         let case = made.into_iter().find(|case| case.setting().parts.len() == 2).unwrap();

@@ -1,9 +1,9 @@
-//! Reports: what a trial reads of a diagnosis in the form of docs/formats.md, whoever made it.
+//! Reports: the parts of a diagnosis that a trial reads, in the form of docs/formats.md, from any program.
 
 use super::class::Sense;
 use serde_json::Value;
 
-/// Why something is no diagnosis.
+/// The reason why a value is not a diagnosis.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportError {
@@ -35,7 +35,7 @@ pub struct Cause {
     pub index: usize,
 }
 
-/// What a place is of.
+/// The owner of a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_enums, reason = "the documented words")]
 pub enum Of {
@@ -43,7 +43,7 @@ pub enum Of {
     Cause(usize),
     /// Parameters that are off.
     Parameters,
-    /// What has no name.
+    /// The remainder without a name.
     Remainder,
     /// The report does not state it.
     Untold,
@@ -63,7 +63,7 @@ pub struct Place {
     pub time_s: Option<[f64; 2]>,
 }
 
-/// What a diagnosis says.
+/// The result of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Report {
@@ -93,7 +93,7 @@ impl Report {
         let cause = |(index, value): (usize, &Value)| {
             let names = value["channels"].as_array().ok_or_else(|| missing("causes.channels"))?;
             let sense = value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default();
-            // What the sensor lacks has the model's numbers alone.
+            // An effect that the sensor lacks has the model's numbers alone.
             let is_of_model = sense == Sense::Superfluous && value["model"].is_object();
             let parameters = if is_of_model { "model" } else { "parameters" };
             Ok(Cause {
@@ -137,7 +137,7 @@ fn pair(value: &Value) -> Option<[f64; 2]> {
     value[0].as_f64().zip(value[1].as_f64()).map(|(low, high)| [low, high])
 }
 
-/// A place; none where it names no channel.
+/// A place; none if it names no channel.
 fn place(value: &Value) -> Option<Place> {
     let of = match value["of"].as_str() {
         Some("parameters") => Of::Parameters,

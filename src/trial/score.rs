@@ -1,4 +1,4 @@
-//! Scores: what the judgements of a trial come to.
+//! Scores: the summary of the judgements of a trial.
 
 use super::class::{Class, Sense};
 use super::interval::Rate;
@@ -27,9 +27,9 @@ pub struct Miss {
     pub kinds: Vec<Kind>,
     /// How sensor and model differ in each.
     pub senses: Vec<Sense>,
-    /// The least of its sizes over their limits; none outside the library, where there is no limit.
+    /// The least of its sizes over their limits; none outside the library, because there is no limit.
     pub over_limit: Option<f64>,
-    /// What was said.
+    /// The stated result.
     pub verdict: String,
     /// What was named.
     pub named: Vec<Named>,
@@ -46,8 +46,8 @@ pub struct Calibration {
     pub right: Rate,
     /// Mean of the stated confidences.
     pub mean_confidence: Option<f64>,
-    /// Expected calibration error: mean of |mean confidence − share right| over the classes of `reliability`, by how many each
-    /// holds (M. Naeini et al., AAAI 2015, equation 2); none where nothing was stated.
+    /// Expected calibration error: mean of |mean confidence − share right| over the classes of `reliability`, weighted by the
+    /// number in each (M. Naeini et al., AAAI 2015, equation 2); none if no confidence was stated.
     pub expected_error: Option<f64>,
 }
 
@@ -97,7 +97,7 @@ pub struct Score {
     /// The frozen set that it is, if it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suite: Option<&'static str>,
-    /// The recording, where there is one.
+    /// The recording, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on: Option<On>,
     /// SHA-256 of the manifest that was written first.
@@ -108,10 +108,10 @@ pub struct Score {
     pub false_places: Option<f64>,
     /// By kind.
     pub kinds: Vec<OfKind>,
-    /// Single effects, none and outside: true kind, then the first cause named (or the verdict where none was), how often.
+    /// Single effects, none and outside: true kind, then the first cause named (or the verdict if none was), how often.
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
-    /// Stated confidence of the causes named and how many were right; without the cases too small to count, and those
-    /// outside the library, where what is named is a look-alike.
+    /// Stated confidence of the causes named and how many were right. Cases too small to count are left out, and so are
+    /// those outside the library, because their named causes are look-alikes.
     pub reliability: Vec<Bin>,
     /// The same in short.
     pub calibration: Calibration,
@@ -147,13 +147,13 @@ impl Score {
         }
     }
 
-    /// Says that it is a frozen set.
+    /// Marks the score as that of a frozen set.
     #[must_use]
     pub fn of_suite(self, name: Option<&'static str>) -> Self {
         Self { suite: name, ..self }
     }
 
-    /// Says which recording the effects were imposed on.
+    /// Records which recording the effects were imposed on.
     #[must_use]
     pub fn on(self, recording: &str, stretches: usize, all: &[Judgement]) -> Self {
         let on = On {
@@ -193,7 +193,7 @@ fn miss(one: &Judgement) -> Miss {
     }
 }
 
-/// What a row of the confusion is called: the kind, and the sense where it is not missing.
+/// The label of a row of the confusion: the kind, and the sense unless it is missing.
 fn truth(one: &Judgement) -> String {
     match one.effects.first() {
         None => "none".to_owned(),

@@ -1,4 +1,4 @@
-//! Settings: the device of a sealed case, its record's shape, and the model that somebody wrote of it.
+//! Settings: the device of a sealed case, its record's shape, and an independent model of it.
 
 use super::draw::Draw;
 use super::ground::TemperatureCourse;
@@ -9,7 +9,7 @@ use crate::sample::{Channel, Triad};
 use crate::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeMap;
 
-/// A channel of the device: what is true and what its model says.
+/// A channel of the device: its true values and its model's statements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct Part {
@@ -21,7 +21,7 @@ pub struct Part {
     pub true_nbk: [f64; 3],
     /// And as the model has them.
     pub told_nbk: [f64; 3],
-    /// The bias that the model states, U, if it does.
+    /// The bias that the model states, U, if there is one.
     pub told_bias: Option<f64>,
 }
 
@@ -35,11 +35,11 @@ pub struct Setting {
     pub samples: usize,
     /// The channels, in column order.
     pub parts: Vec<Part>,
-    /// The temperature, where it is measured.
+    /// The temperature, if it is measured.
     pub temperature: Option<TemperatureCourse>,
-    /// How samples are stamped, where they are.
+    /// How samples are stamped, if they are.
     pub stamps: Option<Stamps>,
-    /// What the device has of itself, where it is a recorded one: nothing like it is imposed on these channels.
+    /// The effects of a recorded device itself, if it is one: no similar effect is imposed on these channels.
     pub own: Own,
 }
 
@@ -48,11 +48,11 @@ const LENGTH_S: [f64; 2] = [27.0 * 60.0, 5.0 * 3600.0];
 const RATE_HZ: [f64; 2] = [40.0, 200.0];
 /// Share of the cases with six channels instead of two.
 pub(super) const SIX: f64 = 0.3;
-/// Share of the cases with a measured temperature, where none is needed.
+/// Share of the cases with a measured temperature, among those that need none.
 const WARM: f64 = 0.8;
-/// How far a model's N, B and K are off at most where it is of this sensor.
+/// How far a model's N, B and K are off at most if the model is of this sensor.
 pub(super) const OFF: [f64; 3] = [0.05, 0.25, 0.4];
-/// Factors by which they are off where it is of a data sheet or of another session, and the part of the cases in which it is.
+/// Factors by which they are off if the model is of a data sheet or of another session, and the part of the cases in which it is.
 const FAR: [f64; 3] = [3.0, 30.0, 30.0];
 const OF_ANOTHER: f64 = 0.35;
 /// The study's B, and step of its walk, in units of the white part per sample.
@@ -64,7 +64,7 @@ fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
     draw.uniform(high.powi(-2), low.powi(-2)).powf(-0.5)
 }
 
-/// N, B and K as a model has them that somebody wrote: a little wrong, or far off.
+/// N, B and K of an independent model: a little wrong, or far off.
 pub(super) fn declared(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 3] {
     let mut declared = true_nbk;
     for (at, parameter) in declared.iter_mut().enumerate() {
@@ -133,7 +133,7 @@ impl Setting {
         Self { rate_hz, samples, parts, temperature: measured.then_some(temperature), stamps, own: Own::new() }
     }
 
-    /// Whether a channel has nothing of itself that is like a kind.
+    /// Whether a channel has no effect of the recording that is like a kind.
     #[must_use]
     pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
         self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(*effect)))
@@ -145,7 +145,7 @@ impl Setting {
         self.samples as f64 / self.rate_hz
     }
 
-    /// The model as somebody wrote it: N, B and K a little wrong or far off, no effects.
+    /// An independent model: N, B and K a little wrong or far off, no effects.
     #[must_use]
     pub fn model(&self) -> SensorModel {
         self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)

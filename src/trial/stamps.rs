@@ -25,11 +25,11 @@ const LOSSY: f64 = 0.2;
 /// Mean delays in periods, and shares of lost samples, from the smallest to the largest.
 const DELAY: [f64; 2] = [0.02, 0.4];
 const LOST: [f64; 2] = [1e-4, 0.02];
-/// Rates below which two decimals tell samples apart, Hz.
+/// Rates below which two decimals distinguish samples, Hz.
 const TWO_DECIMALS_HZ: f64 = 80.0;
 
 impl Stamps {
-    /// Those of the sensor, exact.
+    /// The stamps of the sensor, exact.
     #[must_use]
     pub fn exact(first_s: f64) -> Self {
         Self { first_s, decimals: None, late_s: 0.0, lost: 0.0 }
@@ -54,7 +54,7 @@ impl Stamps {
         self.late_s > 0.0 || self.lost > 0.0
     }
 
-    /// Stamps of samples that the sensor took at these times, as they are written, and what is lost.
+    /// Stamps of samples that the sensor took at these times, as they are written, and the samples that are lost.
     pub fn write(self, on: &mut Columns, draw: &mut Draw) {
         let (mut delays, mut losses) = (draw.split(), draw.split());
         if self.late_s > 0.0 {

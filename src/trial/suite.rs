@@ -1,9 +1,9 @@
 //! Suites: frozen sets of cases that others can compare with.
 //!
-//! A suite is a seed, a number of cases and a length. Its cases are those of every class and kind, also of those that are kept. What
-//! makes them must not change: the manifest of a suite and the digests of some of its parcels are in the repository, and a test makes
-//! them anew. A change of the generator needs a suite of another name. The digests hold on x86-64 Linux with the mathematical functions
-//! that Rust's standard library has there: elsewhere the last digits of a logarithm or a cosine may be others.
+//! A suite is a seed, a number of cases and a length. Its cases are those of every class and kind, also of those that are kept.
+//! The generator must not change: the manifest of a suite and the digests of some of its parcels are in the repository, and a
+//! test makes them again. A change of the generator needs a suite of another name. The digests hold on x86-64 Linux with the
+//! mathematical functions of Rust's standard library there. Elsewhere the last digits of a logarithm or a cosine may differ.
 
 use super::class::Class;
 
@@ -58,7 +58,7 @@ impl Suite {
         Class::ALL.map(Class::name).join(",")
     }
 
-    /// What someone needs who compares with it, in words.
+    /// The information that a caller needs to compare with it, in words.
     #[must_use]
     pub fn described(&self, manifest_sha256: &str) -> String {
         let kept = if manifest_sha256 == self.manifest_sha256 {

@@ -1,17 +1,18 @@
-//! Configuring: from a sensor that answers to one that sends what it shall, and back to what it sent before. Pure.
+//! Configuring: from a sensor that answers to one that sends the requested output, and back to its previous output.
+//! Pure.
 
 use super::super::output::{ascii_kind, binary_output, check_fit, counts_messages, is_binary, serial_count};
 use super::{Action, Command, Output, Phase, SensorState, Session, Step};
 use crate::protocol::{ChecksumKind, MeasurementKind};
 
-/// Registers that describe the measurement; a sensor that refuses one loses nothing but the description.
-/// 0 user tag, 2 hardware, 5 baud, 6 and 7 ASCII output, 21 references, 23 magnetic, 25 acceleration, 26 frame rotation,
-/// 30 communication, 32 synchronisation, 35 VPE, 44 hard/soft iron, 75–77 binary outputs, 82 delta, 83 reference model,
-/// 84 gyro compensation, 85 filter windows.
+/// Registers that describe the measurement; if a sensor refuses one, only the description suffers. 0 user tag, 2
+/// hardware, 5 baud, 6 and 7 ASCII output, 21 references, 23 magnetic, 25 acceleration, 26 frame rotation, 30
+/// communication, 32 synchronisation, 35 VPE, 44 hard/soft iron, 75–77 binary outputs, 82 delta, 83 reference model, 84
+/// gyro compensation, 85 filter windows.
 const DESCRIPTIVE: [u16; 20] = [5, 6, 7, 75, 76, 77, 85, 30, 0, 2, 21, 23, 25, 26, 32, 35, 44, 82, 83, 84];
-/// Registers that choose the output; put back in this order.
+/// Registers that select the output; restored in this order.
 const OUTPUT_REGISTERS: [u16; 5] = [6, 7, 75, 76, 77];
-/// With messages, the count that they carry and what it counts as well.
+/// With messages, also the registers of the count that they carry and of what it counts.
 pub(super) const COUNT_REGISTERS: [u16; 2] = [30, 32];
 
 impl Session {
@@ -38,10 +39,10 @@ impl Session {
         if let (Some(before), Some(found)) = (&self.previous_of, &serial_number)
             && before != found
         {
-            // Another unit: what the first one sent before is not to be written into it.
+            // Another unit: the previous output of the first one must not be written to it.
             self.previous.clear();
         }
-        // A number that was not answered this once says nothing of another unit.
+        // A serial number that was not answered this once does not indicate another unit.
         if serial_number.is_some() {
             self.previous_of.clone_from(&serial_number);
         }
@@ -76,7 +77,7 @@ impl Session {
                 .collect();
         }
         let mut steps = Vec::new();
-        // The previous owner's outputs would share the line.
+        // The outputs of the previous configuration would share the line.
         for register in [75, 76, 77] {
             if self.binary_output(register).is_some() {
                 steps.push(Step::optional(Command::write(register, "0,0,0")));
@@ -106,7 +107,8 @@ impl Session {
         self.script.begin(now_ns, steps, actions);
     }
 
-    /// What makes the sensor number its messages, where it does not yet and its SyncOut pin drives nothing else.
+    /// The commands that make the sensor number its messages, if it does not yet and its SyncOut pin drives nothing
+    /// else.
     pub(super) fn counting(&self, rate_hz: f64) -> Vec<Step> {
         let text = |register| self.registers.get(&register).map(String::as_str);
         let (Some(communication), Some(synchronization)) = (text(30), text(32)) else { return Vec::new() };
@@ -116,7 +118,7 @@ impl Session {
             .collect()
     }
 
-    /// Whether messages at this rate carry a count that steps by one for each, as registers 30 and 32 say.
+    /// Whether messages at this rate carry a count that increases by one for each, according to registers 30 and 32.
     pub(super) fn is_counted(&self, kind: MeasurementKind, rate_hz: f64) -> bool {
         let text = |register| self.registers.get(&register).map(String::as_str);
         !is_binary(kind)
@@ -125,7 +127,7 @@ impl Session {
             })
     }
 
-    /// Whether the wanted output fits the line, else the arithmetic.
+    /// Checks whether the wanted output fits the line; the error is the calculation.
     pub(super) fn fits(&self) -> Result<(), String> {
         let (Some(baud), Some((kind, rate_hz))) = (self.status.baud, self.options.output.kind_and_rate()) else {
             return Ok(());
@@ -159,12 +161,12 @@ impl Session {
         self.registers.get(&register).map_or("unknown", String::as_str)
     }
 
-    /// What binary output register 75, 76 or 77 sends, where it is on.
+    /// The output of binary output register 75, 76 or 77, if it is on.
     pub(super) fn binary_output(&self, register: u16) -> Option<(MeasurementKind, f64)> {
         binary_output(register, self.registers.get(&register)?)
     }
 
-    /// What registers 6 and 7 send, where it is on.
+    /// The output of registers 6 and 7, if it is on.
     pub(super) fn ascii_output(&self) -> Option<(MeasurementKind, f64)> {
         let first = |register| self.registers.get(&register)?.split(',').next();
         let kind = ascii_kind(first(6)?.parse().ok()?)?;

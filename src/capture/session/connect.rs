@@ -1,14 +1,14 @@
-//! Connecting: from the names of ports to a sensor that answers, and back when it is gone. Pure.
+//! Connecting: from the names of ports to a sensor that answers, and back when it disappears. Pure.
 
 use super::super::port::{Latency, OpenError};
 use super::{Action, Command, EventKind, GapCause, LOOK_NS, Output, Phase, Port, SensorState, Session, Step};
 use std::time::Duration;
 
-/// How long a baud rate is listened to before the next one is tried, ns.
+/// The time to listen at a baud rate before the next one is tried, ns.
 const SCAN_NS: u64 = 600_000_000;
-/// How long a sensor that is known may be silent behind a port that just opened: it boots for about 1.25 s.
+/// How long a known sensor may be silent behind a port that just opened, ns: it boots for about 1.25 s.
 const BOOT_NS: u64 = 2_000_000_000;
-/// The longest wait where all that is missing is a sign of the right sensor: it is to stream within 3 s of it.
+/// The longest delay if only a sign of the right sensor is missing: it must stream within 3 s of it.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
 
 impl Session {
@@ -40,7 +40,7 @@ impl Session {
         actions.push(Action::Open(path, baud));
     }
 
-    /// Baud rates in the order to try: the one that worked last comes first.
+    /// Baud rates in the order to try: the last good one comes first.
     fn bauds(&self) -> Vec<u32> {
         let mut bauds = self.options.bauds.clone();
         if let Some(good) = self.last_good_baud {
@@ -65,8 +65,8 @@ impl Session {
         self.scan(now_ns, 0, actions);
     }
 
-    /// Baud rates in the order in which they are listened to. A sensor that is known and silent will most likely speak as
-    /// it did: its rate has every other turn.
+    /// Baud rates in the order in which they are listened to. A known sensor that is silent will most likely use its
+    /// previous rate: that rate has every other turn.
     fn scan_list(&self) -> Vec<u32> {
         let bauds = self.bauds();
         match (self.last_good_baud, bauds.split_first()) {
@@ -83,13 +83,13 @@ impl Session {
         self.ask(now_ns, actions);
     }
 
-    /// Asks who is there, and a second time where nobody answers.
+    /// Sends a probe, and a second one if there is no answer.
     pub(super) fn ask(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let who = Step::optional(Command::read(1));
         self.script.begin(now_ns, vec![who.clone(), who], actions);
     }
 
-    /// The first bytes at a baud rate: from now on it takes [`SCAN_NS`] to find out whether they are frames.
+    /// Handles the first bytes at a baud rate: determining whether they are frames takes [`SCAN_NS`] from now on.
     pub(super) fn heard(&mut self, now_ns: u64) {
         if let Phase::Scanning { since_ns, heard, .. } = &mut self.phase
             && !std::mem::replace(heard, true)
@@ -98,7 +98,7 @@ impl Session {
         }
     }
 
-    /// When the next baud rate has its turn, ns.
+    /// The time of the next baud rate's turn, ns.
     pub(super) fn scan_end_ns(&self) -> u64 {
         let Phase::Scanning { index, since_ns, heard, .. } = self.phase else { return u64::MAX };
         let booting = index == 0 && !heard && self.last_good_baud.is_some();
@@ -106,7 +106,7 @@ impl Session {
         since_ns + patience_ns.max(2 * self.options.host_jitter_ns)
     }
 
-    /// Nobody answered at this baud rate.
+    /// Moves on after a baud rate without an answer.
     pub(super) fn scan_next(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let Phase::Scanning { index, valid, .. } = self.phase else { return };
         if valid {
@@ -119,7 +119,7 @@ impl Session {
             }
             return;
         }
-        // A sensor that speaks, but not at the rate that was good, speaks at another one.
+        // A sensor that sends, but not at the last good rate, uses another one.
         let spoke = matches!(self.phase, Phase::Scanning { heard: true, .. });
         self.good_is_garbled |= spoke && self.status.baud == self.last_good_baud;
         let step = if self.good_is_garbled && index % 2 == 1 { 2 } else { 1 };
@@ -152,7 +152,8 @@ impl Session {
         self.fail(now_ns, state, error.to_string(), actions);
     }
 
-    /// This try failed: say so once, close, and wait; with several ports the next one has its turn first.
+    /// Handles a failed attempt: reports it once, closes the port, and waits. With several ports the next one is tried
+    /// first.
     pub(super) fn fail(&mut self, now_ns: u64, state: SensorState, hint: String, actions: &mut Vec<Action>) {
         self.script.clear();
         self.failed_ports += 1;
@@ -173,7 +174,7 @@ impl Session {
         }
     }
 
-    /// Waits before the next try; how long depends on the failures before and on what the next try may find.
+    /// Waits before the next attempt; the delay depends on the previous failures and on what the next attempt may find.
     pub(super) fn wait(&mut self, now_ns: u64, state: SensorState) {
         let most = match state {
             SensorState::Stalled if self.last_good_baud.is_some() => SILENT_WAIT,
@@ -192,7 +193,7 @@ impl Session {
         }
         actions.push(Action::Interrupt(GapCause::Unplugged));
         if !self.flowing {
-            // Gone before a sample came: a port that only ever says so must not cost a core.
+            // Closed before a sample arrived: a port that does this repeatedly must not consume a core.
             self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
             return;
         }
@@ -206,7 +207,7 @@ impl Session {
             Some(format!("{port} is gone: plug the sensor in, it is looked for all the time")),
         );
         self.phase = Phase::Absent;
-        // The kernel gives the name free only once the port is closed.
+        // The kernel releases the name only once the port is closed.
         self.next_look_ns = now_ns + LOOK_NS / 5;
     }
 }

@@ -1,19 +1,19 @@
-//! Rate: samples without time do not come at the rate that is known: what do the sensor's registers say? Pure.
+//! Rate: reads the sensor's registers if samples without time do not arrive at the known rate. Pure.
 
 use super::configure::COUNT_REGISTERS;
 use super::{Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, SensorState, Session, Step};
 use crate::units::period_ns;
 
-/// The registers that choose baud rate, message, rate and binary output: read again on doubt, with the serial number.
+/// The registers that select baud rate, message, rate and binary output, read again on a doubt, with the serial number.
 const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
-/// A silence that a boot explains (about 1.25 s), ns; a doubt about the rate so soon after it is about a reset.
+/// A silence that a boot explains (about 1.25 s), ns; a doubt about the rate soon after it is about a reset.
 const BOOT_SILENCE_NS: u64 = 500_000_000;
 const AFTER_BOOT_NS: u64 = 10_000_000_000;
-/// Arrivals that stay odd although the registers are right are no reason to ask all the time, ns.
+/// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right.
 const DOUBT_EVERY_NS: u64 = 5_000_000_000;
 
 impl Session {
-    /// Takes note of a sample that comes after a silence.
+    /// Notes a sample that arrives after a silence.
     pub(super) fn note_silence(&mut self, now_ns: u64) {
         let periods_ns = self.accepted.map_or(0.0, |(_, rate_hz)| 5.0 * period_ns(rate_hz)) as u64;
         if self.flowing && now_ns.saturating_sub(self.last_sample_ns) > BOOT_SILENCE_NS.max(periods_ns) {
@@ -21,7 +21,7 @@ impl Session {
         }
     }
 
-    /// Samples without time do not come at the rate: the registers are read again.
+    /// Handles samples without time that do not arrive at the rate: the registers are read again.
     pub(super) fn rate_doubted(&mut self, now_ns: u64, doubt: RateDoubt, actions: &mut Vec<Action>) {
         if self.phase != Phase::Streaming || (doubt == RateDoubt::Open && now_ns < self.next_doubt_ns) {
             return;
@@ -33,13 +33,13 @@ impl Session {
         self.script.begin(now_ns, steps, actions);
     }
 
-    /// The registers were read again: a sensor that was reset, or that somebody told otherwise, is configured again. One whose
-    /// output is kept is taken as it is now.
+    /// Handles the registers that were read again. A sensor that was reset or reconfigured is configured again. A
+    /// sensor whose output is kept is accepted as it is now.
     pub(super) fn look_again(&mut self, now_ns: u64, doubt: RateDoubt, actions: &mut Vec<Action>) {
         let read = self.script.read().clone();
         let Some((kind, rate_hz)) = self.accepted else { return };
         if !(read.contains_key(&7) && read.contains_key(&75)) {
-            // It does not answer: its arrivals alone decide.
+            // The sensor does not answer: its arrivals alone decide.
             return;
         }
         self.registers.extend(read);

@@ -1,4 +1,5 @@
-//! Streaming: which measurements are samples, what their absence means, and what the sensor is taken to send. Pure.
+//! Streaming: determines which measurements are samples, what their absence means, and what the sensor presumably
+//! sends. Pure.
 
 use super::super::description::describe;
 use super::super::output::is_binary;
@@ -8,31 +9,32 @@ use super::{Action, Command, EventKind, GapCause, Output, Phase, SensorState, Se
 use crate::protocol::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 use crate::units::period_ns;
 
-/// Silence that means `stalled`: this long, but at least [`STALL_PERIODS`] periods.
+/// Silence that counts as `stalled`: this long, but at least [`STALL_PERIODS`] periods.
 const STALL_NS: f64 = 1e9;
 const STALL_PERIODS: f64 = 20.0;
 /// Silence after which the port is closed and opened again, ns (but at least 100 periods).
 const REOPEN_NS: f64 = 5e9;
-/// The same where bytes arrive that form no frame (but at least 40 periods).
+/// The same if bytes arrive that form no frame (but at least 40 periods).
 const GARBLED_NS: f64 = 2e9;
 /// How long frames of another kind are tolerated before the output is configured again, ns.
 const FOREIGN_NS: u64 = 300_000_000;
-/// How long a sensor of unknown rate is listened to, ns.
+/// The time to listen to a sensor of unknown rate, ns.
 const MEASURE_NS: u64 = 2_000_000_000;
 
 impl Session {
-    /// Whether a measurement that is no sample now is one of another output than was asked for, also after a silence.
+    /// Whether a measurement that is no sample now belongs to another output than the requested one, also after a
+    /// silence.
     #[must_use]
     pub fn sees_another_format(&self) -> bool {
         self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }
 
-    /// Takes note of a valid measurement frame and says whether it is a sample of the stream.
+    /// Takes a valid measurement frame and returns whether it is a sample of the stream.
     pub fn measured(&mut self, now_ns: u64, measurement: &Measurement, actions: &mut Vec<Action>) -> bool {
         let kind = measurement.kind;
         match &mut self.phase {
             Phase::Streaming => {}
-            // A valid frame tells the baud rate even where the sensor does not answer.
+            // A valid frame determines the baud rate even if the sensor does not answer.
             Phase::Scanning { valid, .. } => {
                 if !std::mem::replace(valid, true) {
                     self.ask(now_ns, actions);
@@ -46,7 +48,7 @@ impl Session {
             _ => return false,
         }
         let is_other = self.accepted.is_none_or(|(accepted, _)| accepted != kind) && !self.adopt(kind, actions);
-        // The flash may hold the very message that is recorded: then only the count that is gone tells of a reset.
+        // The flash may hold the very message that is recorded: then only the missing count indicates a reset.
         if is_other || (self.numbered && measurement.sync_count.is_none()) {
             self.foreign(now_ns, kind, actions);
             return false;
@@ -67,8 +69,8 @@ impl Session {
         true
     }
 
-    /// While the output is kept and nothing has come yet, an ASCII message of another type than register 6 says is
-    /// taken for the stream at once: no sample of a recording that is played is lost.
+    /// While the output is kept and nothing has arrived yet, an ASCII message of another type than in register 6 is
+    /// accepted as the stream at once. No sample of a recording that is played is lost.
     pub(super) fn adopt(&mut self, kind: MeasurementKind, actions: &mut Vec<Action>) -> bool {
         let binary_on = [75, 76, 77].into_iter().any(|register| self.binary_output(register).is_some());
         if self.options.output != Output::Keep || self.flowing || is_binary(kind) || binary_on {
@@ -79,7 +81,8 @@ impl Session {
         true
     }
 
-    /// A sensor that was reset sends what its flash says: after a moment without samples its output is configured again.
+    /// Handles frames of another kind. A sensor that was reset sends the output in its flash: after a moment without
+    /// samples its output is configured again.
     pub(super) fn foreign(&mut self, now_ns: u64, kind: MeasurementKind, actions: &mut Vec<Action>) {
         let since_ns = *self.foreign_since_ns.get_or_insert(now_ns);
         if now_ns - since_ns < FOREIGN_NS || now_ns.saturating_sub(self.last_sample_ns) < FOREIGN_NS {
@@ -95,7 +98,7 @@ impl Session {
         actions.push(Action::Interrupt(GapCause::FormatChange));
         if self.options.output == Output::Keep {
             actions.push(Action::Event(EventKind::Reconfigured, message));
-            // What it sends contradicts what its registers said of the count.
+            // Its output contradicts the count that its registers stated.
             COUNT_REGISTERS.iter().for_each(|register| drop(self.registers.remove(register)));
             self.measure(now_ns);
         } else {
@@ -110,7 +113,8 @@ impl Session {
         (STALL_NS.max(STALL_PERIODS * period) as u64).max(self.options.host_jitter_ns)
     }
 
-    /// Silence in ns after which the port is closed and opened again: bytes that form no frame need another baud rate.
+    /// Silence in ns after which the port is closed and opened again. Bytes that form no frame require another baud
+    /// rate.
     pub(super) fn reopen_ns(&self) -> u64 {
         let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
         let garbled = self.status.state == SensorState::NoValidFrames;
@@ -118,7 +122,8 @@ impl Session {
         (least.max(periods * STALL_PERIODS * period) as u64).max(2 * self.options.host_jitter_ns)
     }
 
-    /// A sensor that was asked while it streams, or fell silent, has answered: another one than before is found out from the beginning.
+    /// Handles the answer of a sensor that was probed while it streams or after it fell silent. Another sensor than
+    /// before is identified from the beginning.
     pub(super) fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let found = self.script.read().get(&3).cloned();
         if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
@@ -129,7 +134,7 @@ impl Session {
         }
     }
 
-    /// Takes what the sensor sends, as its registers describe it; where they do not, listens first.
+    /// Accepts the sensor's output as its registers describe it; if they do not, it listens first.
     pub(super) fn begin_keeping(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         match self.kept_output() {
             Some((kind, rate_hz)) => self.stream(now_ns, kind, rate_hz, actions),
@@ -137,12 +142,12 @@ impl Session {
         }
     }
 
-    /// What a sensor sends whose output is kept, as its registers describe it.
+    /// The output of a sensor whose output is kept, as its registers describe it.
     pub(super) fn kept_output(&self) -> Option<(MeasurementKind, f64)> {
         [75, 76, 77].into_iter().find_map(|register| self.binary_output(register)).or_else(|| self.ascii_output())
     }
 
-    /// More bytes than those of one frame that was cut came to nothing since the last sample.
+    /// Whether more bytes were rejected since the last sample than those of one frame that was cut.
     fn is_garbled(&self) -> bool {
         let frame = self.accepted.map_or(0, |(kind, _)| frame_bytes(&kind, &FrameOptions::default()));
         self.rejected_since_sample > frame
@@ -201,7 +206,7 @@ impl Session {
         actions.push(Action::Accept(kind, rate_hz));
     }
 
-    /// While streaming: how long has it been silent?
+    /// Handles silence while streaming.
     pub(super) fn listen(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
         if silence_ns >= self.reopen_ns() {
@@ -228,7 +233,7 @@ impl Session {
             } else {
                 self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
             }
-            // A sensor that answers is alive; an output that somebody paused resumes.
+            // A sensor that answers is alive; an output that was paused resumes.
             let mut steps = vec![Step::optional(Command::read(1)), Step::optional(Command::read(3))];
             if self.options.output != Output::Keep {
                 steps.insert(0, Step::optional(Command::AsyncOutput(true)));

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use rand::SeedableRng;
 use std::collections::BTreeMap;
 
-/// A sensor that answers commands from a register file, as far as it is told to.
+/// A sensor that answers commands from a register file, as far as the test lets it.
 struct Sensor {
     registers: BTreeMap<u16, String>,
     answers: bool,
@@ -42,7 +42,7 @@ struct World {
     sensor: Sensor,
     now_ns: u64,
     port: bool,
-    /// How often it was plugged in.
+    /// The number of times it was plugged in.
     plugged: u32,
     open: bool,
     opens: u32,
@@ -304,7 +304,7 @@ fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds(
     assert!(world.numbered(ymr, Some(1)));
 }
 
-/// Where the output is kept, messages whose count is gone go on by their arrival.
+/// If the output is kept, messages without their count continue by their arrival.
 #[test]
 fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
     let ymr = ascii_kind(14).unwrap();
@@ -360,7 +360,7 @@ fn a_port_that_is_plugged_in_anew_ends_any_wait() {
     world.sensor.answers = false;
     world.pass(120_000_000_000);
     assert_eq!(world.state(), SensorState::Stalled);
-    // pulled out while nobody has it open, and plugged in again
+    // pulled out while no session has it open, and plugged in again
     while world.open {
         world.pass(50_000_000);
     }
@@ -408,7 +408,7 @@ fn the_baud_rate_that_worked_last_comes_first_and_between_the_others() {
         .collect();
     assert_eq!(bauds, [921_600, 9600, 921_600, 115_200, 921_600]);
 
-    // One that speaks at another rate is not looked for at the good one again and again.
+    // A sensor that uses another rate is not tried at the last good one again and again.
     let mut world = World::new(default_output());
     world.session.options.bauds = vec![9600, 115_200, 230_400, 921_600];
     world.give(Input::GoodBaud(921_600));
@@ -461,7 +461,8 @@ fn happening() -> impl Strategy<Value = Happening> {
 }
 
 proptest! {
-    /// Whatever happens: never opened twice (checked in the world), and once all is well again, streaming within 12 s.
+    /// In every sequence of events: never opened twice (checked in the world), and streaming within 12 s once all is
+    /// well again.
     #[test]
     fn every_state_ends_by_itself(happenings in proptest::collection::vec(happening(), 0..60)) {
         let mut world = World::new(default_output());
@@ -502,7 +503,7 @@ proptest! {
     }
 }
 
-/// A sensor whose output somebody switched off answers the probe; a line that carries noise does not.
+/// A sensor whose output was switched off answers the probe; a line that carries noise does not.
 #[test]
 fn replies_to_a_probe_are_no_garbage() {
     for (garbage, cause) in [(0, GapCause::Silent), (40, GapCause::Silent), (400, GapCause::Checksum)] {
@@ -519,7 +520,7 @@ fn replies_to_a_probe_are_no_garbage() {
     }
 }
 
-/// The sensor sends at a rate that it was not configured to, or was reset to what its flash holds.
+/// The sensor sends at a rate that was not configured, or was reset to the settings in its flash.
 #[test]
 fn a_doubt_about_the_rate_is_answered_by_the_registers() {
     let ymr = ascii_kind(14).unwrap();

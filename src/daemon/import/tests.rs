@@ -1,4 +1,4 @@
-//! Imports into a database of their own.
+//! Imports into a separate database.
 
 use super::*;
 use crate::clock::SystemClock;
@@ -6,7 +6,8 @@ use crate::jobs::JobsOptions;
 use crate::store::StoreOptions;
 use std::path::PathBuf;
 
-/// An import that outlives the daemon's patience finds the store closed; whoever sent it hears that the daemon stops.
+/// An import that outlasts the daemon's patience finds the store closed; its client receives the answer that the daemon
+/// stops.
 #[test]
 fn an_import_that_fails_because_the_daemon_ends_says_so() {
     let folder = tempfile::tempdir().unwrap();
@@ -61,7 +62,7 @@ fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
     let long = name_of(Path::new(&format!("{} {}.csv", "ä".repeat(99), "b".repeat(40))));
     assert_eq!(long, "ä".repeat(99), "no space at the end is left by the cut");
     check_name(&long).unwrap();
-    // These are no names: such a capture is called after the time.
+    // These are not valid names: such a capture is named after the time.
     for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
         check_name(&name_of(Path::new(file))).unwrap_err();
     }
@@ -124,7 +125,7 @@ fn the_same_file_read_the_same_way_is_one_capture_and_another_reading_another() 
     assert!(matches!(again.end, ImportEnd::Known(_)) && again.end.id() == first.end.id(), "{again:?}");
     let other = of(&["gx=gyro_y_dps", "t=time_ms"]);
     assert!(matches!(other.end, ImportEnd::Created(_)) && other.end.id() != first.end.id(), "{other:?}");
-    // What the values' steps are is each channel's resolution.
+    // The steps of the values are each channel's resolution.
     let database = rusqlite::Connection::open(world.folder.path().join("vn100d.db")).unwrap();
     let resolution: f64 = database
         .query_row("SELECT resolution FROM channel WHERE capture_id = ?1", [first.end.id()], |row| row.get(0))
@@ -202,7 +203,7 @@ fn an_import_that_fails_on_its_way_leaves_nothing_in_the_database() {
     assert!(matches!(error, ImportError::NoRoom { .. }) && written.get() >= 40_000, "{error}");
     while world.store.purge_step().unwrap() {}
     assert_eq!(["capture", "sample", "segment", "gap", "event", "channel"].map(|table| world.count(table)), [0; 6]);
-    // It is no known recording either.
+    // It is not a known recording either.
     let taken = world.import(&file, &[], &[]).unwrap();
     assert!(matches!(taken.end, ImportEnd::Created(_)) && taken.counts.0 == 60_000);
     world.store.close().unwrap();
@@ -232,7 +233,7 @@ fn what_is_no_recording_is_refused_before_all_of_it_is_read_and_leaves_nothing()
     world.store.close().unwrap();
 }
 
-/// A stated sampling is kept with the capture, for whatever analyses it. One file with two of them makes two captures.
+/// A stated sampling is stored with the capture, for its analyses. One file with two samplings makes two captures.
 #[test]
 fn how_samples_came_about_is_kept_and_has_to_fit() {
     let folder = tempfile::tempdir().unwrap();

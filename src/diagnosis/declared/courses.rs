@@ -1,4 +1,4 @@
-//! Courses: a model's drifts, steps and changes of variance, held against what a channel has of them.
+//! Courses: a model's drifts, steps and changes of variance, compared with those of a channel.
 
 use crate::diagnosis::course::{Course, Follow};
 use crate::diagnosis::evidence::Kind;
@@ -14,7 +14,7 @@ use crate::effects::temperature_bias::RATE_LAG_S;
 use crate::simulator::ChannelModel;
 use std::collections::BTreeMap;
 
-/// An effect of the model that the channel does not have as the model says.
+/// An effect of the model that the channel does not have with the model's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::diagnosis) struct Off {
     /// Its place in the model's list.
@@ -23,7 +23,7 @@ pub(in crate::diagnosis) struct Off {
     pub(in crate::diagnosis) otherwise: f64,
 }
 
-/// What is explained where the model is right.
+/// The explanation with the effects in which the model is right.
 pub(in crate::diagnosis) fn as_declared(of: &Prepared) -> Explanation {
     Explanation {
         courses: of.shifts.iter().map(|(_, course, factor)| (*course, *factor)).collect(),
@@ -102,7 +102,7 @@ fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Ki
     let outside: Vec<f64> = outside.map(|(e, _)| e * e).collect();
     let count = outside.len() as f64;
     let mean = outside.iter().sum::<f64>() / f64::max(count, 1.0);
-    // Spikes and tails make a mean of squares less certain than that of normal noise.
+    // Spikes and tails make a mean of squares less certain than a mean of squares of normal noise.
     let fourth = outside.iter().map(|square| square.min(1e3 * mean).powi(2)).sum::<f64>() / f64::max(count, 1.0);
     let certain = 2.0 / (fourth / (mean * mean).max(f64::MIN_POSITIVE) - 1.0).max(2.0);
     for (place, loud) in &of.loud {
@@ -127,7 +127,7 @@ fn of_another_time(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, pl
     FACTORS.into_iter().map(gain).fold(f64::NEG_INFINITY, f64::max) - gain(1.0)
 }
 
-/// Takes what is off out of what is known of a channel, so that the search finds what there is instead.
+/// Removes what is off from the knowledge of a channel, so that the search finds the channel's own effects instead.
 pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Off]) {
     let is_off = |place: usize| off.iter().any(|of| of.place == place);
     of.shifts.retain(|(place, ..)| !is_off(*place));
@@ -138,8 +138,8 @@ pub(in crate::diagnosis) fn strip(of: &mut Prepared, off: &[Off]) {
     }
 }
 
-/// What the model's own shifts that are as it says add to the level all the time, U: a temperature bias about another
-/// temperature than the record's mean, of which courses have no mean.
+/// The constant that the model's correct shifts add to the level throughout the record, U: a temperature bias about
+/// another temperature than the record's mean, which courses do not include.
 pub(in crate::diagnosis) fn constant(
     of: &Prepared,
     model: Option<&ChannelModel>,
@@ -187,7 +187,7 @@ pub(in crate::diagnosis) fn shifts_of(
             "warm_up" => vec![(Course::WarmUp(number("tau_s") * rate_hz), number("amplitude"))],
             "bias_step" => {
                 let at = (number("at_s") * rate_hz).ceil().max(0.0) as usize;
-                // What is over before the record, or comes after it, is its level.
+                // A change that is over before the record, or comes after it, is part of its level.
                 let inside = (1..samples).contains(&at);
                 inside.then(|| (Course::Step(at), number("size"))).into_iter().collect()
             }

@@ -1,4 +1,4 @@
-//! Declared: the effects that a model has and its sensor has not, or has otherwise.
+//! Declared effects: effects that a model has and its sensor lacks, or has with other numbers.
 
 pub(in crate::diagnosis) mod courses;
 pub(in crate::diagnosis) mod values;
@@ -29,13 +29,13 @@ pub(in crate::diagnosis) struct MeasuredLine {
     /// Nats more than with the model's amplitude, and than without the line.
     pub(in crate::diagnosis) otherwise: f64,
     pub(in crate::diagnosis) there: f64,
-    /// Whether the channel has it otherwise than the model says.
+    /// Whether the channel's line differs from the model's statement.
     pub(in crate::diagnosis) is_off: bool,
 }
 
 /// The model's lines as a channel has them: normal amplitudes about the true ones.
 ///
-/// One whose stated interval reaches the channel's is as the model says.
+/// A line whose stated interval reaches the channel's value agrees with the model.
 pub(in crate::diagnosis) fn lines(
     series: &Series<'_>,
     of: &Prepared,
@@ -98,7 +98,8 @@ pub(in crate::diagnosis) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec
             _ => return None,
         };
         if is_there && prepared.lines.iter().any(|(of_effect, passed)| *of_effect == place && *passed < LEAST_PASSED) {
-            // Behind the model's filters there is next to nothing of it: what is there has another cause.
+            // Behind the model's filters, almost nothing is left of the line: what the channel shows there has another
+            // cause.
             return None;
         }
         let (sense, says) = match is_there {
@@ -141,7 +142,8 @@ pub(in crate::diagnosis) fn stands_for(
     places
 }
 
-/// The model's spectral effects that a channel lacks: left out, and nothing found stands for them.
+/// The model's spectral effects that a channel lacks: the search left them out, and no effect that was found stands for
+/// them.
 pub(in crate::diagnosis) fn left_out(
     of: &Findings,
     model: &ChannelModel,
@@ -175,7 +177,8 @@ pub(in crate::diagnosis) fn left_out(
     superfluous.collect()
 }
 
-/// The model's drifts, steps and changes of variance that a channel has not, or has otherwise: what it has is found besides.
+/// The model's drifts, steps and changes of variance that a channel lacks or has with other numbers. The channel's own are found
+/// separately.
 pub(in crate::diagnosis) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let channel = of.prepared.channel;
     let named = |one: &courses::Off| {
@@ -197,7 +200,7 @@ pub(in crate::diagnosis) fn of_courses(of: &Findings, model: &ChannelModel) -> V
     of.off.iter().filter_map(named).collect()
 }
 
-/// Whether what was found is what the model says: its numbers are inside intervals that are half as wide again.
+/// Whether what was found agrees with the model: its numbers lie inside intervals that are half as wide again.
 fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
     let inside = |(name, [low, high]): &(&str, [f64; 2])| {
         let more = 0.25 * (high - low);
@@ -206,7 +209,7 @@ fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
     !found.ci95.is_empty() && found.ci95.iter().all(inside)
 }
 
-/// What the model has at one place and the sensor at another is one effect of other numbers.
+/// An effect that the model has at one place and the sensor at another is one effect with other numbers.
 pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
     let mut at = 0;
     while at < named.len() {
@@ -214,7 +217,7 @@ pub(in crate::diagnosis) fn elsewhere(named: &mut Vec<Named>) {
             let both = [named[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
             both && one.channel == named[at].channel && one.effect.name() == named[at].effect.name()
         };
-        // Of several the nearest in frequency or time.
+        // The nearest of several in frequency or time.
         let apart = |other: &usize| {
             let [one, other] = [at, *other].map(|place| &named[place].effect);
             let both = ["frequency_hz", "fundamental_hz", "at_s", "from_s"]

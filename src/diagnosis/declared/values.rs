@@ -1,4 +1,4 @@
-//! Values: what a model says of single samples, of stamps and of shared noise, held against what they show.
+//! Values: what a model states about single samples, stamps and shared noise, compared with the record.
 
 use crate::diagnosis::censored;
 use crate::diagnosis::diagnose::{Findings, Found};
@@ -12,10 +12,10 @@ use crate::sample::Channel;
 use crate::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
-/// Nats from which on a number is off.
+/// Nats at or above which a number is off.
 const OFF: f64 = 12.0;
 
-/// The model's effect at this place is none of the sensor's, or has other numbers there.
+/// The sensor does not have the model's effect at this place, or has it with other numbers.
 fn named(
     channel: Channel,
     declared: (usize, &Arc<dyn Effect>),
@@ -40,7 +40,7 @@ fn poisson(count: f64, expected: f64) -> f64 {
     if count > 0.0 { count * (count / expected).ln() - (count - expected) } else { expected }
 }
 
-/// What single samples of a channel show otherwise than the model says.
+/// The effects on single samples in which a channel differs from the model's statement.
 pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> Vec<Named> {
     let channel = of.prepared.channel;
     let samples = of.prepared.samples.len() as f64;
@@ -54,7 +54,7 @@ pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate
             "saturation" => saturation(of, [number("low")?, number("high")?], &off),
             "spikes" => {
                 let (rate, size) = (number("rate_hz")? / rate_hz, number("amplitude")? / of.white);
-                // Those that hide in the noise are no evidence.
+                // Events that hide in the noise are not evidence.
                 let shown = if size > 6.0 { 1.0 } else { 0.0 };
                 let found = of.explanation.spikes.filter(|law| law.rate * samples > 2.0);
                 let Some(law) = found else {
@@ -94,7 +94,7 @@ pub(in crate::diagnosis) fn of_samples(of: &Findings, model: &ChannelModel, rate
 type Off<'a> = dyn Fn(Option<Arc<dyn Effect>>, f64, String) -> Option<Named> + 'a;
 
 fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
-    /// Steps that are one by rounding of the file.
+    /// Steps that are equal except for rounding in the file.
     const SAME: f64 = 1e-3;
     let channel = of.prepared.channel;
     let samples = of.prepared.samples.len() as f64;
@@ -114,7 +114,8 @@ fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
 fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Named> {
     let prepared = &of.prepared;
     let (channel, facts) = (prepared.channel, prepared.facts);
-    // A tenth of the noise is no other limit, and what was rounded stood half a step away.
+    // A difference of a tenth of the noise does not count as another limit, and a rounded value stood up to half a step
+    // away.
     let slack = (0.1 * of.white).max(0.5 * facts.step.unwrap_or(0.0));
     let values = prepared.samples.iter().map(|value| value * prepared.scale + prepared.level);
     let beyond = values.filter(|value| *value > high + slack || *value < low - slack).count();
@@ -130,7 +131,7 @@ fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Nam
     off(found, nats, evidence)
 }
 
-/// Samples that are sent again, more or less often than the model says.
+/// Samples that are sent again, more or less often than the model states.
 pub(in crate::diagnosis) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let samples = found.samples as f64;
     let mut all = Vec::new();
@@ -159,9 +160,9 @@ pub(in crate::diagnosis) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<
 /// Shared noise of a model's channel: place, effect, standard deviation and the part of all its white noise's.
 type Part<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
 
-/// Noise that channels share, more or less of it than the model says.
+/// Noise that channels share, more or less than the model states.
 pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
-    /// Of more of a channel's white noise than that no size is measured.
+    /// If the shared part of a channel's white noise is larger than this, its size is not measured.
     const MOST: f64 = 0.9;
     let samples = found.samples as f64;
     let mut all = Vec::new();
@@ -170,7 +171,7 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
         .iter()
         .map(|of| {
             let model = sim.channels.get(&of.prepared.channel)?;
-            // One of size 0 stands for a source that is other channels'.
+            // An entry of size 0 stands for a source of other channels.
             let is_shared = |effect: &Arc<dyn Effect>| {
                 effect.name() == "common_mode" && effect.number("sigma").is_some_and(|sigma| sigma != 0.0)
             };
@@ -209,7 +210,7 @@ pub(in crate::diagnosis) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<N
     all
 }
 
-/// Stamps and lost samples, otherwise than the model says.
+/// Stamps and lost samples that differ from the model's statement.
 pub(in crate::diagnosis) fn of_stamps(
     stamps: Option<Stamps>,
     dropped: usize,
@@ -227,7 +228,7 @@ pub(in crate::diagnosis) fn of_stamps(
     let declared_s = effect.number("jitter_s").unwrap_or_default();
     let declared = effect.number("drop_probability").unwrap_or_default();
     let (jitter_s, by_jitter) = match stamps {
-        // Stamps that nobody sent say nothing.
+        // Stamps that were not sent carry no information.
         None => (declared_s, 0.0),
         Some(ref stamps) => {
             let floor = LEAST / sim.rate_hz;

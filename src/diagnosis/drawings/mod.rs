@@ -1,4 +1,4 @@
-//! Drawings: all that the page of a diagnosis is drawn of, beside its report.
+//! Drawings: the data for the pictures on the page of a diagnosis, beside its report.
 
 mod simulated;
 mod spectra;
@@ -15,26 +15,25 @@ use serde::Serialize;
 use simulated::simulated;
 use spectra::Bins;
 
-/// What is drawn, as `page::diagnosis` takes it.
+/// The data that is drawn, as `page::diagnosis` takes it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Drawings<'a> {
-    /// Of every channel that was compared.
+    /// The spectra of every channel that was compared.
     pub spectra: Vec<ChannelSpectra>,
-    /// Of the channels on which anything was found, in a record at rest.
+    /// The channels with findings, in a record at rest.
     pub timelines: Vec<ChannelTimeline>,
-    /// Of a record of a motion.
+    /// The residuals of a record of a motion.
     pub residuals: &'a [Residuals],
 }
 
 impl<'a> Drawings<'a> {
-    /// Of a record that was compared with `sim`, and what came of it; the record begins `from_s` after what its times are told
-    /// from. Memory is that of three channels: one after the other
-    /// is simulated.
+    /// Drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after the origin of its
+    /// times. Memory is that of three channels: the channels are simulated one after the other.
     #[must_use]
     pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &'a Outcome) -> Self {
         let residuals = outcome.residuals.as_slice();
-        // A simulation without the motion shows nothing that the record of one does.
+        // A simulation without the motion does not show the course of a record with one.
         let at_rest = residuals.is_empty();
         let found = found(&outcome.diagnosis);
         let mut bins = Bins::new(real);
@@ -56,7 +55,7 @@ impl<'a> Drawings<'a> {
     }
 }
 
-/// Channels on which anything was found.
+/// The channels with findings.
 fn found(report: &Diagnosis) -> Vec<Channel> {
     let places = report.r#where.iter().map(|of| &of.channel);
     let parameters = report.parameters.iter().map(|of| &of.channel);

@@ -4,12 +4,12 @@ use super::Recording;
 use crate::sample::Channel;
 use crate::simulator::{SensorModel, Simulator};
 
-/// Pictures are the same whoever asks: of the many nights that a simulator may show they have this one, and both models the
-/// same noise, so that what differs between them is what was corrected.
+/// Pictures are the same for every caller. A simulator may show many realisations, and the pictures use this one. Both models
+/// receive the same noise, so that only the corrections differ between them.
 const SEED: u64 = 1;
 
-/// The channel as the model's simulator shows it, as long as the record and at its temperature; None where the model cannot be
-/// run at the record's rate.
+/// The channel as the model's simulator shows it, as long as the record and at its temperature; None if the model cannot run at
+/// the record's rate.
 pub(super) fn simulated(real: &Recording, model: &SensorModel, channel: Channel) -> Option<Vec<f64>> {
     let mut model = model.clone();
     model.channels.retain(|own, _| *own == channel);

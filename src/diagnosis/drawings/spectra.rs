@@ -12,7 +12,7 @@ use serde::Serialize;
 const RATIO: f64 = 1.09;
 const LEAST: usize = 6;
 const BAND: usize = 240;
-/// Coefficients of a bin up to which each is compared with what the model has there.
+/// Coefficients of a bin up to which each is compared with the model's value for that coefficient.
 const NARROW: usize = 64;
 
 /// Amplitude densities of one channel in U/√Hz (the root of the two-sided density, so that white noise stands at N).
@@ -25,11 +25,12 @@ pub struct ChannelSpectra {
     pub unit: &'static str,
     /// Centres of the bins.
     pub frequency_hz: Vec<f64>,
-    /// Coefficients in each bin that the samples which are there are worth, by which chance is told from a difference.
+    /// The number of independent coefficients in each bin, given the samples that are there. It distinguishes chance
+    /// from a difference.
     pub coefficients: Vec<f64>,
     /// The record's: root of the mean of the squares in the bin.
     pub real: Vec<f64>,
-    /// The model's as it came; none where it is neither its parameters' alone nor could be simulated.
+    /// The model's as it came; none if it is neither its parameters' alone nor could be simulated.
     pub before: Option<Vec<f64>>,
     /// The corrected model's.
     pub after: Option<Vec<f64>>,
@@ -42,7 +43,7 @@ pub struct ChannelSpectra {
 }
 
 impl ChannelSpectra {
-    /// Of a record's channel; the models' spectra as they are known, else those of simulations.
+    /// The spectra of a record's channel; the models' spectra as they are known, else those of simulations.
     pub(super) fn new(
         bins: &mut Bins<'_>,
         (channel, values): (Channel, &[f64]),
@@ -99,7 +100,7 @@ pub(super) struct Bins<'a> {
     transform: Cosines,
     /// First coefficient of each bin, and one past the last.
     edges: Vec<usize>,
-    /// Where they begin and end, Hz.
+    /// The frequencies at which they begin and end, Hz.
     ends_hz: Vec<(f64, f64)>,
     /// The share of the samples that are there.
     there: f64,
@@ -115,8 +116,8 @@ impl<'a> Bins<'a> {
         Self { real, transform: Cosines::new(real.len()), edges, ends_hz, there }
     }
 
-    /// Power density of each coefficient of values with the record's missing samples. These are bridged by straight lines, which
-    /// have next to nothing of what is above the lowest frequencies: what is there stands for them.
+    /// Power density of each coefficient of values with the record's missing samples. Straight lines bridge the missing samples.
+    /// Such lines have almost no power above the lowest frequencies, so the samples that are there stand for them.
     fn powers(&mut self, values: &[f64]) -> Vec<f64> {
         let mut samples = bridged(values, &self.real.missing);
         self.transform.forward(&mut samples);
@@ -144,8 +145,8 @@ impl<'a> Bins<'a> {
         self.edges.windows(2).zip(model).map(of_bin).collect()
     }
 
-    /// Of a model whose spectrum is its parameters' alone: none where it also depends on the other noise, the temperature or
-    /// the record, as what comes once does.
+    /// Of a model whose spectrum is its parameters' alone: none if it also depends on the other noise, the temperature or the
+    /// record, as what comes once does.
     pub(super) fn of_model(&self, model: &SensorModel, channel: Channel) -> Option<Known> {
         let effects = &model.channels.get(&channel)?.effects;
         if effects.iter().any(|effect| effect.regressors() > 0 && effect.lines().is_empty()) {
@@ -189,7 +190,7 @@ fn edges(samples: usize) -> Vec<usize> {
     edges
 }
 
-/// Values less their mean. Where samples are missing a straight line from the mean of as many before to that of as many behind: a
+/// Values less their mean. If samples are missing a straight line from the mean of as many before to that of as many behind: a
 /// line between two samples would carry their noise over all of the gap, which is much at the lowest frequencies.
 fn bridged(values: &[f64], missing: &[bool]) -> Vec<f64> {
     let there = |index: &usize| values[*index].is_finite() && !missing.get(*index).copied().unwrap_or(false);

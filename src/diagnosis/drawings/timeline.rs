@@ -8,10 +8,10 @@ use serde::Serialize;
 /// Stretches over the record, and samples in one at least.
 const STRETCHES: usize = 240;
 const LEAST: usize = 16;
-/// Samples in a record below which nothing is to be seen over time.
+/// Fewest samples in a record for which a timeline is drawn.
 const SHORTEST: usize = 4 * LEAST;
 
-/// Over time, in U: one value per stretch; None where more than half of a stretch is missing.
+/// Over time, in U: one value per stretch; None if more than half of a stretch is missing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Stretches {
@@ -35,14 +35,15 @@ pub struct ChannelTimeline {
     pub stretch_s: f64,
     /// The record's.
     pub real: Stretches,
-    /// A simulation's of the model as it came; none where the model cannot be run at the record's rate.
+    /// A simulation's of the model as it came; none if the model cannot be run at the record's rate.
     pub before: Option<Stretches>,
     /// A simulation's of the corrected model.
     pub after: Option<Stretches>,
 }
 
 impl ChannelTimeline {
-    /// Of a record's channel and its simulations, with times from `from_s` on; none of a record that is too short.
+    /// The timeline of a record's channel and its simulations, with times from `from_s` on; none for a record that is
+    /// too short.
     pub(super) fn new(
         real: &Recording,
         from_s: f64,
@@ -128,7 +129,7 @@ mod tests {
         let simulations = [&sim, &augmented].map(|model| simulated(&real, model, Channel::GyroX));
         let of = ChannelTimeline::new(&real, 1000.0, (Channel::GyroX, &real.channels[0].1), &simulations).unwrap();
         assert_eq!((of.time_s.len(), of.stretch_s, of.time_s[0]), (240, 2.5, 1001.25));
-        // Of the first stretch's hundred samples ninety are missing.
+        // Ninety of the first stretch's hundred samples are missing.
         assert!(of.real.level[0].is_none() && of.real.spread[0].is_none() && of.real.level[1].is_some());
         let (before, after) = (of.before.as_ref().unwrap(), of.after.as_ref().unwrap());
         let step = |of: &Stretches| of.level[200].unwrap() - of.level[60].unwrap();

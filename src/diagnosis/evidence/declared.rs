@@ -1,12 +1,12 @@
-//! Declared: whether a series has the spectral effects of its model, and as the model says.
+//! Declared effects: whether a series has the spectral effects of its model, with the model's numbers.
 
 use super::{Candidate, Kind, line, spectral};
 use crate::diagnosis::law::Shape;
 use crate::diagnosis::report::Sense;
 use crate::diagnosis::series::Series;
 
-/// What it gives to leave each of the model's spectral effects out, or to have it with other numbers where that is worth more
-/// than `worth` beyond leaving it out. `doubtful`: other numbers are looked for everywhere, not only near the model's.
+/// The gain from leaving each of the model's spectral effects out, or from giving it other numbers if that is worth more than
+/// `worth` beyond leaving it out. `doubtful`: other numbers are searched everywhere, not only near the model's.
 #[must_use]
 pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> Vec<Candidate> {
     let declared = series.setting().declared.iter();

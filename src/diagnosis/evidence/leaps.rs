@@ -3,14 +3,14 @@
 /// Samples between the starts of blocks, and in a block.
 const STRIDE: usize = 32;
 const BLOCK: usize = 64;
-/// Steps that are more are no steps of a level.
+/// More steps than this are not steps of a level.
 const MOST: usize = 32;
 
-/// Where the level leaps: the medians of blocks before and behind differ far more than those about other places do, and far more
-/// than the samples about each say.
+/// The places where the level leaps: the medians of the blocks before and behind differ far more than the medians about other
+/// places, and far more than the scatter of the nearby samples predicts.
 ///
-/// A step that takes up to [`STRIDE`] samples to rise lies between the blocks. The place is where two constant levels fit best, by the
-/// sum of absolute distances.
+/// A step that takes up to [`STRIDE`] samples to rise lies between the blocks. The place is where two constant levels
+/// fit best, by the sum of absolute distances.
 pub(super) fn leaps(values: &[f64]) -> Vec<usize> {
     /// Robust standard deviations of differences between blocks, and errors of a median, from which on they are far more.
     const TIMES: f64 = 15.0;
@@ -65,7 +65,8 @@ fn split(values: &[f64], about: usize, before: f64, behind: f64) -> usize {
     best.1
 }
 
-/// Whether the level behind a step of `size` at a place is another than that before it, and not only while something is loud.
+/// Whether the level behind a step of `size` at a place differs from the level before it for good, and not only during a loud
+/// stretch.
 #[must_use]
 pub fn is_lasting(values: &[f64], at: usize, size: f64) -> bool {
     const LONG: usize = 512;

@@ -99,16 +99,17 @@ pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::WarmUp, &[Course::WarmUp(best.0)], best.1))
 }
 
-/// Nats that a further step has to give, and its price.
+/// Nats that a further step has to gain, and its price.
 pub(in crate::diagnosis) const FURTHER: f64 = 14.0;
 const PRICE: f64 = 12.0;
 
-/// Steps: where a matched filter of the whitened series says, one after the other, then each once more beside all others.
+/// Steps: each at the peak of a matched filter of the whitened series, one after the other, then each once more beside all
+/// others.
 ///
-/// What goes to and fro between a few levels is a process and no chain of steps.
+/// A level that goes to and fro between a few values is a process and not a chain of steps.
 #[must_use]
 pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
-    /// No sensor's level jumps more often: it is something else.
+    /// No sensor's level jumps more often: the cause is another effect.
     const MOST: usize = 32;
     const SWEEPS: usize = 2;
     // Leaps need no law: the search begins with them if they are worth more than chance makes.
@@ -123,7 +124,7 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
         let mut drift = with_steps(series, &with);
         drift.gain = drift.gain.max(0.0);
         let last = best.as_ref().map_or(0.0, |best| best.gain + FURTHER);
-        // The gain of a single step counts even if it is nothing: calibration measures it.
+        // The gain of a single step counts even if it is 0: calibration measures it.
         if best.is_some() && drift.gain < last {
             break;
         }
@@ -142,7 +143,7 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
         (found, drift) = (moved, again);
     }
     while found.len() > 1 {
-        // What each gives beside the others, at the present law.
+        // The gain of each beside the others, at the present law.
         let worth = |own: usize| 0.5 * drift.factors[own].powi(2) / drift.covariance[(own, own)];
         let weakest = (0..found.len()).min_by(|a, b| worth(*a).total_cmp(&worth(*b)));
         let Some(weakest) = weakest.filter(|own| worth(*own) < FURTHER) else { break };
@@ -162,7 +163,7 @@ fn with_steps(series: &Series<'_>, places: &[usize]) -> Drift {
     series.with_courses(&courses)
 }
 
-/// Where one more step fits best beside those that are known, or the one of them that is `moved`.
+/// The place at which one more step fits best beside those that are known, or the one of them that is `moved`.
 fn further(series: &mut Series<'_>, found: &[usize], drift: Option<&Drift>, moved: Option<usize>) -> usize {
     let mut rest = series.coefficients.clone();
     let Some(drift) = drift else {
@@ -209,7 +210,7 @@ fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
 pub fn join_rises(explanation: &mut Explanation, known: usize) {
     /// Samples within which steps are one.
     const NEAR: usize = 40;
-    /// One that is this part of another is what that leaves while it rises.
+    /// A step that is at most this part of another is a residue of the rise of that one.
     const MINOR: f64 = 0.2;
     let mut steps: Vec<(usize, f64)> = Vec::new();
     for (course, factor) in explanation.courses.iter().skip(known) {
@@ -236,12 +237,12 @@ pub fn join_rises(explanation: &mut Explanation, known: usize) {
     }
 }
 
-/// Samples about the steps that are not on either level: a real step takes some samples, as it likes.
+/// Samples about the steps that are not on either level: a real step takes some samples to rise, in any shape.
 #[must_use]
 pub fn rises(series: &Series<'_>) -> Vec<usize> {
     /// Samples before and after a step that are looked at.
     const NEAR: usize = 40;
-    /// Nats that another variance has to give about a step.
+    /// Nats that another variance about a step has to gain.
     const LEAST: f64 = 8.0;
     let mut places = Vec::new();
     for (course, _) in &series.explanation.courses {
@@ -267,7 +268,8 @@ pub fn rises(series: &Series<'_>) -> Vec<usize> {
     places
 }
 
-/// Where a step fits best: the sum of the doubly whitened series from each sample on, over its standard deviation.
+/// The place at which a step fits best: the sum of the doubly whitened series from each sample on, over its standard
+/// deviation.
 fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     const PLACES: usize = 96;
     let n = series.len();

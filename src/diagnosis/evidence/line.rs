@@ -7,7 +7,8 @@ use crate::diagnosis::law::{Data, Law, Shape, Term};
 use crate::diagnosis::series::Series;
 use crate::effects::{Effect, Resonance};
 
-/// Sines are looked for from this many periods in the record up: of fewer no one can tell that they come again.
+/// Sines are searched from this number of periods in the record up. With fewer periods, a record cannot show that they
+/// recur.
 const LEAST_PERIODS: f64 = 3.0;
 
 /// The strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in cycles per sample.
@@ -63,7 +64,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     series.residual = residual;
     let (power, cycles) = strongest(&periodogram)?;
     let mut explanation = series.explanation.clone();
-    // The greatest of n by chance is about this.
+    // The greatest of n values by chance is about this.
     if power < (n as f64).ln() + 1.0 {
         return Some(Candidate::missing(Kind::Tone, power, explanation));
     }
@@ -131,7 +132,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let rate_hz = series.setting().rate_hz;
     let (frequency_hz, width_hz) = (cycles * rate_hz, count / (2.0 * n as f64) * rate_hz);
     let mut explanation = series.explanation.clone();
-    // About what chance makes of it.
+    // The approximate gain by chance.
     if score < 9.0 {
         return Some(Candidate::missing(Kind::Resonance, score.max(0.0), explanation));
     }

@@ -5,7 +5,7 @@ use crate::diagnosis::explanation::{LOUD, Loud, Scedasticity};
 use crate::diagnosis::series::Series;
 use nalgebra::{DMatrix, DVector};
 
-/// Squares above this say nothing about a variance that changes slowly: they are outliers.
+/// Squares above this carry no information about a variance that changes slowly: they are outliers.
 const LARGEST: f64 = 16.0;
 
 /// Cosines of a course of ln variance over the record, at first.
@@ -18,7 +18,7 @@ const SHORTEST: usize = 6;
 /// A quiet stretch is as long at least: a few rounded values are easily equal.
 const SHORTEST_QUIET: usize = 128;
 
-/// Means of squares over blocks, and samples in a block. Squares are limited against the variance that is known of them already.
+/// Means of squares over blocks, and samples in a block. Squares are limited relative to the variance that is known already.
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
@@ -27,10 +27,10 @@ fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     (residual.chunks_exact(size).map(mean).collect(), size)
 }
 
-/// How the variance depends on time or temperature, found again where it is known about.
+/// How the variance depends on time or temperature, found again if it is known already.
 pub(in crate::diagnosis) fn again(series: &Series<'_>, now: &Scedasticity) -> Option<Scedasticity> {
     let (mut means, size) = blocks(series);
-    // What this makes of the variance has been divided out of the residual; what stretches make stays out.
+    // This dependence of the variance has been divided out of the residual; that of stretches stays out.
     let n = series.len();
     let temperature = series.setting().courses.temperature().unwrap_or_default();
     let known = |t: usize| match now {
@@ -49,7 +49,8 @@ pub(in crate::diagnosis) fn again(series: &Series<'_>, now: &Scedasticity) -> Op
     }
 }
 
-/// The mean square in each stretch that is not left out over that in no stretch, beside what else the variance does.
+/// The mean square in each stretch that is not left out over that in no stretch, beside the other changes of the
+/// variance.
 pub(in crate::diagnosis) fn ratios(series: &Series<'_>) -> Vec<Option<f64>> {
     let values = series.scores();
     let loud = &series.explanation.loud;
@@ -62,7 +63,7 @@ pub(in crate::diagnosis) fn ratios(series: &Series<'_>) -> Vec<Option<f64>> {
     let of = |one: &Loud| {
         let inside = &values[one.from..one.to];
         let own = inside.iter().map(square).sum::<f64>() / inside.len() as f64;
-        // The residual was divided by what was known of the stretch.
+        // The residual was divided by the known factor of the stretch.
         let ratio = one.ratio * own / level;
         (one.ratio <= LOUD && ratio.is_finite() && ratio > 0.0).then_some(ratio.min(LOUD))
     };
@@ -92,7 +93,7 @@ fn cosines(means: &[f64], size: usize, count: usize) -> Option<(f64, Vec<f64>)> 
 
 /// The course of as many cosines as are worth their number: one that is far from even is seen in more detail.
 fn detailed(means: &[f64], size: usize) -> Option<Vec<f64>> {
-    /// Nats that each cosine has to give.
+    /// Nats that each cosine has to gain.
     const EACH: f64 = 3.0;
     let of = |times: usize| {
         let count = times * COSINES;
@@ -138,7 +139,7 @@ fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, 
     let likelihood: f64 = fitted.iter().zip(means).map(|(eta, mean)| -(eta + mean / eta.exp())).sum();
     let reference = -(level.ln() + 1.0) * rows as f64;
     let gain = 0.5 * size as f64 * (likelihood - reference);
-    // A fit that did not end is none.
+    // A fit that did not converge is discarded.
     let is_fit = gain.is_finite() && fitted.iter().all(|eta| eta.abs() < RANGE) && gain > -1.0;
     is_fit.then(|| (gain, beta.iter().copied().skip(1).collect()))
 }
@@ -226,8 +227,8 @@ impl Sums {
         let mean = whole / all as f64;
         (own, own / other, 0.5 * (all as f64 * mean.ln() - count * own.max(1e-9).ln() - rest * other.max(1e-9).ln()))
     }
-    /// Whether a stretch is loud throughout and not by a few outliers: a normal distribution's small values are as rare as its
-    /// variance says. A quiet one has to be long: a few rounded values are easily equal.
+    /// Whether a stretch is loud throughout and not because of a few outliers. A normal distribution's small values are as rare
+    /// as its variance implies. A quiet stretch has to be long, because a few rounded values are easily equal.
     fn genuine(&self, from: usize, to: usize, own: f64, ratio: f64) -> bool {
         if ratio < 1.0 {
             return to - from >= SHORTEST_QUIET;
@@ -247,7 +248,7 @@ fn gain(sum: f64, count: usize) -> f64 {
     0.5 * count as f64 * (ratio - 1.0 - ratio.ln())
 }
 
-/// Mean square of what is in no stretch.
+/// Mean square of the samples in no stretch.
 fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     let mut outside = vec![true; residual.len()];
     stretches.iter().for_each(|loud| outside[loud.from..loud.to].fill(false));
@@ -256,14 +257,14 @@ fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     if count > 0 && sum > 0.0 { sum / f64::from(count) } else { 1.0 }
 }
 
-/// The variance of the usual noise of values whose variance is 1 on average, where it is clearly another: that of most long blocks, or
-/// else of those that such blocks have the nearest to the model's.
+/// The variance of the usual noise of values whose variance is 1 on average, if it clearly differs from 1: that of most long
+/// blocks, or else the block variance that is nearest to the model's.
 ///
 /// "Louder until here" and "quieter from here on" are two names of one change.
 fn usual(values: &[f64], declared: f64) -> f64 {
     const BLOCKS: usize = 64;
     const SHARES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
-    /// From this ratio of variances on it is another, ln.
+    /// The ratio of variances from which on the variance is another, ln.
     const CLEARLY: f64 = 0.3;
     /// The part of the blocks that is the usual noise's beyond doubt.
     const MOST: f64 = 0.6;
@@ -289,7 +290,8 @@ pub(in crate::diagnosis) fn price_of_one(samples: usize) -> f64 {
     RATIO + 2.0 * (samples as f64).ln()
 }
 
-/// Stretches of another variance: one after the other where they give most. Bursts and a long stretch are two effects.
+/// Stretches of another variance: one after the other, at the place of the greatest gain. Bursts and a long stretch are
+/// two effects.
 #[must_use]
 pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     const MOST: usize = 40;
@@ -300,7 +302,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         return Vec::new();
     }
     let mut residual = series.scores().into_owned();
-    // What stands for what is left out says nothing.
+    // The values that replace excluded samples carry no information.
     let known: Vec<Loud> = series.explanation.loud.iter().filter(|loud| loud.ratio > LOUD).copied().collect();
     let outside = level(&residual, &known);
     for loud in &known {
@@ -313,7 +315,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     // Places that look loud by a few values: they do not keep others from being found.
     let mut refused: Vec<(usize, usize)> = Vec::new();
     while found.len() < MOST {
-        // What is found already is brought to the level of the rest, and that to 1.
+        // The stretches that are found already are brought to the level of the rest, and that to 1.
         let level = level(&residual, &found);
         let mut even: Vec<f64> = residual.iter().map(|e| e / level.sqrt()).collect();
         for loud in &mut found {
@@ -323,7 +325,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         }
         let usual = usual(&even, declared / level);
         even.iter_mut().for_each(|e| *e /= usual.sqrt());
-        // What is found is even with it already.
+        // The stretches that were found are already even with the rest.
         for loud in &found {
             even[loud.from..loud.to].iter_mut().for_each(|e| *e *= usual.sqrt());
         }
@@ -341,12 +343,12 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
             (own, ratio, gain) = sums.split(from, to);
             genuine = sums.genuine(from, to, own, ratio);
         }
-        // What is quieter inside a loud stretch is its soft end.
+        // A quieter stretch inside a loud one is its soft end.
         genuine &= ratio > 1.0 || found.iter().all(|loud| loud.to <= from || to <= loud.from);
         let price = if found.is_empty() { 0.0 } else { price_of_one(n) };
         if gain < price.max(8.0) || (!genuine && refused.len() >= REFUSED) {
             if found.is_empty() && genuine {
-                // What it would give is told though it is not worth it.
+                // Its gain is reported even if it is not worth its price.
                 gains.push(gain);
                 found.push(Loud { from, to, ratio });
             }
@@ -363,12 +365,12 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     let of = |kind: Kind, long: bool| {
         let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n, bursts) == long);
         let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
-        // Where a good part of the record is loud, nothing is quiet enough to be called its noise.
+        // If a good part of the record is loud, no stretch is quiet enough to represent its noise.
         let share = stretches.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
         let too_many = stretches.len() > 1 && share > MOST_OF_RECORD;
         let gain = own().map(|(_, gain)| gain).sum::<f64>();
         let mut explanation = series.explanation.clone();
-        // Without what is left out the noise is the rest's.
+        // The noise is that of the samples that are not left out.
         let left_out: Vec<Loud> = stretches.iter().filter(|loud| loud.ratio > LOUD).copied().collect();
         if !left_out.is_empty() {
             explanation.law.levels[0] += level(&residual, &left_out).ln();
@@ -376,7 +378,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         explanation.loud.extend(stretches);
         (gain > 0.0 && !too_many).then_some(Candidate::missing(kind, gain, explanation))
     };
-    // A change of variance that is known already is not told twice.
+    // A change of variance that is known already is not reported twice.
     let long = series.explanation.scedasticity.is_none().then(|| of(Kind::VarianceInterval, true));
     long.flatten().into_iter().chain(of(Kind::Bursts, false)).collect()
 }
@@ -413,7 +415,7 @@ fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
 
 /// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.
 fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f64) -> Option<(usize, usize)> {
-    /// How far about an end that was found another is looked for, samples.
+    /// The distance about an end within which a better one is searched, samples.
     const NEAR: usize = 64;
     let mut best: (f64, usize, usize) = (0.0, 0, 0);
     let (first, end) = (within.start, within.end);

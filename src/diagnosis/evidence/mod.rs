@@ -1,4 +1,4 @@
-//! Evidence: what each effect would explain of a series, in nats, the noise fitted again beside it.
+//! Evidence: the gain of each effect for a series, in nats, with the noise fitted again beside it.
 
 pub mod declared;
 pub mod leaps;
@@ -14,7 +14,7 @@ use super::report::Sense;
 use super::series::Series;
 use serde::{Deserialize, Serialize};
 
-/// A kind of cause, as far as the search tells them apart; several kinds may be one effect of docs/formats.md.
+/// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -103,19 +103,20 @@ impl Kind {
 }
 
 impl Kind {
-    /// Whether the samples' own distribution is the kind's matter, so that what remains of it says nothing else.
+    /// Whether the kind determines the distribution of single samples, so that what remains of it is no further
+    /// evidence.
     #[must_use]
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
     }
 
-    /// Whether there may be several of it.
+    /// Whether a series may have several effects of this kind.
     #[must_use]
     pub fn repeats(self) -> bool {
         matches!(self, Self::Tone | Self::Resonance)
     }
 
-    /// Whether it happens at its time and is no property that a later record has as well.
+    /// Whether it happens at its own time and is not a property that a later record would also have.
     #[must_use]
     pub fn is_transient(self) -> bool {
         matches!(self, Self::BiasStep | Self::WarmUp | Self::Bursts | Self::VarianceInterval | Self::VarianceProfile)
@@ -131,26 +132,27 @@ pub struct Candidate {
     pub gain: f64,
     /// The explanation with it.
     pub explanation: Explanation,
-    /// Which of the model's own effects it changes, by its place in the list, and how; none of what the model lacks.
+    /// Which of the model's own effects it changes, by its place in the list, and how; none for an effect that the
+    /// model lacks.
     pub of_model: Option<(usize, Sense)>,
 }
 
 impl Candidate {
-    /// Of an effect that the model lacks.
+    /// A candidate of an effect that the model lacks.
     #[must_use]
     pub fn missing(kind: Kind, gain: f64, explanation: Explanation) -> Self {
         Self { kind, gain, explanation, of_model: None }
     }
 }
 
-/// The same, with what is looked for beside something else only, as if that had been found.
+/// The same, including effects that are searched only beside another one, as if that one had been found.
 pub(super) fn all_and_conditional(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = all(series);
     found.extend(level::curve_alone(series));
     found
 }
 
-/// What each effect of the library would give a series.
+/// The gain of each effect of the library for a series.
 #[must_use]
 pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = Vec::new();
@@ -164,7 +166,7 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     found.extend(spectral::gauss_markov(series));
     found.extend(spectral::quantization_noise(series));
     let low_pass = spectral::low_pass(series);
-    // What no filter of any order gains, none of another shape does.
+    // If no filter of any order gains, none of another shape does.
     let hopeless = low_pass.as_ref().is_some_and(|candidate| candidate.gain < spectral::HOPELESS);
     found.extend(low_pass);
     if !hopeless {
@@ -175,7 +177,8 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     found
 }
 
-/// Collects what shows in the residual's squares: outliers, tails, stretches, and variance by temperature or time.
+/// Collects the effects that show in the residual's squares: outliers, tails, stretches, and variance by temperature or
+/// time.
 #[must_use]
 pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
     samples_and_stretches(series).chain(loudness::per_degree(series)).chain(loudness::profile(series)).collect()
@@ -186,7 +189,7 @@ fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate>
     single.chain(loudness::intervals(series))
 }
 
-/// Of those what is the matter of single samples' distribution ([`Kind::is_marginal`]).
+/// Those that concern the distribution of single samples ([`Kind::is_marginal`]).
 #[must_use]
 pub fn of_samples(series: &Series<'_>) -> Vec<Candidate> {
     samples_and_stretches(series).filter(|candidate| candidate.kind.is_marginal()).collect()

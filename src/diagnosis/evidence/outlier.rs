@@ -1,4 +1,4 @@
-//! Outliers and tails: what the residual's single samples look like.
+//! Outliers and tails: the distribution of the residual's single samples.
 
 use super::{Candidate, Kind};
 use crate::diagnosis::explanation::{Explanation, SpikeLaw};
@@ -83,8 +83,8 @@ const LARGE: f64 = 5.0;
 
 /// Rare values of a larger variance: a mixture of two normal distributions.
 ///
-/// Where they come in groups, those groups are spikes that one value stands out of; the others are stretches of noise, of which
-/// nothing is asked here.
+/// If such values come in groups, a group with one value that stands out is a spike. The other groups are stretches of noise,
+/// which this function ignores.
 #[must_use]
 pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     let mut explanation = series.explanation.clone();
@@ -102,7 +102,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     if clustered(&flagged, n) {
         let flat;
         (spoilt, flat) = beside_peaks(&flagged, &squares);
-        // They have no square that would count, nor has what is near a stretch: its ends are soft.
+        // Their squares do not count, nor do those of samples near a stretch: its ends are soft.
         spoilt.iter().for_each(|place| squares[*place] = f64::NAN);
         for place in flat {
             squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
@@ -118,7 +118,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         }
     }
     let Mixture { gain, share, wide, core } = mixture;
-    // What is not worth a nat is not looked at more closely.
+    // A candidate that is not worth a nat is not examined more closely.
     let reach = series.reach();
     let there = squares.iter().filter(|square| !square.is_nan()).count() as f64;
     let samples = reach.max(1) + spoilt.len().div_ceil(flagged.len().max(1));
@@ -137,7 +137,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
 
 /// Places within so many samples are one group.
 const NEAR: usize = 4;
-/// What a spike makes of its neighbours behind a filter that is not known yet reaches so far at most, samples.
+/// The longest reach of a spike's effect on its neighbours behind a filter that is not known yet, samples.
 const FAR: usize = 64;
 
 /// Of places in groups: those beside the peak of a group that has one, and those of groups of many that have none.
@@ -159,11 +159,12 @@ fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
     (beside, flat)
 }
 
-/// Spikes beside those that are known: the largest value of each short group of values that are far out, where all about it is quiet.
+/// Spikes beside those that are known: the largest value of each short group of values that are far out, if all samples about it
+/// are quiet.
 ///
-/// Two spikes that are near each other hide what each makes of its neighbours until one of them is left out.
+/// Two spikes that are near each other hide each other's effect on their neighbours until one of them is left out.
 pub(in crate::diagnosis) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
-    /// Square beyond twice the logarithm of the record's length from which on a value is far out: of normal values next to none is.
+    /// Square beyond twice the logarithm of the record's length from which on a value is far out: almost no normal value is.
     const FAR_OUT: f64 = 10.0;
     /// Values of a group, and its length.
     const MOST: usize = 8;
@@ -182,7 +183,7 @@ pub(in crate::diagnosis) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
         let (first, last) = (group[0], group[group.len() - 1]);
         let about =
             (first.saturating_sub(ABOUT)..first).chain((last + 1..last + 1 + ABOUT).filter(|t| *t < values.len()));
-        // Another spike nearby is none of what is about it.
+        // Another spike nearby does not count as part of the surroundings.
         let squares = about.map(|t| values[t].powi(2)).filter(|square| *square <= limit);
         let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
         if last - first < LONGEST && sum < QUIET * count {
@@ -199,7 +200,7 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
     let spread = core.sqrt();
     let values: Vec<f64> = large.iter().map(|square| square.sqrt() / spread).collect();
     let normal = Normal::standard();
-    // What a spike's residual is like, sign dropped: an even spread, blurred by the noise.
+    // The distribution of a spike's residual, sign dropped: an even spread, blurred by the noise.
     let density = |x: f64, size: f64| 0.5 * (normal.cdf(x - 0.5 * size) - normal.cdf(x - 1.5 * size)) / size;
     let hidden = |size: f64| {
         // The chance that a spike stays below the limit.
@@ -219,7 +220,7 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
             rate = ((seen + n * rate * hidden) / n).clamp(0.2 / n, 0.3);
         }
         let sum: f64 = ratios.iter().map(|r| (1.0 - rate + rate * r).ln()).sum();
-        // Of those below the limit only the number is known.
+        // For values below the limit only their number is known.
         let small = n - values.len() as f64;
         let noise = 1.0 - 2.0 * normal.cdf(-(5f64.sqrt()));
         (sum + small * ((1.0 - rate) + rate * hidden / noise).ln(), rate)
@@ -241,15 +242,15 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
     SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5), samples }
 }
 
-/// How large a spike of 1 in the samples is in the residual: the whitening filter's own value; before the filters it is what the spectrum
-/// without them gives.
+/// How large a spike of 1 in the samples is in the residual: the whitening filter's own value; before the filters, the value
+/// follows from the spectrum without them.
 fn kernel(series: &Series<'_>) -> f64 {
     let passed = series.filters();
     let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
     (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64
 }
 
-/// Spikes of which it is known where they are: at places that are left out, each group of them taken for one spike.
+/// Spikes at known places: at places that are left out, each group of them taken for one spike.
 #[must_use]
 pub(in crate::diagnosis) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candidate> {
     let mut with = series.clone();

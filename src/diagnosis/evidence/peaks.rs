@@ -20,7 +20,7 @@ pub(in crate::diagnosis) fn peaks(values: &[f64]) -> Vec<usize> {
     const BEHIND: usize = 4;
     /// Samples that have the square of a group, as (Σd²)²/Σd⁴: a stretch of noise has more.
     const FEW: f64 = 5.0;
-    /// Part of the record from which on they are no single samples.
+    /// Part of the record from which on the samples do not count as single ones.
     const MOST: f64 = 0.05;
     let n = values.len();
     if n < 16 * HALF {
@@ -87,7 +87,7 @@ mod tests {
             })
             .collect();
         assert!(peaks(&walk).is_empty());
-        // What is left out behind one group may reach into the next one.
+        // The samples that are left out behind one group may reach into the next one.
         for place in [12_000, 12_008, 12_016, 12_025] {
             values[place] += 900.0;
         }

@@ -17,7 +17,7 @@ pub(super) fn with_term(
         law
     };
     let best = Law::fit_best(starts.into_iter().map(started).collect(), data)?;
-    // A better optimum without the term is no evidence for it.
+    // A better optimum without the term is not evidence for the term.
     let mut without = best.law.clone();
     without.terms.pop();
     let without = without.fit(data).log_posterior.max(series.fitted.log_posterior);
@@ -66,7 +66,7 @@ pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::QuantizationNoise, with_term(series, Shape::QuantizationNoise, [vec![start]])?))
 }
 
-/// Nats below which a filter of the first order is no filter.
+/// Nats below which a filter of the first order does not count as a filter.
 pub(super) const HOPELESS: f64 = 3.0;
 
 /// A Butterworth filter of the order that fits best.
@@ -83,7 +83,7 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     let mut best = of(1)?;
     for order in [2, 3, 4] {
         if best.0 < HOPELESS {
-            // No filter looks like no filter of any order.
+            // If a filter of the first order does not gain, no filter of any order does.
             break;
         }
         let other = of(order)?;
@@ -144,11 +144,11 @@ fn notched(series: &Series<'_>) -> Vec<u64> {
     all.into_iter().take(MOST).map(|(_, window)| window).collect()
 }
 
-/// A density that falls otherwise than white noise, flicker and random walk do.
+/// A density whose slope differs from those of white noise, flicker and random walk.
 #[must_use]
 pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     let mut candidate = slope_believed(series)?;
-    // A B or K that is far off is no other slope: what it gives where these may be anything counts.
+    // If B or K is far off, the slope is not another one: the gain counts that is left when both may take any value.
     let free = Data { beliefs: &[None, None, None], ..series.data() };
     let law = &candidate.explanation.law;
     let mut without = law.clone();
@@ -158,7 +158,7 @@ pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate)
 }
 
-/// The same where B and K are known to be about as the model says.
+/// The same if B and K are known to be about the model's values.
 pub(in crate::diagnosis) fn slope_believed(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::Slope(_))) {
         return None;

@@ -1,8 +1,8 @@
 //! Alignment: the reference at the record's instants.
 //!
-//! A reference that is as long as the record and was made on its clock lies beside it row by row. Any other may begin at any
-//! time, before the record or within it, and may run a little faster or slower. Where it begins is the lag at which the
-//! differences of both correlate most; the fit itself then finds the offset to a fraction of a sample and the rate
+//! A reference that is as long as the record and was made on its clock lies beside it row by row. Any other reference may begin
+//! at any time, before the record or within it, and may run a little faster or slower. Its begin is the lag at which the
+//! differences of both correlate most. The fit itself then finds the offset to a fraction of a sample, and the rate
 //! ([`crate::diagnosis::response::Clock`]). Differences have no bias and little slow noise.
 
 use super::reference::Reference;
@@ -25,7 +25,7 @@ pub const LEAST: usize = 1000;
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Aligned {
-    /// The record's first sample that it reaches.
+    /// The first sample of the record that the reference covers.
     pub from: usize,
     /// The motion at each sample from there on.
     pub motions: Vec<Motion>,
@@ -40,7 +40,7 @@ pub struct Aligned {
 /// Brings a reference to the record's instants.
 ///
 /// # Errors
-/// [`DiagnosisError::Reference`] where both have too little in common.
+/// [`DiagnosisError::Reference`] if both have too little in common.
 pub fn align(
     real: &Recording,
     reference: &Reference,
@@ -68,7 +68,7 @@ pub(super) struct Lie {
     pub(super) shared: bool,
 }
 
-/// The reference at the record's instants, where it is known how they lie.
+/// The reference at the record's instants, if its position in time is known.
 pub(super) fn at(
     real: &Recording,
     reference: &Reference,
@@ -77,7 +77,8 @@ pub(super) fn at(
 ) -> Result<Aligned, DiagnosisError> {
     let (rate_hz, n, length_s) = (real.rate_hz, real.len(), reference.length_s());
     let Lie { begins_s, gains, shared } = lie;
-    // What the sensor's boxcar of its own samples makes of a motion: the mean of the last ones up to the instant.
+    // The effect of the sensor's boxcar over its own samples on a motion: the mean of the last samples up to the
+    // instant.
     let window: Vec<f64> = match sim.sampling {
         Some(sampling) => (0..sampling.filter_window).map(|back| back as f64 / sampling.internal_rate_hz).collect(),
         None => vec![0.0],

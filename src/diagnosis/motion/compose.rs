@@ -1,8 +1,8 @@
-//! Composition: what the motion drives and what the noise is become one report and one corrected model.
+//! Composition: the effects that the motion drives and the noise become one report and one corrected model.
 //!
-//! The gap that the motion drives is what everything chosen explains of the whitened samples, in nats; what is left of it is
-//! what the chosen effects' numbers, from seven blocks of time out of eight, do not explain of the eighth. It is added to the
-//! gap of what remains ([`crate::diagnosis::compose`]), which is measured on its own held-out half.
+//! The gap that the motion drives is the gain of all chosen effects in the whitened samples, in nats. To measure the part that is
+//! left, the chosen effects' numbers come from seven blocks of time out of eight; the part is what they do not explain of the
+//! eighth. It is added to the gap of the remainder ([`crate::diagnosis::compose`]), which is measured on its own held-out half.
 
 use super::align::Aligned;
 use super::groups::{Group, Member};
@@ -22,13 +22,13 @@ use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF as _, StudentsT};
 use std::sync::Arc;
 
-/// The part of causes that are right where the choice is sure, and where something on the triad is outside the library.
+/// The share of right causes if the choice is sure, and if an effect on the triad is outside the library.
 const RIGHT: [f64; 2] = [0.99, 0.6];
 /// Nats of an exact tie at the sensor's limit, as for records at rest.
 const TIE: f64 = 4.0;
-/// From this part of a cause's nats on an axis is concerned.
+/// An axis is affected from this part of a cause's nats on.
 const CONCERNED: f64 = 0.02;
-/// Part of a cause's gain that another effect has to reach to be told.
+/// Part of a cause's gain that another effect has to reach to be reported.
 const NEARLY: f64 = 0.3;
 const ALTERNATIVES: usize = 6;
 const NORMAL_95: f64 = 1.959_963_984_540_054;
@@ -212,7 +212,7 @@ fn all_of(triad: Triad) -> Vec<String> {
     triad.channels().iter().map(|channel| channel.name().to_owned()).collect()
 }
 
-/// A latency that is told from the reference's clock.
+/// A latency that was separated from the offset of the reference's clock.
 fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
     let known: f64 = of.known.iter().map(|effect| effect.delay_s()).sum();
     let seconds = known + delay.seconds;
@@ -241,7 +241,7 @@ fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
     Driven::new(of.triad, effect, Some(nats), all_of(of.triad), confidence, ends, evidence)
 }
 
-/// The sensor's range, where samples stand at it and the model has none.
+/// The sensor's range, if samples stand at it and the model has none.
 fn saturation(of: &Settled) -> Option<Driven> {
     let clipping = of.range()?;
     let ties: usize = clipping.ties.iter().sum();
@@ -255,7 +255,7 @@ fn saturation(of: &Settled) -> Option<Driven> {
     let effect = Candidate::Saturation.make(&[clipping.limit]);
     let nats: f64 = of.cut_off.iter().flatten().flatten().sum();
     let mut one = Driven::new(of.triad, effect, Some(nats), channels, 0.999, Value::Null, evidence);
-    // An exact tie tells of the range even where hardly anything is beyond it.
+    // An exact tie determines the range even if hardly any sample is beyond it.
     one.rank = nats.max(TIE * ties as f64);
     Some(one)
 }
@@ -316,7 +316,7 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
     std::array::from_fn(|axis| [total * axes[axis] / all + cut_off[axis], (total - closed) * axes[axis] / all])
 }
 
-/// What nearly explains what a cause does.
+/// The effects that explain nearly as much as a cause.
 fn weighed(of: &Settled) -> Vec<Alternative> {
     let weighing = of.weighing();
     let own = &of.choice.groups;
@@ -367,7 +367,7 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
         for of in &found.triads {
             let rate = of.fit.estimates.iter().find(|one| one.parameter == "rate_error");
             let off = rate.and_then(|one| Some((one.value, one.standard_error?)));
-            // What was taken into account when it was laid beside the record, and what is left.
+            // The corrections that were made when the reference was laid beside the record, and what is left.
             let off = off.map(|(value, error)| (aligned.gains + value, error));
             if let Some((value, error)) = off.filter(|(value, error)| value.abs() > 4.0 * error && value.abs() > 1e-7) {
                 notes.push(format!(
@@ -393,11 +393,11 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
     notes
 }
 
-/// What the motion leaves open.
+/// The parameters that the motion leaves open.
 fn left_open(found: &Found) -> Vec<String> {
     let of = |settled: &Settled| {
         let all = settled.screen.fit.confounded.iter().filter(|one| one.openness != Openness::Faint);
-        // A clock is told of apart.
+        // A clock is reported separately.
         let own = all.filter(|one| !one.sentence.contains("clock "));
         own.map(|one| format!("{}: {}", settled.triad.name(), one.sentence)).collect::<Vec<String>>()
     };

@@ -1,4 +1,4 @@
-//! Felt: what a sensor felt, from what it shows and what its model says of that.
+//! Felt motion: the motion that a sensor felt, computed from its samples and its model.
 
 use crate::diagnosis::recording::Recording;
 use crate::effects::TriadEffect;
@@ -14,8 +14,8 @@ use std::sync::Arc;
 /// Steps of the inversion: effects of a percent are right to 10⁻¹⁴ after them.
 const STEPS: usize = 7;
 
-/// The record with the effects of the model's triads and its biases taken off accelerometer and gyro, sample by sample; a bias that
-/// is gravity's at rest says nothing and stays. Delays, limits and bandwidths are left as they are.
+/// The record with the effects of the model's triads and its biases removed from accelerometer and gyro, sample by sample. A bias
+/// that represents gravity at rest carries no information and stays. Delays, limits and bandwidths are left as they are.
 pub(super) fn felt<'a>(real: &'a Recording, sim: &SensorModel) -> Cow<'a, Recording> {
     let mut held = sim.clone();
     let at_rest = gravity::take_out(&mut held, STANDARD_GRAVITY_M_S2).is_some();
@@ -51,14 +51,14 @@ pub(super) fn felt<'a>(real: &'a Recording, sim: &SensorModel) -> Cow<'a, Record
     Cow::Owned(felt)
 }
 
-/// What a triad shows of one instant without a memory.
+/// A triad's reading of one instant, without memory.
 struct Chain {
     stages: [Vec<Arc<dyn TriadEffect>>; 3],
     bias: Axes,
 }
 
 impl Chain {
-    /// What it felt; `force` acts on a gyro, an accelerometer's is its own input.
+    /// The input that it felt. `force` acts on a gyro; an accelerometer's force is its own input.
     fn inverse(&self, shown: Axes, force: Option<Axes>) -> Axes {
         let mut input = shown;
         for _ in 0..STEPS {

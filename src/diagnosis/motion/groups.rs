@@ -1,10 +1,11 @@
-//! Groups: what may explain a triad's answer to a motion, each with its price. Those of the library, and columns that are none
-//! of its effects, so that what is outside is not taken for what is inside.
+//! Groups: the possible explanations of a triad's answer to a motion, each with its price. They include the effects of the
+//! library. They also include columns of effects outside the library, so that an outside effect is not taken for one of the
+//! library.
 //!
 //! A price is half of χ²'s quantile for as many degrees of freedom as the group has numbers, at the level over all groups and
-//! triads (Bonferroni): twice the nats that p numbers gain in noise of a known law are χ² with p degrees of freedom (Wilks 1938,
-//! Ann. Math. Stat. 9). A bias is seen in the record's mean alone, whose variance is not known but fitted: there it is Fisher's F
-//! with the degrees of freedom that the levels' uncertainty leaves.
+//! triads (Bonferroni). Twice the nats that p numbers gain in noise of a known law are χ² with p degrees of freedom (Wilks 1938,
+//! Ann. Math. Stat. 9). A bias is seen in the record's mean alone, whose variance is not known but fitted. Its distribution is
+//! Fisher's F with the degrees of freedom that the levels' uncertainty leaves.
 
 use crate::diagnosis::response::{Candidate, Extra};
 use crate::effects::triad::Axes;
@@ -13,7 +14,7 @@ use crate::simulator::Motion;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _, FisherSnedecor};
 use std::ops::Range;
 
-/// Nats that what is outside the library has to be better by than what is in it.
+/// Nats by which an effect outside the library has to be better than one in it.
 const CLEARLY: f64 = 3.0;
 /// Time constants with which a sensor may creep after its input, s.
 const CREEPS_S: [f64; 4] = [0.5, 2.0, 8.0, 32.0];
@@ -21,10 +22,10 @@ const CREEPS_S: [f64; 4] = [0.5, 2.0, 8.0, 32.0];
 const FOLLOWS: [f64; 4] = [0.7, 1.8, 4.5, 11.0];
 /// Half widths of a play, in parts of the largest input.
 const PLAYS: [f64; 3] = [0.02, 0.1, 0.3];
-/// Where a curve may bend, in parts of the largest input.
+/// The inputs at which a curve may bend, in parts of the largest input.
 const BENDS: [f64; 2] = [0.03, 0.2];
 
-/// What is no effect of the library.
+/// An effect that is not in the library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_enums, reason = "one for each set of columns")]
 pub enum Foreign {
@@ -32,22 +33,22 @@ pub enum Foreign {
     Creep,
     /// It follows its input with play.
     Play,
-    /// Its curve is none of a straight line and squares.
+    /// Its curve has terms other than a straight line and squares.
     Curve,
     /// It shows products of its inputs.
     Products,
-    /// It is not where the reference is.
+    /// The sensor is not at the place of the reference.
     LeverArm,
     /// A gyroscope shows squares and products of the specific force.
     ForceSquared,
     /// Its scale factor follows the temperature.
     WarmScale,
-    /// It follows its input within some samples, otherwise than by a delay: a filter.
+    /// It follows its input within some samples, but not by a pure delay: a filter.
     Bandwidth,
 }
 
 impl Foreign {
-    /// What it means, in words that follow "the gyro".
+    /// Its meaning, in words that follow "the gyro".
     #[must_use]
     pub fn meaning(self) -> &'static str {
         match self {
@@ -62,7 +63,7 @@ impl Foreign {
         }
     }
 
-    /// Those that are looked for on a triad.
+    /// The kinds that are searched on a triad.
     pub(super) fn of(triad: Triad) -> Vec<Self> {
         let own = if triad == Triad::Gyro { Self::ForceSquared } else { Self::LeverArm };
         vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale, Self::Bandwidth]
@@ -164,7 +165,7 @@ pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)]
     groups
 }
 
-/// Columns of what is no effect of the library.
+/// Columns of effects that are not in the library.
 #[must_use]
 pub fn foreign(
     of: Foreign,
@@ -289,7 +290,7 @@ fn product(one: &[f64], other: &[f64]) -> Vec<f64> {
     one.iter().zip(other).map(|(one, other)| one * other).collect()
 }
 
-/// What an arm along x, y or z of length 1 adds to the specific force: ω × (ω × r) + ω̇ × r.
+/// The specific force that an arm along x, y or z of length 1 adds: ω × (ω × r) + ω̇ × r.
 fn lever(motions: &[Motion], rate_hz: f64) -> [[Option<Vec<f64>>; 3]; 3] {
     let n = motions.len();
     let change = |index: usize| -> Axes {

@@ -1,8 +1,8 @@
-//! Lateness: which of two triads' delays is a latency, and which is the reference's clock.
+//! Lateness: determines which of two triads' delays is a latency, and which is an offset of the reference's clock.
 //!
-//! On one clock a delay is a latency, unless both triads have the same one or one is negative: then the stamps of record and
-//! reference differ. On a clock of its own the smaller of two delays is that clock's offset, and what the other has more is its
-//! latency; one triad alone tells neither.
+//! On one clock, a delay is a latency, unless both triads have the same delay or one delay is negative: then the stamps of record
+//! and reference differ. On a separate clock, the smaller of two delays is that clock's offset, and the excess of the other is
+//! its latency. One triad alone determines neither.
 
 use crate::diagnosis::response::Estimate;
 use crate::sample::Triad;
@@ -18,7 +18,7 @@ pub(super) struct Delay {
 impl Delay {
     pub(super) fn of(triad: Triad, estimates: &[Estimate]) -> Option<Self> {
         let one = estimates.iter().find(|one| matches!(one.parameter.as_str(), "seconds" | "offset_s"))?;
-        // What the model has already is not missing.
+        // An effect that the model has already is not missing.
         let seconds = one.value - if one.parameter == "seconds" { one.known } else { 0.0 };
         Some(Self { triad, seconds, error_s: one.standard_error? }).filter(|of| of.error_s > 0.0)
     }
@@ -28,18 +28,18 @@ impl Delay {
     }
 }
 
-/// What the delays say.
+/// The conclusions from the delays.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Verdict {
     /// Latencies, with what they explain, nats.
     pub(super) latencies: Vec<(Delay, f64)>,
-    /// By how much the reference is early for all, s.
+    /// By how much the reference is early for all triads, s.
     pub(super) offset_s: Option<f64>,
-    /// Whether it could not be told which.
+    /// Whether the latency and the clock's offset could not be separated.
     pub(super) open: bool,
 }
 
-/// Tells them apart; a difference counts from `price` nats on.
+/// Separates latencies from the clock's offset. A difference counts from `price` nats on.
 pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let (gyro, accel) = match delays {
         [] => return Verdict::default(),
@@ -67,11 +67,11 @@ pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let real = |of: &Delay| of.nats() > price;
     match (real(&early), real(&late)) {
         (false, false) => Verdict::default(),
-        // The reference is late, as far as the one tells that can.
+        // The reference is late, as far as this one triad can determine it.
         (false, true) if late.seconds < 0.0 => {
             Verdict { offset_s: Some(late.seconds), open: true, ..Verdict::default() }
         }
-        // One of them is late and nothing says that the other is.
+        // One of them is late, and no evidence shows that the other is late.
         (false, true) => Verdict { latencies: vec![(late, late.nats())], ..Verdict::default() },
         // The reference itself is late.
         (true, _) if early.seconds < 0.0 => Verdict {
@@ -83,7 +83,7 @@ pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
             Verdict { latencies: vec![(late, late.nats()), (early, early.nats())], ..Verdict::default() }
         }
         (true, true) => Verdict { offset_s: Some(agreed_s), open: true, ..Verdict::default() },
-        // The other one is known too badly to say.
+        // The other delay is not known well enough to decide.
         (true, false) => Verdict { latencies: vec![(early, early.nats())], ..Verdict::default() },
     }
 }
@@ -101,7 +101,7 @@ mod tests {
     fn on_one_clock_a_delay_is_a_latency_unless_both_have_it() {
         let found = of((0.02, 1e-4), (0.0, 1e-3), true);
         assert_eq!((found.latencies.len(), found.latencies[0].0.triad, found.offset_s), (1, Triad::Gyro, None));
-        // Known too badly to tell, and known well.
+        // Known too badly to decide, and known well.
         assert_eq!(of((0.02, 1e-4), (0.0, 1.0), true).latencies[0].0.triad, Triad::Gyro);
         let both = of((0.02, 1e-4), (0.0201, 1e-3), true);
         assert!(both.latencies.is_empty() && both.open && (both.offset_s.unwrap() - 0.02).abs() < 1e-4);

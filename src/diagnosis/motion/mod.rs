@@ -7,13 +7,15 @@
 //! 1. The reference is aligned in time and brought to the record's instants ([`align`]).
 //! 2. Per triad every candidate is fitted at once, by generalised least squares under the model's own noise
 //!    ([`super::response`]), with columns besides that no effect of the library is ([`groups`]).
-//! 3. Of all subsets the one is taken that explains most nats less the prices of its effects ([`select`]); a price is what
-//!    chance makes of as many numbers in the part of clean records that may be blamed, all effects and triads counted.
-//! 4. The samples less the mean response go to the diagnosis of records at rest: N, B, K, lines, drifts, filters. What it finds
-//!    becomes the noise's law, the drift and the bandwidth of a second round, and so on until nothing changes (mean and noise are
-//!    orthogonal to first order: the Fisher information between them is 0 for normal noise, so that two rounds nearly always do).
-//! 5. Latencies are told from the reference's clock as far as two triads tell ([`lateness`]).
-//! 6. What was named is scored on held-out blocks of time and ranked with what was found in the noise ([`compose`]).
+//! 3. The subset is chosen that explains most nats less the prices of its effects ([`select`]). A price is the gain that chance
+//!    gives to as many numbers in the part of clean records that may be blamed, with all effects and triads counted.
+//! 4. The samples less the mean response go to the diagnosis of records at rest: N, B, K, lines, drifts, filters. Its findings
+//!    become the noise's law, the drift and the bandwidth of a second round. The rounds continue until no finding changes. Two
+//!    rounds nearly always suffice, because mean and noise are orthogonal to first order: the Fisher information between them is
+//!    0 for normal noise.
+//! 5. Latencies are separated from the offset of the reference's clock, as far as two triads allow it ([`lateness`]).
+//! 6. Named effects are scored on held-out blocks of time and ranked with those that were found in the noise
+//!    ([`compose`]).
 
 pub mod align;
 mod compose;
@@ -48,17 +50,17 @@ use crate::sample::Triad;
 use crate::simulator::SensorModel;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
-/// Samples by which a clock's offset may be off before the reference is laid anew.
+/// Samples by which a clock's offset may be off before the reference is aligned again.
 const ALIGNED: f64 = 0.05;
 /// Blocks of time for what is held out, and into how many folds they go in turn.
 pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
 
-/// Compares a record with a model: against a reference where there is one, by gravity where it rests in several poses or
-/// is turned slowly, else as a record at rest. A disturbed magnetic field is said besides.
+/// Compares a record with a model. It compares against a reference if there is one, by gravity if the record rests in several
+/// poses or is turned slowly, else as a record at rest. A disturbed magnetic field is reported in addition.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
+/// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
 pub fn diagnose_any(
     real: &Recording,
     reference: Option<&Reference>,
@@ -76,7 +78,7 @@ pub fn diagnose_any(
 /// Compares a record of a known motion with a model.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared, and where it was called off.
+/// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
 ///
 /// # Source
 /// The effects' forms and the tests that excite them: IEEE Std 1293 (accelerometers), 1431 (Coriolis gyros), 952 (noise).
@@ -112,8 +114,9 @@ pub fn diagnose_moved(
         part = real.part(aligned.from..aligned.from + aligned.motions.len());
     }
     let mut found = rounds::run(&part, &aligned, sim, &triads, options)?;
-    // Laid beside the triad that tells the time best, which is the late one: what all are late by is the clock's.
-    // With a small latency too: laid beside the late triad it would be the other one that is early.
+    // The reference is laid beside the triad that determines the time best, which is the late one: a delay that all
+    // share is the clock's. This holds for a small latency too. Laid beside the late triad, the other triad would
+    // appear early.
     let latency_s = found.lateness.latencies.iter().map(|(of, _)| of.seconds).fold(f64::INFINITY, f64::min);
     let most_s = (ALIGNED / real.rate_hz).min(0.1 * latency_s);
     if let Some(offset_s) = found.lateness.offset_s.filter(|of| !aligned.shared && of.abs() > most_s) {

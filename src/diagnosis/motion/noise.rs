@@ -1,4 +1,4 @@
-//! Noise: the law that a triad's answer is weighed by, of a model as far as it is known.
+//! Noise: the law that weighs a triad's answer, from a model as far as the model is known.
 
 use crate::diagnosis::response::{Filters, NORMAL_95, NoiseLaw, ResponseError};
 use crate::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
@@ -11,16 +11,16 @@ const LASTING: [&str; 7] =
     ["quantization_noise", "gauss_markov", "resonance", "low_pass", "moving_average", "resolution", "common_mode"];
 /// Effects that add noise at times.
 const LOUD: [&str; 2] = ["bursts", "spikes"];
-/// How well N, B and K are believed to be known where a model says no interval: standard deviations of ln of their squares.
+/// Prior uncertainty of N, B and K if a model states no interval: standard deviations of ln of their squares.
 const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
 /// Standard error of a cutoff's logarithm where a model states no interval.
 const UNSTATED: f64 = 0.1;
-/// What a cutoff has to be below to act at the rate of decimated samples, in parts of it.
+/// The upper bound of a cutoff that acts at the rate of decimated samples, in parts of that rate.
 const BELOW: f64 = 0.49;
 /// Euler's constant.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
 
-/// The law of a model for records of `samples`; where a channel has no white noise of its own it is `scale`, U per sample.
+/// The law of a model for records of `samples`. For a channel without white noise, the law assumes `scale`, U per sample.
 pub(super) fn law(
     model: &SensorModel,
     triad: Triad,
@@ -31,7 +31,8 @@ pub(super) fn law(
     let mut plain = model.clone();
     for (axis, channel) in triad.channels().into_iter().enumerate() {
         let Some(of) = plain.channels.get_mut(&channel) else { continue };
-        // What comes and goes is white noise of its mean square: too much in its quiet, which costs power and blames nobody.
+        // Noise that comes and goes is modelled as white noise of its mean square. That is too much in its quiet parts, which
+        // costs power and blames no effect.
         let record = Record { rate_hz, samples: samples as u64 };
         for effect in of.effects.iter().filter(|effect| !LASTING.contains(&effect.name())) {
             let factor = effect.white_moments(record).map_or(1.0, |of| of.variance);
@@ -51,8 +52,8 @@ pub(super) fn law(
     NoiseLaw::of_model(&plain, triad, rate_hz, samples)
 }
 
-/// The filters of each axis that a motion passes; of its low passes the cutoff that is known worst is open, as far as its interval
-/// leaves it.
+/// The filters of each axis that a motion passes; of its low passes the cutoff that is known worst is open, as far as
+/// its interval leaves it.
 pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
     // Before samples are decimated filters act at another rate: a cutoff in Hz is the same at this one, a window is not.
     let decimated = model.sampling.is_some();
@@ -79,7 +80,7 @@ pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
     all
 }
 
-/// What a model says of the level's course on each axis beside its motion, U.
+/// The course of the level on each axis that a model states beside its motion, U.
 pub(super) fn courses(
     model: &SensorModel,
     triad: Triad,
@@ -152,7 +153,7 @@ mod tests {
         let (place, error) = found.open[0].unwrap();
         assert!(place == 1 && (error - (5.5f64 / 4.5).ln() / 3.92).abs() < 1e-4, "{error}");
         assert_eq!((found.of[0].len(), found.open[1]), (2, None));
-        // Nothing stated is little known.
+        // If the model states no interval, the level is poorly known.
         assert_eq!(of(two, Value::Null, Value::Null).open[0], Some((0, UNSTATED)));
     }
 

@@ -10,7 +10,7 @@ use crate::simulator::Motion;
 const BINS: usize = 16;
 /// Part of the gap that a stated range holds.
 const HELD: f64 = 0.8;
-/// From this part of its whole range on a driver says nothing.
+/// A driver that spans this part of its whole range or more carries no information.
 const WIDE: f64 = 0.9;
 /// Part of the variance of a gap over time that a driver has to account for.
 const TELLING: f64 = 0.2;
@@ -18,7 +18,7 @@ const TELLING: f64 = 0.2;
 const UPRIGHT: f64 = 0.97;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Where the gap of a triad lies: one place per axis with a material part of it.
+/// The places of a triad's gap: one per axis with a material part of it.
 pub(super) fn places(
     of: &Settled,
     level: Axes,
@@ -51,10 +51,11 @@ pub(super) fn places(
         let is_cut = of.cut_off.as_ref().is_some_and(|nats| nats[axis].iter().sum::<f64>() > 0.5 * totals[axis]);
         let rising = if is_cut { -1.0 } else { mean_gap(&of.fit.response[axis], &model[axis], values) };
         places.push(Place {
-            // Which cause's it is, is known when all are ranked.
+            // The cause of a gap is known once all causes are ranked.
             of: Of::Remainder,
             channel: channel.name().to_owned(),
-            // What a motion drives is as slow as the motion: from the record's length to its own changes.
+            // The gap that a motion drives is as slow as the motion: from the record's length to the motion's own
+            // changes.
             band_hz: [0.0, rate_hz / 2.0],
             tau_s: [1.0 / rate_hz, values.len() as f64 / rate_hz],
             from_s: from_s + from as f64 / rate_hz,
@@ -70,7 +71,7 @@ pub(super) fn places(
     places
 }
 
-/// Whether the sensor shows more than the model where the gap lies, weighed by it.
+/// Whether the sensor shows more than the model at the place of the gap, weighed by the gap.
 fn mean_gap(response: &[f64], model: &[f64], weights: &[f64]) -> f64 {
     response.iter().zip(model).zip(weights).map(|((response, model), weight)| weight * (response - model)).sum()
 }

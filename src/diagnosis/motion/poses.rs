@@ -1,14 +1,15 @@
-//! Poses: a tumble without a reference. Gravity is the same in every pose: its magnitude tells the accelerometer's scale factors,
-//! biases and cross-axis sensitivities, and a turn by a whole circle between two rests in one pose the gyro's scale factor.
+//! Poses: a tumble without a reference. Gravity is the same in every pose. Its magnitude determines the accelerometer's scale
+//! factors, biases and cross-axis sensitivities. A turn by a whole circle between two rests in one pose determines the gyro's
+//! scale factor.
 //!
-//! At rest in pose i the accelerometer's mean is mᵢ = (1 + D + S)·fᵢ + b + noise with |fᵢ| = g, D diagonal (scale factors), S
-//! symmetric without a diagonal (cross-axis sensitivity), b the bias. With u = m/|m|, to first order |mᵢ| − g =
-//! g·Σ D_k·u_k² + 2g·Σ S_kl·u_k·u_l + Σ b_k·u_k: nine numbers, linear, one equation a pose (Frosio, Pedersini and Borghese 2009,
-//! IEEE Trans. Instrum. Meas. 58; IEEE Std 1293, the multi-position tumble). What is second order is put in by Gauss–Newton's
-//! steps. A rotation of the whole triad leaves magnitudes alone and is not seen.
+//! At rest in pose i the accelerometer's mean is mᵢ = (1 + D + S)·fᵢ + b + noise with |fᵢ| = g. D is diagonal (scale factors), S
+//! is symmetric without a diagonal (cross-axis sensitivity), and b is the bias. With u = m/|m|, to first order |mᵢ| − g = g·Σ
+//! D_k·u_k² + 2g·Σ S_kl·u_k·u_l + Σ b_k·u_k. These are nine numbers, linear, with one equation per pose (Frosio, Pedersini and
+//! Borghese 2009, IEEE Trans. Instrum. Meas. 58; IEEE Std 1293, the multi-position tumble). Gauss–Newton steps add the terms of
+//! second order. A rotation of the whole triad does not change magnitudes and is not seen.
 //!
-//! Gravity on the spot is known to 0.13 % (9.780 m/s² at the equator, 9.832 at the poles): it is a tenth number with that
-//! belief. So scale factors that all are off alike are told from it only beyond that.
+//! Local gravity is known to 0.13 % (9.780 m/s² at the equator, 9.832 at the poles): it is a tenth number with that belief. Scale
+//! factors that are all off alike are therefore identified only beyond that uncertainty.
 //!
 //! The noise of a mean over T s is N²/T, flicker's about B², and a walk's K²·min(tᵢ, tⱼ), which the poses share.
 
@@ -29,7 +30,7 @@ pub(super) const BELIEF: f64 = 0.013;
 pub const POSES_MIN: usize = 6;
 /// Variance of flicker's mean over a rest about the record's, in B²; ln of the record's length over the rest's, and some.
 const FLICKER: f64 = 1.0;
-/// The same of the record's mean about nothing, which all poses share: flicker down to a thirty-second of the record's own frequency.
+/// The same for the record's mean about 0, which all poses share: flicker down to a thirty-second of the record's own frequency.
 const FLICKER_OF_ALL: f64 = 1.13;
 /// How far an accelerometer is believed to be off at most, as standard deviations: bias in m/s², the others as fractions. Poses
 /// that do not show a number leave it there.
@@ -39,7 +40,7 @@ const STEPS: usize = 8;
 const PLACED: f64 = 0.0087;
 /// How near to whole circles a turn is, in parts.
 const WHOLE: f64 = 0.04;
-/// What may be turned about other axes, or back, in parts of the turn: noise's path and a hand's tremble.
+/// The largest turn about other axes, or back, in parts of the turn: noise's path and a hand's tremble.
 const BESIDE: f64 = 0.2;
 
 /// One of the three effects.
@@ -63,10 +64,10 @@ impl Part {
 
 pub(super) const PARTS: [Part; 3] = [Part::Bias, Part::ScaleFactor, Part::CrossAxis];
 
-/// What a tumble says of the accelerometer.
+/// The result of a tumble for the accelerometer.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tumbled {
-    /// b, D, S in threes and gravity, with their standard errors; 0 for what was not chosen.
+    /// b, D, S in threes and gravity, with their standard errors; 0 for numbers that were not chosen.
     pub(super) values: [f64; 10],
     pub(super) errors: [f64; 10],
     pub(super) choice: Choice,
@@ -78,7 +79,7 @@ pub(super) struct Tumbled {
     /// |m| − g per rest before, m/s², and after; of windows each half with the numbers of the other.
     pub(super) before: Vec<f64>,
     pub(super) after: Vec<f64>,
-    /// Chance that what is left is the noise's.
+    /// Chance that the remainder is noise.
     pub(super) p_value: f64,
 }
 
@@ -109,7 +110,7 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     std::array::from_fn(|axis| less[axis] - once[axis] + twice[axis])
 }
 
-/// Standard deviation of what is believed of a number: gravity's last, then of bias and of fractions.
+/// Standard deviation of the prior of a number: gravity's last, then of bias and of fractions.
 pub(super) fn belief(number: usize) -> f64 {
     match number {
         9 => BELIEF,
@@ -128,7 +129,7 @@ pub(super) fn price(numbers: f64, level: f64) -> f64 {
     ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / PARTS.len() as f64))
 }
 
-/// Fits the tumble; None with too few poses or a noise that is none.
+/// Fits the tumble. None if there are too few poses or if the noise is not valid.
 pub(super) fn tumbled(
     rests: &[Rest],
     rate_hz: f64,
@@ -218,7 +219,7 @@ pub(super) fn tumbled(
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {
         let parts: Vec<usize> = (0..3).filter(|part| subset >> part & 1 == 1).collect();
-        // As many numbers as poses explain anything; gravity's is believed besides.
+        // As many numbers as poses explain any data; gravity's number has a prior belief in addition.
         if 3 * parts.len() > count {
             *kept = f64::INFINITY;
             continue;
@@ -243,7 +244,7 @@ pub(super) fn tumbled(
     for (place, number) in columns_of(&parts).into_iter().enumerate() {
         errors[number] = inverse[(place, place)].max(0.0).sqrt();
     }
-    // Each pose foretold by the others.
+    // Each pose as predicted from the others.
     let mut held_out = 0.0;
     let (plain, _, _) = fit(&[], &all)?;
     let before_w = weigh(misfit(&plain, &everywhere))?;

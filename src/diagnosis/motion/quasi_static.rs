@@ -1,13 +1,13 @@
 //! Quasi-static: gravity's magnitude in a sensor that is turned slowly through many poses without resting in them.
 //!
-//! In a window of T s the gyro tells how the sensor turned; with every sample turned into the window's middle the mean is gravity
-//! and (v₂ − v₁)/T, what the hand's velocity changed by. A hand comes back: that is small, of any direction, and now and then not
-//! small at all. To first order |f̄| − g = Σ b_k·ū_k + Σ D_k·⟨u_k·m_k⟩ + Σ S_kl·⟨u_k·m_l + u_l·m_k⟩, with u the direction of f̄ as
-//! the sensor had it at each sample: the numbers of [`super::poses`], linear, one equation a window.
+//! In a window of T s the gyro shows how the sensor turned. With every sample turned into the window's middle, the mean is
+//! gravity and (v₂ − v₁)/T, the change of the hand's velocity. A hand comes back, so that this term is small, of any direction,
+//! and sometimes large. To first order |f̄| − g = Σ b_k·ū_k + Σ D_k·⟨u_k·m_k⟩ + Σ S_kl·⟨u_k·m_l + u_l·m_k⟩, with u the direction
+//! of f̄ in the sensor's axes at each sample. These are the numbers of [`super::poses`], linear, with one equation per window.
 //!
-//! What is left is Student's t with three degrees of freedom, of a scale that is fitted (Lange, Little and Taylor 1989, J. Am.
-//! Stat. Assoc. 84), so that windows with a jerk in them count little. Where the scale is above [`STEADY`] nothing is told: a
-//! hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
+//! The residual is Student's t with three degrees of freedom, with a fitted scale (Lange, Little and Taylor 1989, J. Am. Stat.
+//! Assoc. 84), so that windows with a jerk in them count little. If the scale is above [`STEADY`], no result is reported: a hand
+//! that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
 use super::poses::{PARTS, Part, Tumbled, belief, columns_of, price};
 use super::rests::{self, Rest};
@@ -26,7 +26,7 @@ const LEAST: usize = 24;
 pub(super) const TURNED: usize = 3;
 /// Part of the record in which it has to be turned.
 const MATERIAL: f64 = 0.3;
-/// Fewest poses that tell nine numbers.
+/// Fewest poses that determine nine numbers.
 const POSES_MIN: usize = 12;
 /// Largest scale of what is left, m/s².
 const STEADY: f64 = 0.04;
@@ -45,7 +45,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// Of a record with gyro and accelerometer; the gyro's bias is that of its rests.
+    /// The windows of a record with gyro and accelerometer; the gyro's bias is that of its rests.
     pub(super) fn of(real: &Recording, accel: [&[f64]; 3], gyro: [&[f64]; 3], bias: Axes) -> Self {
         let size = (WINDOW_S * real.rate_hz) as usize;
         let mut all = Self::default();
@@ -91,7 +91,8 @@ impl Windows {
         all
     }
 
-    /// Whether the sensor was turned through poses, for a good part of the record: not picked up once and laid down.
+    /// Whether the sensor was turned through poses, for a good part of the record, and not just picked up once and laid
+    /// down.
     pub(super) fn turn(&self, rests: &[Rest]) -> bool {
         let resting = |stand: &Rest| {
             let [middle, length] = [(stand.within.start + stand.within.end) / 2, stand.within.len()];
@@ -111,7 +112,7 @@ struct Fit {
     left: Vec<f64>,
 }
 
-/// What the windows say; None where they are too few, too alike or too restless.
+/// The result of the windows. None if they are too few, too alike or too restless.
 pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<Tumbled> {
     let count = windows.rows.len();
     if count < LEAST || rests::poses(&windows.stands) < POSES_MIN {
@@ -152,7 +153,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
         values[number] = best.numbers[place];
         errors[number] = (best.inverse[(place, place)].max(0.0) / fewer).sqrt();
     }
-    // Each half foretold by the other.
+    // Each half as predicted from the other.
     let mut held_out = 0.0;
     let (mut before, mut after) = (vec![0.0; count], vec![0.0; count]);
     let half = |odd: usize| (0..count).filter(|place| place * BLOCKS / count % 2 == odd).collect::<Vec<_>>();
@@ -180,7 +181,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
         held_out,
         before,
         after,
-        // The scale is fitted: nothing is left that it would not explain.
+        // The scale is fitted, so that it explains all of the remaining scatter.
         p_value: 1.0,
     })
 }

@@ -1,4 +1,4 @@
-//! Reference: a motion as another instrument tells it, on a clock that may be its own.
+//! Reference: a motion as another instrument recorded it, on a clock that may be the instrument's own.
 
 use crate::simulator::Motion;
 
@@ -103,8 +103,9 @@ impl Reference {
         self.time_s.is_empty()
     }
 
-    /// The motion `after_s` after the first row, between rows along the cubic through the four about it (Lagrange); at its ends
-    /// what it is there. `near` is a row to look from, and becomes the one before.
+    /// The motion `after_s` after the first row. Between rows, it lies on the cubic through the four rows about it (Lagrange);
+    /// beyond the ends, it keeps the value at the end. `near` is the row from which the search starts, and becomes the row
+    /// before.
     #[must_use]
     pub fn at(&self, after_s: f64, near: &mut usize) -> Motion {
         let count = self.time_s.len();

@@ -1,4 +1,5 @@
-//! Residuals: what a record of a motion shows beyond the model, against time, rate and specific force, for pictures.
+//! Residuals: the difference between a record of a motion and the model, against time, rate and specific force, for
+//! pictures.
 
 use super::settle::Settled;
 use crate::diagnosis::response;
@@ -26,15 +27,15 @@ pub struct Residuals {
     pub axis: Option<&'static str>,
     /// Unit of [`Self::at`]: s after the record's first sample, rad/s, m/s².
     pub at_unit: &'static str,
-    /// Where each mean is, in order.
+    /// The position of each mean, in order.
     pub at: Vec<f64>,
-    /// Samples less what the model shows of the motion.
+    /// Samples less the model's response to the motion.
     pub before: Vec<f64>,
-    /// Samples less what the corrected model shows of it.
+    /// Samples less the corrected model's response to the motion.
     pub after: Vec<f64>,
 }
 
-/// Of a triad's channels; `from_s` is when the motions begin.
+/// The residuals of a triad's channels; `from_s` is when the motions begin.
 pub(super) fn residuals(
     of: &Settled,
     sim: &SensorModel,

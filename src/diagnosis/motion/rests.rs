@@ -1,7 +1,7 @@
 //! Rests: the stretches of a record in which the sensor lies still, and the poses it lies in.
 //!
-//! A quarter of a second is quiet where gyro and accelerometer scatter about as little as in the quietest tenth of the record;
-//! what is quiet in a row and keeps its level is a rest. Nothing is told of a sensor that is never still.
+//! A quarter of a second is quiet if gyro and accelerometer scatter about as little as in the quietest tenth of the record.
+//! Consecutive quiet parts that keep their level are a rest. A sensor that is never still has no rests.
 
 use crate::diagnosis::recording::Recording;
 use crate::effects::triad::Axes;
@@ -29,7 +29,7 @@ pub struct Rest {
     pub within: Range<usize>,
     /// Mean specific force, m/s².
     pub force: Axes,
-    /// Mean rate, rad/s, where there is a gyro.
+    /// Mean rate, rad/s, if there is a gyro.
     pub rate: Option<Axes>,
 }
 
@@ -69,7 +69,7 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
         spreads.get((QUIETEST * spreads.len() as f64) as usize).copied().unwrap_or(0.0)
     };
     let (least_force, least_rate) = (quietest(&forces), rates.as_ref().map_or(0.0, |of| quietest(of)));
-    // What a part may move beyond its noise: scatter of the noise's own and a tremble.
+    // The movement of a part that is allowed beyond its noise: scatter of the noise itself and a tremble.
     let quiet = |place: usize| {
         let still = |of: &Option<(Axes, f64)>, least: f64, moved: f64| {
             of.as_ref().is_some_and(|(_, spread)| *spread <= QUIET * least + 0.1 * moved)

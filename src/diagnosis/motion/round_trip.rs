@@ -1,4 +1,4 @@
-//! Round trips: sensors of which the simulator knows all and the diagnosis is told some.
+//! Round trips: the simulator knows all of a sensor's parameters, and the diagnosis receives some of them.
 
 use super::*;
 use crate::diagnosis::report::Verdict;
@@ -141,7 +141,8 @@ fn a_filter_is_no_latency() {
     let truth = model(json!({}), json!({"gyro_x": filter, "gyro_y": filter, "gyro_z": filter}));
     let found = diagnosed(&truth, Kind::RateTable, 32);
     assert_eq!(named(&found), [("gyro_x gyro_y gyro_z".to_owned(), "low_pass")]);
-    // The corrected model says how well it knows the cutoffs: on another record of that sensor they are no latency either.
+    // The corrected model states how well it knows the cutoffs. On another record of that sensor, they are not reported as a
+    // latency either.
     let again = recorded(&truth, Kind::RateTable, SAMPLES, 35);
     let reference = reference(Kind::RateTable, SAMPLES, 0.0);
     let closed = diagnose_moved(&again, &reference, &found.augmented, &Options::default()).unwrap();

@@ -1,4 +1,4 @@
-//! Rounds: what the motion drives and what the noise is, each found beside the other until neither changes.
+//! Rounds: the answer to the motion and the law of the noise are each found beside the other until neither changes.
 
 use super::align::{Aligned, Lie};
 use super::lateness::{self, Delay};
@@ -12,18 +12,19 @@ use crate::simulator::SensorModel;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
-/// Rounds after which it is left as it is.
+/// Rounds after which the result is kept as it is.
 const ROUNDS: usize = 4;
 /// Part of the prices in the first round, whose noise is only declared.
 const LENIENT: f64 = 0.5;
-/// Part of a channel's samples that may be without a value there; with more at the sensor's limit the instant is left out of all.
+/// Part of a channel's samples that may be without a value there. If more samples are at the sensor's limit, the instant is left
+/// out of all channels.
 const LACKING: f64 = 0.08;
 
-/// What was found in a record of a motion.
+/// The findings in a record of a motion.
 #[derive(Debug)]
 pub(super) struct Found {
     pub(super) triads: Vec<Settled>,
-    /// What was found in what remains.
+    /// The findings in the remainder.
     pub(super) rest: Outcome,
     pub(super) lateness: lateness::Verdict,
     /// Nats that a single number has to explain.
@@ -69,8 +70,8 @@ pub(super) fn run(
     }
 }
 
-/// How a reference on a clock of its own lies beside a record, to a part of a sample: from the triad that tells it best. Between
-/// samples of the record a motion's corners are lost; between rows of a faster reference they are not.
+/// The position of a reference on a separate clock beside a record, to a part of a sample, from the triad that determines it
+/// best. Between samples of the record, a motion's corners are lost; between rows of a faster reference they are not.
 pub(super) fn refined(
     part: &Recording,
     aligned: &Aligned,
@@ -97,7 +98,8 @@ pub(super) fn refined(
     Ok(best.map(|(_, lie)| lie))
 }
 
-/// What a next round would start from: what was chosen, and the names of what changes the mean or the law's form.
+/// The start of a next round: the effects that were chosen, and the names of those that change the mean or the law's
+/// form.
 type Signature = (Vec<Vec<usize>>, BTreeSet<(usize, &'static str)>);
 
 fn signature(settled: &[Settled], told: &SensorModel) -> Signature {

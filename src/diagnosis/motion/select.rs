@@ -1,14 +1,14 @@
 //! Selection: of all subsets of effects the one that explains most nats less their prices.
 //!
-//! Effects are added, taken back and exchanged one at a time as long as that is better, from none on. Where two explain a
-//! record alike the simpler one stands first in the list, and stays.
+//! Effects are added, taken back and exchanged one at a time as long as that is better, from none on. If two explain a record
+//! alike, the simpler one stands first in the list, and stays.
 
 use super::groups::Group;
 use crate::diagnosis::response::Screen;
 
 /// Nats below which two subsets are the same.
 const SAME: f64 = 1e-6;
-/// Changes after which it is given up.
+/// Changes after which the search is given up.
 const MOST: usize = 60;
 
 /// A chosen subset.
@@ -91,8 +91,8 @@ impl<'a> Weighing<'a> {
         all
     }
 
-    /// By how much a subset is better than the best that has one of its groups not, nats less prices; and which group would
-    /// stand in for it, if any does.
+    /// By how much a subset is better than the best subset without one of its groups, nats less prices; and which group would
+    /// replace it, if any would.
     #[must_use]
     pub fn margin(&self, own: &[usize], place: usize) -> (f64, Option<usize>) {
         let rest: Vec<usize> = own.iter().copied().filter(|of| *of != place).collect();

@@ -1,4 +1,4 @@
-//! Settling: one triad's answer to a motion, chosen and fitted under what is known of its noise.
+//! Settling: one triad's answer to a motion, chosen and fitted under the known law of its noise.
 
 use super::align::Aligned;
 use super::groups::{self, Foreign, Group, Member, Pricing};
@@ -15,7 +15,7 @@ use crate::sample::Triad;
 use crate::simulator::SensorModel;
 use std::sync::Arc;
 
-/// What a VN-100 measures at most: ±2000 °/s and ±16 g. Fractions of full scale are told of it.
+/// The range of a VN-100: ±2000 °/s and ±16 g. Fractions of full scale refer to it.
 const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
 /// Nats from which on samples that repeat are sent again.
 const REPEATED: f64 = 14.0;
@@ -40,11 +40,11 @@ pub(super) struct Settled {
     pub(super) delay: Option<Delay>,
     /// Degrees of freedom of the mean's variance.
     pub(super) mean_freedom: f64,
-    /// What the model has already.
+    /// The effects that the model has already.
     pub(super) known: Vec<Arc<dyn TriadEffect>>,
-    /// Per axis and sample what the sensor cut off beyond its range, nats, where the model has no such range.
+    /// The values that the sensor cut off beyond its range, per axis and sample, nats, if the model has no such range.
     pub(super) cut_off: Option<[Vec<f64>; 3]>,
-    /// Samples less everything that answers the motion, U; no number where a sample is left out.
+    /// Samples less all effects that answer the motion, U; NaN for a sample that is left out.
     pub(super) rest: [Vec<f64>; 3],
 }
 
@@ -53,7 +53,7 @@ impl Settled {
         Weighing::new(&self.screen, &self.base, &self.groups)
     }
 
-    /// The sensor's range, where samples show one that the model has not.
+    /// The sensor's range, if samples show one that the model lacks.
     pub(super) fn range(&self) -> Option<Clipping> {
         let clipping = self.fit.clipping?;
         let told = self.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
@@ -74,7 +74,7 @@ impl Settled {
     }
 }
 
-/// What a triad is looked at with.
+/// The settings with which a triad is examined.
 #[derive(Clone, Copy)]
 pub(super) struct About<'a> {
     pub(super) part: &'a Recording,
@@ -133,7 +133,7 @@ impl About<'_> {
         let level =
             triad.channels().map(|channel| self.sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
         let clock = if self.aligned.shared { Clock::SHARED } else { Clock::SEPARATE };
-        // On one clock a delay is a latency's, on two it is the clock's.
+        // On one clock a delay is a latency; on two clocks it is an offset.
         let with_delay = |mut of: Vec<Candidate>| {
             of.extend(self.aligned.shared.then_some(Candidate::Latency));
             of
@@ -182,13 +182,13 @@ impl About<'_> {
             let fit = response::fit(&record, &law, &Request { filters, ..request })?;
             Ok(Ended { fit, outside })
         };
-        // What is outside the library is taken off before the rest is fitted as the simulator makes it.
+        // Effects outside the library are removed before the rest is fitted as the simulator makes it.
         let own: Vec<(usize, f64)> = columns.iter().copied().zip(numbers.iter().copied()).collect();
         let outside = |own: &[(usize, f64)]| self.outside(triad, own, &screen, &counts, &filters);
         let mut ended = fitted(outside(&own), &filters)?;
         if let Some(place) = choice.groups.iter().find(|place| groups[**place].member == BANDWIDTH) {
-            // Its columns are a filter's to some hundredths; what they leave would hide the filter from the noise's diagnosis. What
-            // else is outside may be what they leave.
+            // Its columns are a filter's to some hundredths; what they leave would hide the filter from the noise's
+            // diagnosis. What else is outside may be what they leave.
             let others: Vec<(usize, f64)> =
                 own.iter().copied().filter(|(column, _)| !groups[*place].columns.contains(column)).collect();
             let delay_s = self.aligned.shared.then_some(numbers[0]);
@@ -224,7 +224,7 @@ impl About<'_> {
         Ok(settled)
     }
 
-    /// What the columns of a screen that are none of the library's make with their numbers.
+    /// The sum of a screen's columns that are not in the library, with their numbers.
     fn outside(
         &self,
         triad: Triad,
@@ -258,7 +258,7 @@ impl About<'_> {
         outside
     }
 
-    /// Samples less everything that answers the motion; what the temperature does is left to the diagnosis of what remains.
+    /// Samples less all effects that answer the motion. The effect of the temperature is left to the diagnosis of the remainder.
     fn rest(&self, sent: [&[f64]; 3], ended: &Ended) -> [Vec<f64>; 3] {
         let fit = &ended.fit;
         let n = self.aligned.motions.len();
@@ -279,7 +279,7 @@ impl About<'_> {
         })
     }
 
-    /// The fit of everything with a delay, under the model's noise.
+    /// The fit of all effects with a delay, under the model's noise.
     pub(super) fn delayed(&self, triad: Triad) -> Result<Fit, DiagnosisError> {
         let n = self.aligned.motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
@@ -316,8 +316,8 @@ impl About<'_> {
         }
     }
 
-    /// Samples that are missing, no numbers, or sent again, and the first ones behind a filter: what went into it before is not
-    /// known.
+    /// Samples that are missing, not numbers, or sent again, and the first samples behind a filter, because the earlier input of
+    /// the filter is not known.
     fn left_out(&self, sent: [&[f64]; 3], filters: &Filters) -> Vec<bool> {
         let mut out: Vec<bool> = (0..self.part.len())
             .map(|t| self.part.is_missing(t) || sent.iter().any(|values| !values[t].is_finite()))
@@ -333,12 +333,12 @@ impl About<'_> {
     }
 }
 
-/// How groups are priced on that many triads.
+/// The prices of groups for this number of triads.
 pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -> Pricing {
     Pricing { level: options.level, triads, mean_freedom }
 }
 
-/// The full scale that a nonlinearity is told of: the model's own, or the sensor's range.
+/// The full scale to which a nonlinearity refers: the model's own, or the sensor's range.
 fn full_scale(triad: Triad, known: &[Arc<dyn TriadEffect>]) -> f64 {
     let told = known.iter().filter(|effect| effect.name() == "scale_factor_nonlinearity").find_map(|effect| {
         effect.parameters().into_iter().find(|(name, _)| *name == "full_scale").and_then(|(_, value)| value.as_f64())

@@ -1,7 +1,7 @@
-//! Together: what a motion drives and what remains without it are one gap, with one ranking of its causes.
+//! Together: the effects that a motion drives and the remainder without them form one gap, with one ranking of causes.
 //!
-//! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was compared at
-//! one rest alone is taken to be as large a sample throughout.
+//! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was
+//! compared at one rest alone is taken to be as large a sample throughout.
 
 use crate::diagnosis::report::{Cause, Diagnosis, Of, Place, Sense, Verdict};
 use crate::effects::{Stream, StreamId, TriadEffect};
@@ -15,11 +15,11 @@ use std::sync::Arc;
 const DRAWS: usize = 1000;
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// A cause on a triad before it is told.
+/// A cause on a triad before it is reported.
 pub(super) struct Driven {
     pub(super) triad: Triad,
     pub(super) effect: Arc<dyn TriadEffect>,
-    /// Nats, all others fitted again; None for what is read off exactly and what nothing held out measures.
+    /// Nats, with all others fitted again. None for a cause that is read off exactly and that no held-out data measure.
     pub(super) gain: Option<f64>,
     pub(super) rank: f64,
     pub(super) cause: Cause,
@@ -68,14 +68,14 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    /// What numbers of noise alone explain.
+    /// The gain of the numbers in noise alone.
     pub(super) fn floor(&self) -> f64 {
         0.5 * self.numbers as f64
     }
 }
 
-/// Adds a motion's gap, its causes and its places to what was found in what remains. `all`: samples of all channels; `measured`:
-/// on what the motion's was measured.
+/// Adds a motion's gap, its causes and its places to the findings in the remainder. `all`: samples of all channels; `measured`:
+/// the samples on which the motion's gap was measured.
 pub(super) fn join(
     diagnosis: &mut Diagnosis,
     sums: &Sums,
@@ -112,7 +112,7 @@ pub(super) fn join(
     diagnosis.r#where.sort_by(|one, other| other.share.total_cmp(&one.share));
 }
 
-/// Nats of the gap that remains without the motion's, where there is one that counts.
+/// Nats of the gap that remains without the motion's, if that gap counts.
 fn rest_nats(of: &Diagnosis, all: f64) -> f64 {
     match of.verdict {
         Verdict::Effects | Verdict::UnknownEffect => {
@@ -167,7 +167,7 @@ fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: 
         one.cause.closes = one.gain.filter(|_| motion > 0.0 && all > 0.0).map(|gain| gain / motion * closed / all);
     }
     let mut ranked: Vec<(f64, Cause)> = driven.iter().map(|one| (one.rank, one.cause.clone())).collect();
-    // What is read off exactly closes no part; it stays before those it was before.
+    // A cause that is read off exactly closes no part; it keeps its place before the others.
     let mut least = 0.0f64;
     for mut cause in std::mem::take(&mut diagnosis.causes).into_iter().rev() {
         let nats = cause.closes.map_or(0.0, |part| part * rest_nats);
@@ -241,7 +241,7 @@ mod tests {
         let rest = at_rest();
         let names = |of: &Diagnosis| of.causes.iter().map(|cause| cause.effect).collect::<Vec<_>>();
         assert!(names(&rest).contains(&"resolution") && names(&rest).contains(&"tone"), "{:?}", names(&rest));
-        // Far more than the rest, and next to nothing beside it.
+        // Far larger than the rest, with almost nothing beside it.
         let more = joined(1e6, &[6e5, 4e5], &[6e5, 4e5]);
         assert_eq!(names(&more)[0], "scale_factor");
         let less = joined(5.0, &[3.0, 3.0], &[2.0, 2.0]);

@@ -1,8 +1,8 @@
 //! Tumble: a record without a reference in which the sensor lay still in six poses or more, was turned by whole circles, or was
 //! turned slowly through many poses.
 //!
-//! The rests are found by themselves ([`super::rests`]); what their means say is in [`super::poses`], what a slow turn says in
-//! [`super::quasi_static`]; what the noise says is found in the longest rest, as in any record at rest.
+//! The rests are found without a reference ([`super::rests`]). [`super::poses`] evaluates their means, and
+//! [`super::quasi_static`] a slow turn. The noise is found in the longest rest, as in any record at rest.
 
 use super::felt::felt;
 use super::noise::mean_freedom;
@@ -25,15 +25,16 @@ use std::sync::Arc;
 
 /// Confidence in what the poses name.
 const RIGHT: f64 = 0.95;
-/// A rest that is this unlikely to be noise leaves something unknown.
+/// A rest that is this unlikely under the noise shows an unknown effect.
 const REMAINS: f64 = 0.005;
 const AXES: [&str; 3] = ["x", "y", "z"];
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// Compares a record that rests in several poses with a model; None where it does not, or where it is at rest throughout.
+/// Compares a record that rests in several poses with a model. None if it does not rest in several poses, or if it is at rest
+/// throughout.
 ///
 /// # Errors
-/// [`DiagnosisError`] for what cannot be compared.
+/// [`DiagnosisError`] if the inputs cannot be compared.
 ///
 /// # Validation
 /// `tests` below: a simulated tumble gives its scale factors and biases back within their intervals.
@@ -47,7 +48,7 @@ pub fn diagnose_tumble(
     if !has(Triad::Accel) || prepare::comparable(real, sim).is_err() {
         return None;
     }
-    // What the model has already is no cause.
+    // An effect that the model has already is not a cause.
     let felt = felt(real, sim);
     let rests = rests(&felt);
     let tumble = count_poses(&rests) >= POSES_MIN;
@@ -92,7 +93,7 @@ pub fn diagnose_tumble(
     Some(Ok(outcome))
 }
 
-/// Where gravity was looked at.
+/// The place at which gravity was examined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum How {
     /// In rests.
@@ -101,7 +102,7 @@ enum How {
     Windows,
 }
 
-/// What gravity's magnitude says of the accelerometer, and where.
+/// The result of gravity's magnitude for the accelerometer, and its place.
 struct Poses<'a> {
     of: Tumbled,
     stands: &'a [Rest],
@@ -210,7 +211,7 @@ fn tell(
     outcome.augmented.triads = together::corrected(sim, &named);
 }
 
-/// What the magnitudes name.
+/// The causes that the magnitudes determine.
 fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
     let of = &poses.of;
     let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
@@ -266,7 +267,7 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
         .collect()
 }
 
-/// What a model's triad has of an effect already.
+/// The coefficients of an effect that a model's triad has already.
 fn known(sim: &SensorModel, triad: Triad, effect: &str, names: [&str; 3]) -> Axes {
     let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.name() == effect));
     let parameters = own.map(|own| own.parameters()).unwrap_or_default();
@@ -275,7 +276,7 @@ fn known(sim: &SensorModel, triad: Triad, effect: &str, names: [&str; 3]) -> Axe
     })
 }
 
-/// What the circles name.
+/// The causes that the circles determine.
 fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Driven> {
     let channels = Triad::Gyro.channels();
     let mut axes = known(sim, Triad::Gyro, "scale_factor", AXES);
@@ -375,7 +376,7 @@ mod tests {
         let truth = model(json!({"accel": {"effects": [
             {"effect": "bias", "x": 0.05, "y": -0.03, "z": 0.02},
             {"effect": "scale_factor", "x": 0.006, "y": -0.005, "z": 0.002}]}}));
-        // Twice, so that each pose is foretold by another like it.
+        // Twice, so that each pose is predicted by another like it.
         let real = recorded(&truth, [tumble(300), tumble(300)].concat(), 3);
         let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
         println!("{}", serde_json::to_string_pretty(&found.diagnosis).unwrap());

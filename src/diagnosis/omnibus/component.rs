@@ -1,4 +1,4 @@
-//! Component: what a spectral term is told to have made of a record, and whether it looks normal.
+//! Component: the most probable course of a spectral term in a record, and whether that course looks normal.
 //!
 //! A telegraph signal has a Gauss–Markov process's spectrum, a swept line a resonance's; given the record, a term's most
 //! probable course shows two levels, or one amplitude, where a normal process shows neither.
@@ -8,10 +8,10 @@ use crate::diagnosis::law::{Shape, Term};
 use crate::diagnosis::plans;
 use crate::diagnosis::series::Series;
 
-/// Fewest independent values of which moments say something.
+/// Fewest independent values of which moments carry information.
 const FEWEST: f64 = 24.0;
 
-/// What each term that adds noise has most probably made of a record, and its power in each coefficient.
+/// The most probable course of each term that adds noise in a record, and its power in each coefficient.
 pub(in crate::diagnosis) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)> {
     let terms = series.explanation.law.terms.clone();
     let rate_hz = series.setting().rate_hz;
@@ -30,7 +30,7 @@ pub(in crate::diagnosis) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f
         let share: Vec<f64> = own.iter().zip(&series.spectrum).map(|(own, all)| (own / all).min(1.0)).collect();
         let mut course: Vec<f64> = series.coefficients.iter().zip(&share).map(|(c, share)| c * share).collect();
         let mut power: Vec<f64> = own.iter().zip(&share).map(|(own, share)| own * share).collect();
-        // Nothing is known of a record's mean.
+        // A record's mean is unknown.
         (course[0], power[0]) = (0.0, 0.0);
         series.transform().backward(&mut course);
         found.push((term, course, power));
@@ -51,7 +51,7 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
             continue;
         }
         found = found.max(half_square(kurtosis_score(moment(4), count / fourth)));
-        // A narrow band's third moment is next to nothing, whatever it is.
+        // The third moment of a narrow band is almost 0 for any process.
         if term.shape != Shape::Resonance && third > 0.0 {
             found = found.max(half_square(moment(3) / (6.0 * third / count).sqrt()));
         }
@@ -59,8 +59,8 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
     found
 }
 
-/// The kurtosis of `n` independent normal values as a standard normal value (Anscombe and Glynn 1983, Biometrika 70): two
-/// levels are far rarer than the plain standard error says.
+/// The kurtosis of `n` independent normal values as a standard normal value (Anscombe and Glynn 1983, Biometrika 70). The plain
+/// standard error overstates the probability of the kurtosis that two levels have.
 fn kurtosis_score(kurtosis: f64, n: f64) -> f64 {
     let mean = 3.0 * (n - 1.0) / (n + 1.0);
     let variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));

@@ -5,7 +5,7 @@ use realfft::num_complex::Complex;
 
 /// Longest lag, samples.
 const LONGEST: usize = 20_000;
-/// Shorter lags are told from noise that channels share at once by [`super::super::shared`].
+/// Shorter lags are separated from noise that channels share at once by [`super::super::shared`].
 const SHORTEST: usize = 3;
 
 /// For each channel half the greatest squared correlation with any other at a lag times the samples: about −ln of its chance,

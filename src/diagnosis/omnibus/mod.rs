@@ -1,4 +1,4 @@
-//! The omnibus: whether a residual is white, normal and the same throughout, whatever it might be otherwise.
+//! The omnibus: whether a residual is white, normal and stationary, without reference to a particular alternative.
 
 pub(super) mod component;
 pub mod crosstalk;
@@ -43,7 +43,7 @@ pub enum Statistic {
     Echo,
     /// Variance in the most conspicuous rectangle of time and frequency, of many sizes.
     Rectangle,
-    /// Third and fourth moments of what a spectral term of the law is told to have made.
+    /// Third and fourth moments of the most probable course of a spectral term of the law.
     Component,
     /// A value that is met far more often than its neighbours.
     Atom,
@@ -78,7 +78,7 @@ impl Statistic {
         Self::Crosstalk,
     ];
 
-    /// What it sees, for people.
+    /// The property that it tests, for people.
     #[must_use]
     pub fn meaning(self) -> &'static str {
         match self {
@@ -105,7 +105,7 @@ impl Statistic {
         }
     }
 
-    /// Whether noise that is stationary but for what comes, goes or wanders may show it.
+    /// Whether noise that is stationary except for parts that come, go or wander may show it.
     #[must_use]
     pub fn is_of_changes(self) -> bool {
         !matches!(self, Self::Skewness | Self::Atom | Self::Crosstalk | Self::Echo)
@@ -219,7 +219,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     let mut to = n;
     while to > 512 {
         let from = to / 2;
-        // Half the band at its own rate: a transform of its own length brings it to the base band.
+        // Half the band at its own rate: a transform of a shorter length brings it to the base band.
         let mut values = whitened[from..to].to_vec();
         let mut own = super::transform::Cosines::new(values.len());
         own.backward(&mut values);
@@ -253,7 +253,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
 /// The finest bands of the whole record.
 fn bands(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     const WIDTH: usize = 64;
-    // What is louder for a while would count for more.
+    // A louder part would otherwise count for more.
     let whitened = if series.variance.is_empty() {
         series.whitened.clone()
     } else {

@@ -1,4 +1,5 @@
-//! Rectangles: runs of stretches and bands, whose sides are powers of 2, in which a residual is louder or quieter than it should be.
+//! Rectangles: runs of stretches and bands, whose sides are powers of 2, in which a residual is louder or quieter than
+//! it should be.
 
 use super::{excess, surprise};
 use crate::diagnosis::series::Series;

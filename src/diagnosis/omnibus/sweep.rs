@@ -37,8 +37,8 @@ pub(super) fn steepest(series: &Series<'_>) -> f64 {
     worst
 }
 
-/// The greatest sum along a line that rises by 0 to one band less than the picture has rows: a discrete Radon transform by
-/// halves (Brady 1998, SIAM J. Comput. 27). What is beyond the picture adds nothing.
+/// The greatest sum along a line that rises by 0 to one band less than the picture has rows: a discrete Radon transform by halves
+/// (Brady 1998, SIAM J. Comput. 27). Points beyond the picture add 0.
 fn greatest(picture: &[f64], bands: usize) -> f64 {
     let rows = picture.len() / bands;
     // Sums of strips of `high` rows: for each strip and rise the bands one after the other.

@@ -1,5 +1,5 @@
-//! What the fit promises besides intervals that hold: the response is the simulator's, what a motion leaves open is named,
-//! clocks are told from latencies, nothing depends on units or lengths.
+//! The properties of the fit besides intervals that hold: the response is the simulator's, parameters that a motion leaves open
+//! are named, clock offsets are separated from latencies, and results do not depend on units or lengths.
 
 use super::round_trip::{Case, FULL_SCALE, RATE_HZ, motion, nonlinearity, rate_table, simulated, tumble};
 use super::*;
@@ -14,7 +14,7 @@ fn slices(samples: &[Vec<f64>; 3]) -> [&[f64]; 3] {
     samples.each_ref().map(Vec::as_slice)
 }
 
-/// Everything that is handed out is a number.
+/// All values that the fit returns are numbers.
 fn assert_finite(found: &Fit) {
     let numbers = found.estimates.iter().flat_map(|one| {
         let errors = one.standard_error.into_iter().chain(one.ci95.into_iter().flatten());
@@ -87,7 +87,7 @@ fn what_is_known_already_gains_nothing_and_what_is_lacking_gains_what_it_costs_t
     let both = [Candidate::ScaleFactor, Candidate::Misalignment];
     let known = [scale.0.make(&scale.1)];
     let from_known = fit(&record, &case.law, &Request { known: &known, ..request(&both) }).unwrap();
-    // Six parameters that are nothing gain 3 nats on average, and beyond 14 once in 10⁴ records.
+    // Six parameters that are 0 gain 3 nats on average, and more than 14 nats once in 10⁴ records.
     assert!(from_known.gain_nats < 14.0, "{}", from_known.gain_nats);
     let from_nothing = fit(&record, &case.law, &request(&both)).unwrap();
     assert!(from_nothing.gain_nats > 100.0);
@@ -215,7 +215,7 @@ fn nothing_depends_on_the_size_of_the_unit() {
     }
 }
 
-/// The rate table on a sensor's clock, and as a reference tells it whose clock is ahead and fast.
+/// The rate table on a sensor's clock, and with a reference whose clock is ahead and fast.
 fn on_two_clocks(offset_s: f64, rate_error: f64) -> (Vec<Motion>, Vec<Motion>) {
     let samples = 2187;
     let length_s = samples as f64 / RATE_HZ;

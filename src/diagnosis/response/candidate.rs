@@ -8,8 +8,8 @@ use crate::effects::{Refusal, TriadEffect};
 use crate::sample::Triad;
 use std::sync::Arc;
 
-/// A standard error of a fraction or an angle above which a motion says nothing about it: sensors are made to 1–2 %, and
-/// beyond a tenth an effect of first order means nothing.
+/// A standard error of a fraction or an angle above which a motion carries no information about it. Sensors are made to 1–2 %,
+/// and beyond a tenth an effect of first order has no meaning.
 const UNSEEN_FRACTION: f64 = 0.1;
 
 /// An effect to fit.
@@ -57,7 +57,8 @@ impl Candidate {
         all.into_iter().filter(|candidate| candidate.make(&[]).triads().contains(&triad)).collect()
     }
 
-    /// Those of a name (docs/formats.md): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is unknown.
+    /// The candidates of a name (docs/formats.md): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is
+    /// unknown.
     #[must_use]
     pub fn named(name: &str, full_scale: f64) -> Vec<Self> {
         let all = Self::all(Triad::Gyro, full_scale);
@@ -70,7 +71,7 @@ impl Candidate {
         self.make(&[]).name()
     }
 
-    /// What tells it from others of its name, with a space.
+    /// The suffix that distinguishes it from others of its name, with a space.
     pub(super) fn form(self) -> &'static str {
         match self {
             Self::ScaleFactorNonlinearity { signed: true, .. } => "signed ",
@@ -102,7 +103,7 @@ impl Candidate {
         }
     }
 
-    /// What its coefficients are called: `x`, `xy`, `m[0][2]`, `seconds`.
+    /// The names of its coefficients: `x`, `xy`, `m[0][2]`, `seconds`.
     #[must_use]
     pub fn parameters(self) -> Vec<String> {
         match self {
@@ -117,7 +118,7 @@ impl Candidate {
 
     /// Whether the effect may stand on `triad` with its fixed parameters.
     pub(super) fn check(self, triad: Triad) -> Result<(), Refusal> {
-        // A range of 0 is no saturation; any other says the same about the triad.
+        // A range of 0 is not a saturation; any other range describes the same triad.
         let start = if self == Self::Saturation { vec![1.0] } else { Vec::new() };
         self.make(&start).check(triad)
     }
@@ -144,7 +145,7 @@ impl Candidate {
         Some(coefficients)
     }
 
-    /// The standard error from which on a record says nothing about one of its coefficients.
+    /// The standard error from which on a record carries no information about one of its coefficients.
     pub(super) fn unseen(self) -> f64 {
         match self {
             Self::ScaleFactor

@@ -1,11 +1,11 @@
 //! Clipping: samples at the sensor's range are found before any regression and left out of it without bias.
 //!
-//! A clipped sample is an exact tie at the largest magnitude shown. Leaving out just the ties would bias what is left: close
-//! to the limit those samples remain whose noise points away from it. So everything is left out whose *response* comes
-//! within five standard deviations of the limit, whatever it showed.
+//! A clipped sample is an exact tie at the largest magnitude shown. Leaving out just the ties would bias the rest: close to the
+//! limit, the samples whose noise points away from it would remain. The fit therefore leaves out every sample whose *response*
+//! comes within five standard deviations of the limit, whatever its value.
 //!
-//! What is left out is bridged: a straight line between the means of the samples on both sides. The same linear rule acts on
-//! samples and on design columns alike, so that the fit stays unbiased; what it does to the noise's covariance is carried
+//! The samples that are left out are bridged: a straight line joins the means of the samples on both sides. The same linear rule
+//! acts on samples and on design columns alike, so that the fit stays unbiased. Its effect on the noise's covariance is carried
 //! through to the standard errors exactly.
 
 use crate::effects::TriadEffect;
@@ -98,7 +98,7 @@ struct Rounded {
     most_below: usize,
 }
 
-/// How values are rounded, from those below the limit; `None` where they hardly repeat.
+/// How values are rounded, from those below the limit; `None` if they hardly repeat.
 fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<Rounded> {
     let mut below: Vec<f64> =
         samples.iter().flat_map(|axis| axis.iter().map(|value| value.abs()).filter(|value| *value < limit)).collect();

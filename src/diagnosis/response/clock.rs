@@ -1,8 +1,8 @@
 //! Time: the reference as the triad feels it, later by a latency, a clock's offset and a clock's rate.
 //!
-//! A reference may come from a clock of its own. One triad alone cannot tell a latency from an offset of that clock: both
-//! make it late. Two triads can, as far as they differ ([`Lateness::of`]): what is common to them is called the clock's
-//! offset, what one has more is its latency. Should both be late by the same latency, nothing in the record shows it.
+//! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that clock: both
+//! make the triad late. Two triads can, as far as they differ ([`Lateness::of`]): their common delay is called the clock's
+//! offset, and the excess of one is its latency. If both are late by the same latency, the record does not show it.
 
 use super::{Confounding, Estimate, NORMAL_95, Openness};
 use crate::effects::triad::{Axes, DelayLine};
@@ -14,7 +14,8 @@ use realfft::RealFftPlanner;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Clock {
-    /// Whether it may be off by a constant, up to a quarter of the record: then no latency of this triad can be told.
+    /// Whether it may be off by a constant, up to a quarter of the record. In that case, no latency of this triad can
+    /// be determined.
     pub offset_unknown: bool,
     /// Whether it may run faster or slower.
     pub rate_unknown: bool,
@@ -23,11 +24,11 @@ pub struct Clock {
 impl Clock {
     /// The sensor's own clock.
     pub const SHARED: Self = Self { offset_unknown: false, rate_unknown: false };
-    /// A clock of its own.
+    /// A separate clock.
     pub const SEPARATE: Self = Self { offset_unknown: true, rate_unknown: true };
 }
 
-/// What two triads' delays against one reference say together.
+/// The joint result of two triads' delays against one reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Lateness {
@@ -41,8 +42,8 @@ pub struct Lateness {
 }
 
 impl Lateness {
-    /// From the delays of two triads, fitted each with [`Clock::SEPARATE`]; their noises are independent of one another. Where
-    /// they agree, the offset is their weighted mean. `None` where a delay was not found.
+    /// From the delays of two triads, each fitted with [`Clock::SEPARATE`]; their noises are independent of one another. If they
+    /// agree, the offset is their weighted mean. `None` if a delay was not found.
     ///
     /// The two rates of the clock are one as well; a difference beyond their errors is a sign that the reference is not that
     /// of both.
@@ -69,7 +70,7 @@ impl Lateness {
     }
 }
 
-/// What one triad cannot say about a clock of its own.
+/// The quantities that one triad cannot determine about a separate clock.
 pub(super) fn latency_or_offset(place: usize) -> Confounding {
     Confounding {
         openness: Openness::Confounded,

@@ -1,4 +1,4 @@
-//! Confounding: what this motion cannot tell apart, in plain sentences.
+//! Confounding: the parameters that this motion cannot separate, in plain sentences.
 
 use super::candidate::Candidate;
 use super::design::Slot;
@@ -17,11 +17,11 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_enums, reason = "the three answers of a design matrix's singular values")]
 pub enum Openness {
-    /// The response does not depend on them, or by less than the noise hides: they keep their known values.
+    /// The response does not depend on the parameters, or by less than the noise hides: they keep their known values.
     Unseen,
-    /// They do the same to this record: only what they make together is known.
+    /// The parameters have the same effect on this record: only their joint effect is known.
     Confounded,
-    /// They do nearly the same: their intervals hold and are wide.
+    /// The parameters have nearly the same effect: their intervals hold and are wide.
     Faint,
 }
 
@@ -31,17 +31,17 @@ pub enum Openness {
 pub struct Confounding {
     /// How far.
     pub openness: Openness,
-    /// Where they are among the fit's estimates.
+    /// Their places among the fit's estimates.
     pub places: Vec<usize>,
-    /// One sentence: which parameters, what the motion lacks, what would tell.
+    /// One sentence: which parameters, which motion is missing, and which motion would separate them.
     pub sentence: String,
 }
 
-/// What a record's motion does, in words.
+/// A record's motion, in words.
 #[derive(Debug)]
 pub(super) struct Motions {
     triad: Triad,
-    /// Largest less smallest of each input, and whether that is nothing.
+    /// Largest less smallest of each input, and whether that range counts as 0.
     turns: [bool; 3],
     force_changes: [bool; 3],
     force_felt: [bool; 3],
@@ -93,7 +93,7 @@ impl Motions {
         Confounding { openness, places: group.to_vec(), sentence: format!("{what}: {why}{would}") }
     }
 
-    /// What the motion does not do that these columns depend on, and what motion would.
+    /// The motion that these columns depend on and that the record lacks, and the motion that would provide it.
     fn lacks(&self, group: &[usize], slots: &[Slot], candidates: &[Candidate]) -> (Vec<String>, Vec<String>) {
         let (mut lacks, mut wants) = (Vec::new(), Vec::new());
         let (mut still, mut constant) = ([false; 3], [false; 3]);

@@ -22,7 +22,7 @@ const IDENTITY: [Axes; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// Samples that the cubic needs beyond the place it is taken at.
 const NODES_BEYOND: f64 = 2.0;
 
-/// What one column of the design belongs to.
+/// The parameter that one column of the design belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Slot {
     /// A coefficient of the candidate at this place.
@@ -33,7 +33,7 @@ pub(super) enum Slot {
     RateError,
     /// Bias per kelvin of an axis.
     Temperature(usize),
-    /// What is added to the logarithm of an axis's open cutoff.
+    /// The addition to the logarithm of an axis's open cutoff.
     Cutoff(usize),
 }
 
@@ -77,7 +77,7 @@ impl State {
     }
 }
 
-/// What a stage shows more for a change of each axis of its input: the change's image, axis by axis.
+/// A stage's additional output for a change of each axis of its input: the change's image, axis by axis.
 fn slopes(effects: &[Arc<dyn TriadEffect>], drive: Drive, step: f64) -> [Axes; 3] {
     if effects.is_empty() {
         return IDENTITY;
@@ -98,10 +98,10 @@ fn carried(images: &[Axes; 3], change: Axes) -> Axes {
     std::array::from_fn(|shown| (0..3).map(|axis| images[axis][shown] * change[axis]).sum())
 }
 
-/// One derivative of the response over the record, per axis; `None` where it is 0 throughout.
+/// One derivative of the response over the record, per axis; `None` if it is 0 throughout.
 pub(super) type Column = [Option<Vec<f64>>; 3];
 
-/// What is known beforehand and what is to be fitted.
+/// The known quantities and the ones to be fitted.
 #[derive(Debug)]
 pub(super) struct Design<'a> {
     record: &'a Record<'a>,
@@ -200,14 +200,14 @@ impl<'a> Design<'a> {
         TemperatureBias::linear(state.per_c[axis], self.reference_c)
     }
 
-    /// What the triad shows on average.
+    /// The mean output of the triad.
     pub(super) fn response(&self, state: &State) -> [Vec<f64>; 3] {
         let mut axes = self.unfiltered(state);
         axes.iter_mut().enumerate().for_each(|(axis, values)| self.pass(state, axis, values));
         axes
     }
 
-    /// What goes into the filters.
+    /// The input of the filters.
     fn unfiltered(&self, state: &State) -> [Vec<f64>; 3] {
         let mut axes = self.answer(&self.stages(state), &self.moved(state, 0.0));
         for (axis, values) in axes.iter_mut().enumerate() {
@@ -274,7 +274,7 @@ impl<'a> Design<'a> {
             for place in 1..STAGES.len() {
                 drives[place].input = stage(&stages[place - 1], drives[place - 1]);
             }
-            // What becomes of a small change of each axis behind a stage.
+            // The image of a small change of each axis behind a stage.
             let mut after = IDENTITY;
             for (place, at) in STAGES.into_iter().enumerate().rev() {
                 for (effect, first) in fitted.iter().zip(&first).filter(|(effect, _)| effect.stage() == at) {

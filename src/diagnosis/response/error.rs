@@ -53,7 +53,7 @@ pub enum ResponseError {
         /// The channel.
         channel: Channel,
     },
-    /// A density is not a number above 0: without noise there is nothing to weigh by.
+    /// A density is not a number above 0: without noise, the samples have no weights.
     #[error("{channel}: expected a noise density above 0, found {found} at {frequency_hz} Hz")]
     Density {
         /// The channel.

@@ -1,15 +1,15 @@
 //! Filters: the sensor's bandwidth, which a motion passes as the noise does.
 //!
-//! Noise tells a low pass's cutoff to some part and without its phase; a motion shows it mostly as a delay. A latency beside a
-//! filter is known as well as both together tell it: the cutoff's logarithm is fitted, with what the noise said of it as one
-//! observation more.
+//! Noise determines a low pass's cutoff to some accuracy and without its phase; a motion shows the low pass mostly as a delay. A
+//! latency beside a filter is known as well as noise and motion together determine it: the logarithm of the cutoff is fitted, and
+//! the noise's estimate enters as one more observation.
 
 use crate::diagnosis::law::reach;
 use crate::effects::{Effect, LowPass, Stream, StreamId};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// What each axis's motion passes, at the record's rate.
+/// The filters that each axis's motion passes, at the record's rate.
 #[derive(Debug, Clone, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Filters {
@@ -23,13 +23,13 @@ pub struct Filters {
 pub static NO_FILTERS: Filters = Filters { of: [Vec::new(), Vec::new(), Vec::new()], open: [None; 3] };
 /// Half the step of the derivative by the logarithm.
 const STEP: f64 = 1e-3;
-/// What a cutoff stays below, in parts of the rate.
+/// The upper bound of a cutoff, in parts of the rate.
 const HIGHEST: f64 = 0.49;
-/// Where a supposed cutoff starts at least, in parts of the rate.
+/// The least starting value of a supposed cutoff, in parts of the rate.
 const LOWEST: f64 = 0.005;
-/// Where it starts when nothing tells.
+/// The starting value if there is no information.
 const UNTOLD: f64 = 0.1;
-/// Standard error of the logarithm of a cutoff of which nothing is known.
+/// Standard error of the logarithm of a cutoff without prior information.
 const WIDE_OPEN: f64 = 3.0;
 /// Times rate over cutoff, 2π of a filter's time constants, that it remembers.
 const FORGETS: f64 = 3.0;
@@ -41,7 +41,7 @@ impl Filters {
         let length_s = values.len() as f64 / rate_hz;
         let open = self.open[axis].map(|(place, _)| place).filter(|_| moved != 0.0);
         for (place, filter) in self.of[axis].iter().enumerate() {
-            // A filter draws nothing.
+            // A filter does not use random draws.
             let stream = Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
             let other = low_pass(filter.as_ref()).filter(|_| open == Some(place)).map(|own| {
                 let cutoff_hz = (own.cutoff_hz * moved.exp()).min(own.cutoff_hz.max(HIGHEST * rate_hz));
@@ -52,7 +52,7 @@ impl Filters {
         }
     }
 
-    /// The derivative of what comes through by the logarithm of the open cutoff, in the place of what goes in.
+    /// The derivative of the output by the logarithm of the open cutoff, in the place of the input.
     pub(super) fn slope(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
         let mut above = values.to_vec();
         self.pass(axis, moved + STEP, rate_hz, &mut above);
@@ -60,11 +60,12 @@ impl Filters {
         values.iter_mut().zip(above).for_each(|(value, above)| *value = (above - *value) / (2.0 * STEP));
     }
 
-    /// The same with a low pass of this order on every axis that has none, so far open that the motion alone tells it. It starts
-    /// where others of the triad are, else where it would make this delay. None where every axis has one.
+    /// The same with a low pass of this order on every axis without one. Its cutoff is so weakly bounded that the motion alone
+    /// determines it. The cutoff starts at that of the triad's other axes, else at the value that would make this delay. None if
+    /// every axis has a low pass.
     pub(crate) fn supposed(&self, order: u64, delay_s: Option<f64>, rate_hz: f64) -> Option<Self> {
         let own = |axis: usize| self.of[axis].iter().find_map(|filter| low_pass(filter.as_ref()));
-        // Of a Butterworth filter of order n the delay is 1/(2πf·sin(π/2n)).
+        // The delay of a Butterworth filter of order n is 1/(2πf·sin(π/2n)).
         let lags = |seconds: f64| (TAU * seconds * (PI / (2 * order) as f64).sin()).recip();
         let told_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(UNTOLD * rate_hz, lags);
         let other = (0..3).find_map(own).unwrap_or(LowPass::new(told_hz, order));
@@ -80,8 +81,8 @@ impl Filters {
         Some(all)
     }
 
-    /// Samples after which what went in before a record's first shows no longer: it falls by e to the −6π, slower behind the sharper
-    /// corners of higher orders.
+    /// Samples after which the input before a record's first sample no longer shows: it falls by e to the −6π, slower behind the
+    /// sharper corners of higher orders.
     pub(crate) fn memory(&self, rate_hz: f64) -> usize {
         let of = |filter: &dyn Effect| match low_pass(filter) {
             Some(own) => FORGETS * rate_hz / own.cutoff_hz / (PI / (2 * own.order) as f64).sin(),
@@ -90,7 +91,7 @@ impl Filters {
         self.of.iter().flatten().map(|filter| of(filter.as_ref())).fold(0.0, f64::max).ceil() as usize
     }
 
-    /// What was known of an axis's cutoff beforehand: the inverse variance of its logarithm.
+    /// The prior knowledge of an axis's cutoff: the inverse variance of its logarithm.
     pub(super) fn weight(&self, axis: usize) -> f64 {
         self.open[axis].map_or(0.0, |(_, error)| error.powi(-2))
     }
@@ -182,7 +183,7 @@ mod tests {
         assert_eq!(passed(filters(10.0, None), 0, 0.1), plain);
         assert_eq!(passed(filters(10.0, Some(0.1)), 0, 0.1), other);
         assert!(plain != other);
-        // Up to what the rate carries, and nothing where there is no filter.
+        // Only up to what the rate carries, and without a change if there is no filter.
         assert_eq!(passed(filters(10.0, Some(0.1)), 0, 9.0), passed(filters(49.0, None), 0, 0.0));
         assert_eq!(passed(filters(10.0, None), 1, 0.1), passed(filters(10.0, None), 2, 0.0));
     }

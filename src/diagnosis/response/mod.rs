@@ -1,21 +1,21 @@
 //! Response: effects of a triad fitted against a known reference motion. Pure.
 //!
-//! In: a triad's samples at one rate, the motion at each of them, the noise's law, what the model knows already, and the
-//! effects to fit. Out: each effect with its parameters, their covariance and 95 % intervals, what it gains in nats, the
-//! residual, and in plain sentences what this motion leaves open.
+//! In: a triad's samples at one rate, the motion at each of them, the noise's law, the parameters that the model knows already,
+//! and the effects to fit. Out: each effect with its parameters, their covariance and 95 % intervals, its gain in nats, the
+//! residual, and plain sentences about the parameters that this motion leaves open.
 //!
-//! **Method.** Generalised least squares. Samples, response and its derivatives pass the cosine transform and are divided by
-//! the square root of the noise's density there ([`noise_law`]); all three axes are fitted at once, since effects share
-//! parameters among them. Derivatives are the effects' own ([`crate::effects::TriadEffect::regress`]), the response is the
-//! simulator's ([`crate::simulator::response`]), and Gauss–Newton steps go on until they are below a thousandth of a
-//! standard error: products of effects are then as the simulator makes them. A latency is found from the largest
-//! cross-correlation on; clipped samples are found first and left out ([`clipping`]), and so is what the reference, shifted by a
-//! delay, does not reach.
+//! **Method.** Generalised least squares. Samples, response and its derivatives pass the cosine transform and are divided by the
+//! square root of the noise's density there ([`noise_law`]). All three axes are fitted at once, since effects share parameters
+//! among them. Derivatives are the effects' own ([`crate::effects::TriadEffect::regress`]), and the response is the simulator's
+//! ([`crate::simulator::response`]). Gauss–Newton steps go on until they are below a thousandth of a standard error: products of
+//! effects are then as the simulator makes them. A latency is found starting from the largest cross-correlation. Clipped samples
+//! are found first and left out ([`clipping`]). Samples that the reference, shifted by a delay, does not reach are left out as
+//! well.
 //!
-//! **What it cannot tell.** Singular values of the whitened design with columns of length 1 say what the motion leaves open
-//! ([`confounding`]): where a direction is open, only what its parameters make together is known; they share it and have no
-//! interval. One triad's latency and an offset of the reference's clock are one ([`clock`]). The sensor's bandwidth and
-//! boxcar act on the motion too; a reference has to have passed them, or they are found as latency.
+//! **Limits of the method.** Singular values of the whitened design with columns of length 1 show which parameters the motion
+//! leaves open ([`confounding`]). If a direction is open, only the joint effect of its parameters is known; they share it and
+//! have no interval. One triad's latency and an offset of the reference's clock cannot be separated ([`clock`]). The sensor's
+//! bandwidth and boxcar act on the motion too; a reference has to have passed them, or they are found as latency.
 //!
 //! **Refused**: triads that no motion drives, columns of different lengths, fewer than [`SAMPLES_MIN`] samples, values that
 //! are not finite, densities that are not above 0.
@@ -62,7 +62,7 @@ use whitening::Whitening;
 pub const SAMPLES_MIN: usize = 64;
 /// The normal distribution's 97.5 % point.
 pub(crate) const NORMAL_95: f64 = 1.959_963_984_540_054;
-/// How often the stretches to leave out are taken anew from the fitted response.
+/// How often the stretches to leave out are determined again from the fitted response.
 const CLIPPING_ROUNDS: usize = 4;
 /// Part of them that may still change: whether a response is five standard deviations from the limit or a little less.
 const CLIPPING_SETTLED: f64 = 1e-3;
@@ -82,14 +82,15 @@ pub struct Record<'a> {
     /// Temperature at each sample, °C: where it is given, a bias per kelvin of each axis is fitted beside all else. Smoothed: a
     /// rounded one makes its own errors.
     pub temperature_c: Option<&'a [f64]>,
-    /// Samples that are missing or no noise, and are left out of all axes; empty if none is. What stands there is a finite number.
+    /// Samples that are missing or no noise, and are left out of all axes; empty if none is. What stands there is a
+    /// finite number.
     pub left_out: &'a [bool],
     /// The samples as they were sent, where a course was taken off those above: what the sensor cuts off is seen in these. Those
     /// that are missing are no numbers here.
     pub sent: Option<[&'a [f64]; 3]>,
 }
 
-/// What is known and what to find.
+/// The known quantities and the effects to find.
 #[derive(Debug, Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Request<'a> {
@@ -119,7 +120,7 @@ pub struct Estimate {
     pub value: f64,
     /// Before the fit.
     pub known: f64,
-    /// `None` where the motion leaves it open.
+    /// `None` if the motion leaves it open.
     pub standard_error: Option<f64>,
     /// Value ± 1.96 standard errors.
     pub ci95: Option<[f64; 2]>,
@@ -131,42 +132,42 @@ pub struct Estimate {
 pub struct Fitted {
     /// With the fitted parameters. A latency that came out below 0 is 0 here.
     pub effect: Arc<dyn TriadEffect>,
-    /// Where its parameters are in [`Fit::estimates`]. None for a saturation, which is read off exactly.
+    /// The places of its parameters in [`Fit::estimates`]. None for a saturation, which is read off exactly.
     pub places: std::ops::Range<usize>,
-    /// Log likelihood lost if its parameters went back to what was known and all others were fitted again, nats; to second
-    /// order. Parameters that the motion leaves open count for nothing. 0 for a saturation: an exact tie has no density.
+    /// Log likelihood lost if its parameters went back to their known values and all others were fitted again, nats; to second
+    /// order. Parameters that the motion leaves open count as 0. The value is 0 for a saturation: an exact tie has no density.
     pub gain_nats: f64,
 }
 
-/// What was found.
+/// The result of a fit.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Fit {
-    /// The candidates in their order; a latency only if the reference's clock has no offset of its own, a saturation only if
-    /// there is one.
+    /// The candidates in their order; a latency only if the reference's clock has no separate offset, a saturation only if there
+    /// is one.
     pub fitted: Vec<Fitted>,
     /// Every parameter, then the clock's and the temperature's.
     pub estimates: Vec<Estimate>,
     /// Covariance of the estimates: rows and columns in their order, 0 for those left open.
     pub covariance: Vec<Vec<f64>>,
-    /// Of the whitened design whose columns that say something have length 1, the largest first: small ones are combinations
-    /// of parameters that the motion hardly shows.
+    /// Of the whitened design whose informative columns have length 1, the largest first: small ones are combinations of
+    /// parameters that the motion hardly shows.
     pub singular_values: Vec<f64>,
     /// Log likelihood gained over what was known, nats; where samples were left out, the others' share of it.
     pub gain_nats: f64,
-    /// Mean square of the whitened residual per axis: 1 where the noise is as its law says and nothing is missing.
+    /// Mean square of the whitened residual per axis: 1 if the noise follows its law and no effect is missing.
     pub misfit: Axes,
-    /// What the triad shows on average with all that was fitted, U.
+    /// The triad's mean output with all fitted effects, U.
     pub response: [Vec<f64>; 3],
     /// Samples less response, U; bridged where samples were left out.
     pub residual: [Vec<f64>; 3],
-    /// The sensor's range, where the samples show it.
+    /// The sensor's range, if the samples show it.
     pub clipping: Option<Clipping>,
     /// Samples left out per axis: clipped ones, and those whose motion is before the reference's start or after its end.
     pub left_out: [usize; 3],
-    /// Where they are, per axis.
+    /// The places of the samples that are left out, per axis.
     pub stretches: [Vec<std::ops::Range<usize>>; 3],
-    /// What this motion leaves open.
+    /// The parameters that this motion leaves open.
     pub confounded: Vec<Confounding>,
     /// Whether the steps became small.
     pub converged: bool,
@@ -192,7 +193,7 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
     })
 }
 
-/// What a triad with these effects shows of a motion on average, per axis, U.
+/// The mean output of a triad with these effects in a motion, per axis, U.
 #[must_use]
 pub fn expected(
     triad: Triad,
@@ -209,7 +210,7 @@ pub fn expected(
     design.response(&state)
 }
 
-/// Does something with a problem's solution.
+/// Runs a function on a problem's solution.
 fn solved<T>(
     record: &Record<'_>,
     law: &NoiseLaw,

@@ -1,8 +1,8 @@
-//! The noise's law in the cosine transform: what every coefficient of a record is weighed by.
+//! The noise's law in the cosine transform: the weight of every coefficient of a record.
 //!
-//! From the second coefficient on, noise of spectrum S is uncorrelated there with variance rate·S(f_k) ([`Cosines`]); of
-//! flicker the lowest have less, by a share of 2/(π²k) (within 3 % of the integral over its spectrum). The first, the
-//! record's mean, is what a bias is found from, and a spectrum says nothing about it:
+//! From the second coefficient on, noise of spectrum S is uncorrelated there with variance rate·S(f_k) ([`Cosines`]). For flicker
+//! the lowest have less, by a share of 2/(π²k) (within 3 % of the integral over its spectrum). The first coefficient, the
+//! record's mean, determines a bias, and a spectrum does not determine the mean's variance:
 //!
 //! * White and other stationary noise of finite density at 0 gives it rate·S(0).
 //! * A random walk that starts at 0, as the simulator's does, gives it (n − 1)(2n − 1)/6 steps' variance, and it is
@@ -20,7 +20,7 @@ use crate::sample::{Channel, Triad};
 use crate::simulator::{SensorModel, Spectrum};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Where flicker's spectrum ends, and what is stationary is flat, times the record's length.
+/// The frequency at which flicker's spectrum ends, and below which stationary noise is flat, times the record's length.
 const LOWEST: f64 = 1.0 / 32.0;
 /// Euler's constant.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
@@ -38,7 +38,7 @@ pub struct NoiseLaw {
 pub(super) struct AxisLaw {
     /// √variance of each coefficient; of the first, given all others.
     deviations: Vec<f64>,
-    /// The mean's regression on the other coefficients; empty where there is none. The first place is not used.
+    /// The mean's regression on the other coefficients; empty if there is none. The first place is not used.
     coupling: Vec<f64>,
 }
 
@@ -47,8 +47,8 @@ impl NoiseLaw {
     /// effects, its bandwidth and sampling. Lines (tones) are not part of it.
     ///
     /// # Errors
-    /// [`ResponseError::NoDensity`] where a channel has noise that its parameters alone do not give a density, or is missing,
-    /// and those of [`NoiseLaw::new`].
+    /// [`ResponseError::NoDensity`] if a channel has noise that its parameters alone do not give a density, or is missing, and
+    /// those of [`NoiseLaw::new`].
     pub fn of_model(model: &SensorModel, triad: Triad, rate_hz: f64, samples: usize) -> Result<Self, ResponseError> {
         let record = Record { rate_hz, samples: samples as u64 };
         // Without B and K the density has a value at 0.
@@ -73,8 +73,9 @@ impl NoiseLaw {
         Ok(Self { axes })
     }
 
-    /// The law of these two-sided densities (U²/Hz, everything included) at rate·k/2n, k = 1 … n − 1, one list per axis, with
-    /// what the mean needs besides: the stationary noise's density at 0 (U²/Hz, without B and K), B (U) and K (U/√s).
+    /// The law of these two-sided densities (U²/Hz, all noise included) at rate·k/2n, k = 1 … n − 1, one list per axis, with the
+    /// quantities that the mean needs in addition: the stationary noise's density at 0 (U²/Hz, without B and K), B (U) and K
+    /// (U/√s).
     ///
     /// # Errors
     /// [`ResponseError::Density`] for one that is not above 0, [`ResponseError::Length`] if lists differ in length.

@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 /// Share of the largest eigenvalue (of the design with columns of length 1) below which a direction is open: what remains of
 /// it is rounding.
 const OPEN: f64 = 1e-10;
-/// Times the standard error that says nothing, beyond which a direction is open as well: effects of first order would be larger
-/// than what they act on, and steps along it lead nowhere.
+/// The standard error that carries no information, multiplied by this factor, beyond which a direction is open as well. Effects
+/// of first order would be larger than their input, and steps along the direction do not converge.
 const BEYOND: f64 = 10.0;
 /// Share below which a direction is hardly seen: standard errors grow thirtyfold by it.
 const FAINT: f64 = 1e-3;
@@ -16,7 +16,7 @@ const NOTHING: f64 = 1e-9;
 /// Normal equations with their eigenvalues.
 #[derive(Debug, Clone)]
 pub(super) struct Normal {
-    /// Of all slots; 0 where the column is not used.
+    /// Of all slots; 0 if the column is not used.
     scales: Vec<f64>,
     values: DVector<f64>,
     vectors: DMatrix<f64>,
@@ -26,7 +26,8 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    /// From XᵀX. `unseen`: the standard error from which on a column says nothing; `effects`: which effect a column is of.
+    /// From XᵀX. `unseen`: the standard error from which on a column carries no information; `effects`: the effect that each
+    /// column belongs to.
     pub(super) fn new(matrix: &DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
         let lengths: Vec<f64> = (0..matrix.nrows()).map(|place| matrix[(place, place)].sqrt()).collect();
         let longest = |effect: usize| {
@@ -87,14 +88,14 @@ impl Normal {
         inverse
     }
 
-    /// Singular values of the columns that say something, each of length 1; the largest first.
+    /// Singular values of the informative columns, each of length 1; the largest first.
     pub(super) fn singular_values(&self) -> Vec<f64> {
         let mut values: Vec<f64> = self.values.iter().map(|value| value.max(0.0).sqrt()).collect();
         values.sort_by(|one, other| other.total_cmp(one));
         values
     }
 
-    /// Columns that say nothing.
+    /// Columns without information.
     pub(super) fn unseen(&self) -> Vec<usize> {
         (0..self.scales.len()).filter(|place| self.scales[*place] <= 0.0).collect()
     }
@@ -109,7 +110,7 @@ impl Normal {
         self.groups(|direction| !self.open[direction] && self.share(direction) < FAINT)
     }
 
-    /// The projection on such directions splits into blocks whatever basis the eigenvectors are.
+    /// The projection on such directions splits into blocks for any basis of eigenvectors.
     fn groups(&self, of: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
         /// Part of a column in those directions, and of two columns together, that counts.
         const PART: f64 = 0.01;
@@ -142,7 +143,7 @@ mod tests {
 
     #[test]
     fn columns_that_are_one_and_those_that_are_nothing_are_named() {
-        // Column 1 is twice column 0; 2 and 3 are nearly one; 4 is nothing; 5 stands alone.
+        // Column 1 is twice column 0; 2 and 3 are nearly equal; 4 is 0; 5 is independent.
         let columns = [
             [1.0, 0.0, 0.0, 0.0],
             [2.0, 0.0, 0.0, 0.0],

@@ -1,4 +1,4 @@
-//! The report: what a solution says, in values, intervals and sentences.
+//! The report: a solution as values, intervals and sentences.
 
 use super::clipping::Bridges;
 use super::confounding::Motions;
@@ -7,7 +7,7 @@ use super::solution::{Search, Solution};
 use super::{Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock};
 use nalgebra::{DMatrix, DVector};
 
-/// Everything that is said about a solution.
+/// The complete report of a solution.
 pub(super) fn report(
     record: &Record<'_>,
     request: &Request<'_>,
@@ -61,7 +61,7 @@ pub(super) fn report(
     Fit {
         fitted: fitted(request, design, &solution.state, &estimates, &rows, clipping),
         gain_nats: (0..3).map(gain).sum(),
-        // Behind a bridge next to nothing is left.
+        // Behind a bridge almost no signal is left.
         misfit: std::array::from_fn(|axis| squares(&solution.residual[axis]) / (n - left_out[axis] as f64)),
         residual: std::array::from_fn(|axis| {
             let pairs = record.samples[axis].iter().zip(&solution.response[axis]);

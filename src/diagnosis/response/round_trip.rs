@@ -21,7 +21,7 @@ pub(super) fn tumble() -> Vec<Motion> {
     motion(Kind::Tumble, 1575, RATE_HZ)
 }
 
-/// A sensor whose N, B and K all show in 100 s, each axis of its own size.
+/// A sensor whose N, B and K all show in 100 s, with a separate size for each axis.
 pub(super) fn sensor(triad: Triad, effects: &[Arc<dyn TriadEffect>]) -> SensorModel {
     let unit = if triad == Triad::Gyro { 1.0 } else { 10.0 };
     let of = |axis: usize| {

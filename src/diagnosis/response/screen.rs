@@ -1,14 +1,13 @@
 //! Screening: every candidate fitted at once, as sums over blocks of time from which any subset's gain follows.
 //!
-//! Around the solution with all candidates the response is X·δ, δ the parameters less what is known of them, and the whitened
-//! samples less the known response are y = r + X·δ̂. Then a subset S of the columns explains ½·gᵀA⁻¹g nats, A = X_Sᵀ·X_S and
-//! g = X_Sᵀ·y, whatever the others are; and of two subsets the better one is the one that explains more for its price. The
-//! derivatives are those at the solution: products of effects that are there are right, those of effects that are not do not
-//! matter.
+//! Around the solution with all candidates the response is X·δ, δ the parameters less their known values, and the whitened
+//! samples less the known response are y = r + X·δ̂. A subset S of the columns then explains ½·gᵀA⁻¹g nats, A = X_Sᵀ·X_S and g =
+//! X_Sᵀ·y, for any values of the others. Of two subsets, the better one explains more for its price. The derivatives are those at
+//! the solution: products of effects that are present are right, and those of absent effects do not matter.
 //!
-//! Whitened columns are taken back into time, where they stay uncorrelated (the transform is orthonormal). Sums over blocks of
-//! time are then parts of the likelihood, and what a subset's numbers from some blocks explain in others is
-//! gᵀβ − ½·βᵀ·A·β with g and A of those others: a prediction of data that chose nothing.
+//! Whitened columns are transformed back into time, where they stay uncorrelated (the transform is orthonormal). Sums over blocks
+//! of time are then parts of the likelihood. What a subset's numbers from some blocks explain in others is gᵀβ − ½·βᵀ·A·β with g
+//! and A of those others: a prediction of data that were not used to choose the numbers.
 
 use super::clipping::Bridges;
 use super::design::{Column, State};
@@ -21,11 +20,11 @@ use std::ops::Range;
 /// Share of the largest eigenvalue, of columns of length 1, below which a direction is rounding.
 const OPEN: f64 = 1e-9;
 
-/// A column that is none of the library's effects: its values per axis, as long as the record; `None` where it is 0 throughout.
+/// A column that is none of the library's effects: its values per axis, as long as the record; `None` if it is 0 throughout.
 pub type Extra = [Option<Vec<f64>>; 3];
 
-/// A whitened column in time, per axis; `None` where it is 0 throughout. There are many, and what rounding to 24 bits makes of
-/// the sums of their products is far below [`OPEN`].
+/// A whitened column in time, per axis; `None` if it is 0 throughout. There are many, and what rounding to 24 bits makes of the
+/// sums of their products is far below [`OPEN`].
 type Held = [Option<Vec<f32>>; 3];
 
 /// Sums over the blocks of a record.
@@ -41,7 +40,8 @@ pub struct Screen {
     pub blocks: Vec<(DMatrix<f64>, DVector<f64>)>,
     /// Their sums, with what was known of open cutoffs beforehand.
     pub total: (DMatrix<f64>, DVector<f64>),
-    /// What was known of each column's number beforehand: the inverse variance about 0, no block's and therefore every one's in part.
+    /// What was known of each column's number beforehand: the inverse variance about 0, no block's and therefore every
+    /// one's in part.
     beforehand: Vec<f64>,
     /// Whitened columns in time, per axis.
     columns: Vec<Held>,
@@ -100,8 +100,8 @@ fn in_time(
             }
         }
     }
-    // A bridge carries the noise of the few samples at its ends over many: in time, where values are uncorrelated, what is left
-    // out counts for nothing instead.
+    // A bridge carries the noise of the few samples at its ends over many samples. In time, where values are uncorrelated, the
+    // samples that are left out have no weight instead.
     let stretches = search.whitening.bridges.each_ref().map(Bridges::stretches);
     let back = |search: &mut Search<'_, '_>, axis: usize, values: &mut Vec<f64>| {
         search.whitening.in_time(values);
@@ -123,7 +123,7 @@ fn in_time(
     (all, samples)
 }
 
-/// A column after something was done to each axis of it.
+/// A column after an operation on each of its axes.
 fn held(column: Column, mut done: impl FnMut(usize, &mut Vec<f64>)) -> Held {
     let mut axis = 0;
     column.map(|values| {
@@ -169,7 +169,7 @@ impl Screen {
         &self.fit.estimates
     }
 
-    /// What the columns explain together, nats, and their numbers, less what is known.
+    /// The joint gain of the columns, nats, and their numbers, less the known values.
     #[must_use]
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
@@ -184,8 +184,8 @@ impl Screen {
         }
     }
 
-    /// What the columns' numbers from all other folds explain in each block: held out, nats per block. Every `folds`th block
-    /// is of the same fold, so that each part of a motion is in all of them.
+    /// The gain of the columns' numbers from all other folds in each block: held out, nats per block. Every `folds`th block is of
+    /// the same fold, so that each part of a motion is in all of them.
     #[must_use]
     pub fn held_out(&self, columns: &[usize], folds: usize) -> Vec<f64> {
         let mut explained = vec![0.0; self.blocks.len()];
@@ -203,7 +203,7 @@ impl Screen {
         explained
     }
 
-    /// What the columns with these numbers explain in each block, nats.
+    /// The gain of the columns with these numbers in each block, nats.
     #[must_use]
     pub fn explained(&self, columns: &[usize], numbers: &[f64]) -> Vec<f64> {
         let strained = self.strained(columns, numbers);
@@ -251,7 +251,7 @@ fn predicted(matrix: &DMatrix<f64>, gradient: &DVector<f64>, columns: &[usize], 
     sum
 }
 
-/// ½ gᵀA⁺g over these columns, and A⁺g; directions that say nothing are 0.
+/// ½ gᵀA⁺g over these columns, and A⁺g; directions without information are 0.
 fn solve(matrix: &DMatrix<f64>, gradient: &DVector<f64>, columns: &[usize]) -> (f64, Vec<f64>) {
     let lengths: Vec<f64> = columns.iter().map(|place| matrix[(*place, *place)].max(0.0).sqrt()).collect();
     let used: Vec<usize> = (0..columns.len()).filter(|place| lengths[*place] > 0.0).collect();
@@ -330,7 +330,7 @@ mod tests {
         // Six numbers from three quarters: they explain less by about p/2·(1 + 1/3), give or take a few nats.
         assert!(held_out < gain && gain - held_out < 25.0, "{held_out} of {gain}");
         assert!((found.by_axis(&columns, &numbers).iter().sum::<f64>() / gain - 1.0).abs() < 1e-9);
-        // A cube says nothing here beyond chance.
+        // A cube explains no more here than chance.
         let (more, _) = found.gain(&[0, 1, 2, 3, 4, 5, 9]);
         assert!((0.0..8.0).contains(&(more - gain)), "{}", more - gain);
     }

@@ -12,8 +12,8 @@ use nalgebra::{DMatrix, DVector};
 
 /// Steps after which the search is given up.
 const STEPS_MAX: usize = 30;
-/// Part of a step's squared length that the next one may keep; derivatives are taken anew where it keeps more. What old ones
-/// do to the estimates is second order.
+/// Part of a step's squared length that the next one may keep; derivatives are computed again if it keeps more. The effect of old
+/// derivatives on the estimates is second order.
 const STALE: f64 = 0.01;
 /// Change of the delay, in samples, that asks for new derivatives in any case.
 const STALE_DELAY: f64 = 0.05;
@@ -25,10 +25,10 @@ const DONE: f64 = 1e-6;
 const TRUSTED: f64 = 1e-2;
 /// Halvings of a step that does not lead down.
 const HALVINGS: u32 = 10;
-/// Standard error of a clock's rate above which a motion says nothing about it, s/s.
+/// Standard error of a clock's rate above which a motion carries no information about it, s/s.
 const UNSEEN_RATE: f64 = 0.1;
 
-/// Where the search ended.
+/// The state in which the search ended.
 #[derive(Debug)]
 pub(super) struct Solution {
     pub(super) state: State,
@@ -62,8 +62,8 @@ impl Search<'_, '_> {
         (response, residual)
     }
 
-    /// Leaves out what is at the sensor's limit or, where the response is known, near it, and what the reference does not
-    /// reach. How many samples that are, per axis.
+    /// Leaves out samples at the sensor's limit or, if the response is known, near it, and samples that the reference does not
+    /// reach. Returns their number per axis.
     pub(super) fn leave_out(
         &mut self,
         limit: Option<f64>,
@@ -119,7 +119,7 @@ impl Search<'_, '_> {
         (columns, normal)
     }
 
-    /// What was known beforehand, as a part of XᵀX: of open cutoffs alone, about 0.
+    /// The prior information, as a part of XᵀX: of open cutoffs alone, about 0.
     pub(super) fn known(&self) -> DMatrix<f64> {
         let weight = |slot: &Slot| if let Slot::Cutoff(axis) = *slot { self.design.filters.weight(axis) } else { 0.0 };
         let slots = &self.design.slots;

@@ -7,7 +7,7 @@ use crate::diagnosis::transform::Cosines;
 use crate::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
 
-/// Everything a record's columns pass before they are compared.
+/// All operations that a record's columns pass before they are compared.
 #[derive(Debug)]
 pub(super) struct Whitening<'a> {
     law: &'a NoiseLaw,

@@ -1,10 +1,10 @@
-//! Effects on a triad: how its axes answer a motion. Deterministic; they draw no random numbers.
+//! Effects on a triad: the response of its axes to a motion. They are deterministic and use no random numbers.
 //!
-//! In: the triad's input (rad/s or m/s²) and the specific force, both in the sensor's axes. Out: what the triad shows
-//! beyond its input, and the derivatives of that by the parameters it is linear in, on which a diagnosis regresses.
+//! In: the triad's input (rad/s or m/s²) and the specific force, both in the sensor's axes. Out: the triad's deviation
+//! from its input, and the derivatives of that by the parameters it is linear in, on which a diagnosis regresses.
 //!
-//! Within a stage every effect sees the same input and what they add is summed: misalignment and cross-axis sensitivity
-//! together are the matrix 1 + θ× + S, whatever their order in a file.
+//! Within a stage every effect sees the same input and their contributions are summed: misalignment and cross-axis
+//! sensitivity together are the matrix 1 + θ× + S, for any order in a file.
 
 pub mod bias;
 pub mod g_sensitivity;
@@ -29,7 +29,7 @@ use serde_json::Value;
 /// A value per axis.
 pub type Axes = [f64; 3];
 
-/// What drives a triad's effects at an instant.
+/// The inputs of a triad's effects at an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Drive {
@@ -47,7 +47,7 @@ pub trait TriadEffect: std::fmt::Debug + Send + Sync {
     /// Its parameters as they stand in a model's file.
     fn parameters(&self) -> Vec<(&'static str, Value)>;
 
-    /// The triads it makes sense on: those that a motion drives, where it needs one.
+    /// The triads it makes sense on: those that a motion drives, if it needs one.
     fn triads(&self) -> &'static [Triad] {
         &[Triad::Accel, Triad::Gyro]
     }
@@ -57,7 +57,7 @@ pub trait TriadEffect: std::fmt::Debug + Send + Sync {
         self.spec().name
     }
 
-    /// Where in the chain it acts.
+    /// The stage of the chain at which it acts.
     fn stage(&self) -> Stage {
         self.spec().stage
     }
@@ -74,7 +74,7 @@ pub trait TriadEffect: std::fmt::Debug + Send + Sync {
         self.spec().check(&self.parameters())
     }
 
-    /// What the triad shows beyond its input, for memoryless effects; 0 for the others.
+    /// The triad's deviation from its input, for memoryless effects; 0 for the others.
     fn deviation(&self, drive: Drive) -> Axes {
         let _ = drive;
         [0.0; 3]
@@ -102,7 +102,7 @@ pub trait TriadEffect: std::fmt::Debug + Send + Sync {
     }
 }
 
-/// The derivatives by x, y and z where each acts on its own axis alone.
+/// The derivatives by x, y and z for effects of which each acts on its own axis alone.
 fn diagonal(values: Axes) -> Vec<Axes> {
     let [x, y, z] = values;
     vec![[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]

@@ -11,13 +11,13 @@ pub struct Bucket {
 }
 
 impl Bucket {
-    /// A bucket of so many samples of so many channels.
+    /// A bucket of this many samples of this many channels.
     #[must_use]
     pub fn new(size: u64, channels: usize) -> Self {
         Self { size, count: 0, first_ns: 0, last_ns: 0, extremes: vec![(f64::NAN, f64::NAN); channels] }
     }
 
-    /// Takes a sample; answers whether the bucket is full.
+    /// Takes a sample; returns whether the bucket is full.
     pub fn take(&mut self, time_ns: i64, values: impl Iterator<Item = f64>) -> bool {
         if self.count == 0 {
             self.first_ns = time_ns;
@@ -26,13 +26,13 @@ impl Bucket {
         self.last_ns = time_ns;
         self.count += 1;
         for ((low, high), value) in self.extremes.iter_mut().zip(values) {
-            // f64::min and max leave a NaN for the number on the other side.
+            // If one side is NaN, f64::min and max return the number on the other side.
             (*low, *high) = (low.min(value), high.max(value));
         }
         self.count >= self.size
     }
 
-    /// The row of what was taken, at the middle of its time; `None` where nothing was.
+    /// The row of the samples taken, at the middle of their time; `None` if there were none.
     pub fn row(&mut self) -> Option<(i64, impl Iterator<Item = f64> + '_)> {
         if self.count == 0 {
             return None;

@@ -1,4 +1,4 @@
-//! CDR, the bytes of ROS 2 messages: little-endian, each number at a multiple of its own size.
+//! CDR, the encoding of ROS 2 messages: little-endian, each number at a multiple of its own size.
 //!
 //! Source: OMG Common Data Representation as DDSI-RTPS 2.x carries it (clause 10: encapsulation `CDR_LE`, 00 01 00 00); places
 //! count from after those four bytes.
@@ -6,7 +6,7 @@
 /// Bytes before the first place that counts.
 const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
-/// One message being put in bytes; the bytes are reused for the next.
+/// One message being encoded; the bytes are reused for the next.
 #[derive(Debug, Default)]
 pub(super) struct Cdr {
     bytes: Vec<u8>,

@@ -1,13 +1,14 @@
-//! Samples as MCAP with ROS 2 messages: what Foxglove shows and `ros2 bag` plays, and beside it what was recorded.
+//! Samples as MCAP with ROS 2 messages, for Foxglove and `ros2 bag`, and the recorded values beside them.
 //!
-//! `/imu/data` (rad/s, m/s²), `/imu/mag` (tesla), `/imu/temperature` (°C) and `/imu/pressure` (Pa) exist where the capture has the
-//! channels. What a sample lacks is said as the messages' definitions want it: −1 in the covariance's first place (`Imu`),
-//! NaN (a single axis of `MagneticField`), no message at all (neither value there is). The orientation is always unknown: a
-//! VN-100's angles count from north, east, down, and ROS' from east, north, up. Covariances are 0: unknown.
-//! `/vn100d/sample` carries every channel as it was recorded, in degrees and gauss, NaN where there is no value; it is what
-//! `import` reads back.
+//! `/imu/data` (rad/s, m/s²), `/imu/mag` (tesla), `/imu/temperature` (°C) and `/imu/pressure` (Pa) exist if the capture
+//! has the channels. Absent values are marked as the messages' definitions require: −1 in the covariance's first place
+//! (`Imu`), NaN (a single axis of `MagneticField`), no message at all (neither value is present). The orientation is
+//! always unknown: a VN-100's angles count from north, east, down, and ROS' from east, north, up. Covariances are 0:
+//! unknown. `/vn100d/sample` carries every channel as it was recorded, in degrees and gauss, NaN if there is no value;
+//! `import` reads this topic back.
 //!
-//! `log_time`, `publish_time` and the header's stamp are the sample's UTC. Chunks of 1 MiB, zstd, with index, statistics and CRCs.
+//! `log_time`, `publish_time` and the header's stamp are the sample's UTC. Chunks of 1 MiB, zstd, with index,
+//! statistics and CRCs.
 
 use super::cdr::Cdr;
 use super::ros2::Topic;
@@ -20,11 +21,11 @@ use ::mcap::{Compression, WriteOptions};
 use std::collections::BTreeMap;
 use std::io::Write;
 
-/// The frame that the values are in: the sensor's own axes.
+/// The frame of the values: the sensor's own axes.
 const FRAME: &str = "imu_link";
 /// Pascal in one kilopascal.
 const PA_PER_KPA: f64 = 1000.0;
-/// What says that there is no such measurement, and what says that its covariance is not known.
+/// The covariance that marks an absent measurement, and the one that marks an unknown covariance.
 const ABSENT: [f64; 9] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 const UNKNOWN: [f64; 9] = [0.0; 9];
 /// No rotation.
@@ -34,7 +35,7 @@ const IDENTITY: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 pub struct McapSink<W: Write> {
     writer: ::mcap::Writer<NoSeek<W>>,
     about: About,
-    /// The file's number of each topic, and how many messages it has.
+    /// The file's number of each topic, and its number of messages.
     topics: Vec<(Topic, u16, u32)>,
     columns: Columns,
     cdr: Cdr,
@@ -46,7 +47,7 @@ impl<W: Write> std::fmt::Debug for McapSink<W> {
     }
 }
 
-/// Which column has which channel.
+/// The column of each channel.
 #[derive(Debug)]
 struct Columns([Option<usize>; Channel::COUNT]);
 
@@ -67,7 +68,7 @@ impl Columns {
         triad.channels().into_iter().any(|channel| self.has(channel))
     }
 
-    /// A sample's value; NaN where it has none.
+    /// A sample's value; NaN if it has none.
     fn value(&self, rows: &Rows<'_>, index: usize, channel: Channel) -> f64 {
         let column = self.0[channel as usize].and_then(|place| rows.columns.get(place));
         column.and_then(|column| column.get(index)).copied().unwrap_or(f64::NAN)
@@ -104,7 +105,7 @@ impl<W: Write> McapSink<W> {
             if there {
                 let definition = topic.definition(&about.channels);
                 let schema = writer.add_schema(topic.message(), "ros2msg", definition.as_bytes())?;
-                // rosbag2 writes the key for every topic, and asks for it.
+                // rosbag2 writes the key for every topic, and requires it.
                 let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
                 topics.push((topic, writer.add_channel(schema, topic.name(), "cdr", &metadata)?, 0));
             }
@@ -112,7 +113,7 @@ impl<W: Write> McapSink<W> {
         Ok(Self { writer, about: about.clone(), topics, columns, cdr: Cdr::default() })
     }
 
-    /// Puts one sample's message of a topic in bytes; false where there is none.
+    /// Encodes one sample's message of a topic; returns `false` if there is none.
     fn put(&mut self, topic: Topic, rows: &Rows<'_>, index: usize, utc_ns: u64, sec: i32) -> bool {
         let nanosec = (utc_ns % NANOS_PER_SECOND) as u32;
         let columns = &self.columns;
@@ -155,7 +156,7 @@ impl<W: Write> McapSink<W> {
     }
 }
 
-/// A value and its variance, which is not known; false where there is no value.
+/// Encodes a value and its variance, which is not known; returns `false` if there is no value.
 fn scalar(cdr: &mut Cdr, value: f64) -> bool {
     cdr.f64s(&[value, 0.0]);
     value.is_finite()

@@ -1,11 +1,11 @@
-//! Samples for other programs: CSV and NDJSON, Parquet, MCAP; where a data set's files lie.
+//! Samples for other programs: CSV and NDJSON, Parquet, MCAP; and the places of a data set's files.
 //!
-//! In: what is known of a capture ([`About`]), then its samples block by block ([`Rows`]), at the end what is missing
-//! ([`Tally`]). Out: bytes to any [`Write`]. One format per file. Nothing is kept but what a format needs: a row group of
-//! Parquet ([`ROW_GROUP_ROWS`]), a chunk of MCAP (1 MiB), and their indexes.
+//! In: the facts about a capture ([`About`]), then its samples block by block ([`Rows`]), and at the end its missing
+//! samples ([`Tally`]). Out: bytes to any [`Write`]. One format per file. Only what a format needs is kept in memory: a
+//! row group of Parquet ([`ROW_GROUP_ROWS`]), a chunk of MCAP (1 MiB), and their indexes.
 //!
-//! Values leave as they were recorded, in the channel's unit; only messages whose definition fixes another unit (tesla,
-//! pascal) are converted, and beside these the recorded values stand too. Absent values stay absent.
+//! Values are written as they were recorded, in the channel's unit. Only messages whose definition fixes another unit
+//! (tesla, pascal) are converted, and the recorded values are written beside these. Absent values stay absent.
 
 mod bucket;
 mod cdr;
@@ -26,32 +26,32 @@ pub use self::text::{TextFormat, TextHead, TextSink, TextWriter};
 use crate::sample::Channel;
 use std::io::Write;
 
-/// What is known of a capture as a whole.
+/// The facts about a capture as a whole.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct About {
     /// Its id; `None` for a recording that is in no database.
     pub id: Option<i64>,
-    /// What tells its database from others; empty for a recording that is in none.
+    /// An identifier that distinguishes its database from others; empty for a recording that is in none.
     pub database: String,
     /// Its name, or the recording's file.
     pub name: String,
-    /// UTC of what times count from (its first sample), ns since 1970.
+    /// UTC of the origin of times (its first sample), ns since 1970.
     pub origin_ns: i64,
     /// Output rate in Hz.
     pub rate_hz: Option<f64>,
     /// The columns, in this order.
     pub channels: Vec<Channel>,
-    /// What is known of the sensor, a JSON object.
+    /// The description of the sensor, a JSON object.
     pub sensor: serde_json::Value,
-    /// What recorded it.
+    /// The software that recorded it.
     pub software: String,
-    /// Name and version of the program that writes.
+    /// Name and version of the writing program.
     pub writer: String,
 }
 
 impl About {
-    /// What a file says of the capture besides its samples, by name.
+    /// A file's description of the capture besides its samples, by name.
     fn said(&self, tally: &Tally) -> Vec<(&'static str, String)> {
         let mut said = vec![
             ("capture", self.name.clone()),
@@ -80,30 +80,30 @@ pub struct Rows<'a> {
     pub segment: &'a [u32],
     /// Since the capture's first sample, ns.
     pub time_ns: &'a [i64],
-    /// The sensor's own clock, ns, where it was sent.
+    /// The sensor's own clock, ns, if it was sent.
     pub device_ns: &'a [Option<u64>],
-    /// One column per channel of [`About::channels`]; NaN where a sample has no value.
+    /// One column per channel of [`About::channels`]; NaN if a sample has no value.
     pub columns: &'a [Vec<f64>],
 }
 
 impl Rows<'_> {
-    /// How many samples it has.
+    /// The number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
         self.time_ns.len()
     }
-    /// Whether it has none.
+    /// Whether there are no samples.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_ns.is_empty()
     }
 }
 
-/// Why samples could not be written.
+/// The reasons why samples could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// Where they go to took no more.
+    /// The destination accepted no more.
     #[error(transparent)]
     Write(#[from] std::io::Error),
     /// Parquet's writer refused them.
@@ -112,19 +112,19 @@ pub enum ExportError {
     /// MCAP's writer refused them.
     #[error("the samples cannot be written as MCAP: {0}")]
     Mcap(#[source] ::mcap::McapError),
-    /// Its time cannot be said in a ROS stamp.
+    /// A time cannot be represented in a ROS stamp.
     #[error("sample {seq} was taken at {utc}, but a ROS stamp holds 1970 to 2038: export it as csv or parquet")]
     Stamp {
-        /// Which sample.
+        /// The sample.
         seq: u64,
-        /// When it was taken, RFC 3339.
+        /// The time of the sample, RFC 3339.
         utc: String,
     },
 }
 
 impl From<::parquet::errors::ParquetError> for ExportError {
     fn from(error: ::parquet::errors::ParquetError) -> Self {
-        // A disk that is full is no fault of the format.
+        // A full disk is no fault of the format.
         match error {
             ::parquet::errors::ParquetError::External(inner) => match inner.downcast::<std::io::Error>() {
                 Ok(error) => Self::Write(*error),
@@ -149,17 +149,17 @@ pub trait Sink {
     /// Takes the next samples.
     ///
     /// # Errors
-    /// [`ExportError`]; what was written until then is no whole file.
+    /// [`ExportError`]; the data written until then is not a complete file.
     fn rows(&mut self, rows: Rows<'_>) -> Result<(), ExportError>;
 
-    /// Writes what stands after the samples; only then the file is whole.
+    /// Writes the end of the file behind the samples; only then the file is complete.
     ///
     /// # Errors
     /// [`ExportError`].
     fn finish(self: Box<Self>, tally: &Tally) -> Result<(), ExportError>;
 }
 
-/// The forms in which samples leave.
+/// The formats of exported samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SampleFormat {
@@ -174,10 +174,10 @@ pub enum SampleFormat {
 }
 
 impl SampleFormat {
-    /// All.
+    /// All formats.
     pub const ALL: [Self; 4] = [Self::Csv, Self::Ndjson, Self::Parquet, Self::Mcap];
 
-    /// The name on the command line, and the ending of its files.
+    /// The name on the command line, and the extension of its files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -188,7 +188,7 @@ impl SampleFormat {
         }
     }
 
-    /// The form of files with this ending, in any case of letters.
+    /// The format of files with this extension, in any case of letters.
     #[must_use]
     pub fn of_ending(ending: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.name().eq_ignore_ascii_case(ending))

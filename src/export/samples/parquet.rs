@@ -1,12 +1,13 @@
 //! Samples as Parquet: one row per sample, units in Arrow's field metadata, the capture in the file's.
 //!
-//! Columns: `database` (what tells it from others) and `capture` (its id there; both null for a recording that is in none), `segment`, `seq`, `time_s` (since the
-//! capture's first sample), `utc`, `device_time_ns`, then the channels named as in CSV (`gyro_x_rad_s`), null where a sample has
-//! no value. The file's metadata say `capture`, `started_at`, `rate_hz`, `samples`, `missing`, `gap_count`, `gaps` (the first
-//! [`GAPS_LISTED`](super::GAPS_LISTED) as JSON), `sensor`, `recorded_by` and `software`.
+//! Columns: `database` (which distinguishes it from others) and `capture` (its id there; both null for a recording that
+//! is in none), `segment`, `seq`, `time_s` (since the capture's first sample), `utc`, `device_time_ns`, then the
+//! channels named as in CSV (`gyro_x_rad_s`), null if a sample has no value. The file's metadata contains `capture`,
+//! `started_at`, `rate_hz`, `samples`, `missing`, `gap_count`, `gaps` (the first [`GAPS_LISTED`](super::GAPS_LISTED) as
+//! JSON), `sensor`, `recorded_by` and `software`.
 //!
-//! Sizes: a sensor rounds what it sends, so that channels have few distinct values, which a dictionary holds in 10–17 bits each;
-//! where there are too many, their bytes are split by place. Counters and times are kept as differences.
+//! Sizes: a sensor rounds its values, so that channels have few distinct ones, which a dictionary holds in 10–17 bits
+//! each. If there are too many, their bytes are split by place. Counters and times are stored as differences.
 
 use super::{About, ExportError, Rows, Sink, Tally};
 use ::parquet::arrow::ArrowWriter;
@@ -122,7 +123,7 @@ fn properties(about: &About) -> Result<WriterProperties, ExportError> {
         builder = encoded(builder, name, Encoding::DELTA_BINARY_PACKED, false);
     }
     for channel in &about.channels {
-        // The encoding counts where the dictionary has grown too large.
+        // The encoding is used if the dictionary has grown too large.
         builder = encoded(builder, &channel.column_name(), Encoding::BYTE_STREAM_SPLIT, true);
     }
     Ok(builder.build())

@@ -1,18 +1,19 @@
-//! Where a capture's file lies in a data set of many: `sensor=…/date=…/capture-….parquet`, as Hive names partitions. The
-//! beginning of its database's identity is part of the name, so that the captures 1 of two machines are two files.
+//! The place of a capture's file in a data set of many: `sensor=…/date=…/capture-….parquet`, as Hive names partitions.
+//! The beginning of its database's identity is part of the name, so that capture 1 of each of two machines is a
+//! separate file.
 //!
 //! Programs that read such folders take the values from the names and undo `%XX`, so that any serial number is safe there.
 
 use super::About;
 use chrono::DateTime;
 
-/// Characters of a capture's name that stand in its file's.
+/// The maximum number of characters of a capture's name in its file's name.
 const NAME_CHARS: usize = 80;
-/// Characters of a database's identity that stand there: 32 bits.
+/// The number of characters of a database's identity in the file's name: 32 bits.
 const IDENTITY_CHARS: usize = 8;
 
-/// The file's path inside the data set: of a sensor (`None` where its serial number is not known), of the day in UTC on which
-/// the capture began, of its database, id and name.
+/// The file's path inside the data set, made from the sensor (`None` if its serial number is not known), the day in UTC
+/// on which the capture began, its database, id and name.
 #[must_use]
 pub fn partition_path(about: &About) -> String {
     let About { id, database, name, origin_ns, sensor, .. } = about;
@@ -30,7 +31,7 @@ fn is_plain(character: char) -> bool {
     character.is_ascii_alphanumeric() || matches!(character, '-' | '_' | '.')
 }
 
-/// A partition's value: what is not plain as `%XX`, byte by byte.
+/// A partition's value: characters that are not plain as `%XX`, byte by byte.
 fn escaped(value: &str) -> String {
     let byte =
         |byte: u8| if is_plain(char::from(byte)) { char::from(byte).to_string() } else { format!("%{byte:02X}") };

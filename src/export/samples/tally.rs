@@ -1,9 +1,9 @@
-//! What an export's stretch has and lacks, as far as a file's description says it.
+//! The samples and gaps of an exported stretch, as far as a file's description states them.
 
 use super::rfc3339;
 use crate::sample::Gap;
 
-/// Gaps that a file's description lists; the number of all of them stands beside.
+/// The maximum number of gaps that a file's description lists; the total number is stated separately.
 pub const GAPS_LISTED: usize = 1000;
 
 /// Counts of a stretch, and its first gaps.
@@ -13,13 +13,13 @@ pub struct Tally {
     pub samples: u64,
     /// Samples missing between the first and the last one.
     pub missing: u64,
-    /// How many gaps.
+    /// The number of gaps.
     pub gaps: u64,
     listed: Vec<Gap>,
 }
 
 impl Tally {
-    /// Of so many samples, without gaps so far.
+    /// A tally of this many samples, without gaps so far.
     #[must_use]
     pub fn of(samples: u64) -> Self {
         Self { samples, ..Self::default() }

@@ -1,4 +1,4 @@
-//! Tests of the files that samples leave in: read back by the formats' own readers.
+//! Tests of the exported files: read back by the formats' own readers.
 
 use super::*;
 use crate::sample::{Gap, GapCause};
@@ -23,7 +23,7 @@ fn about(channels: &[Channel]) -> About {
     }
 }
 
-/// What a test writes: times in ns, and columns as the channels stand.
+/// The data of a test: times in ns, and columns in the order of the channels.
 struct Made {
     segment: Vec<u32>,
     time_ns: Vec<i64>,
@@ -259,7 +259,7 @@ fn a_time_that_no_ros_stamp_holds_is_refused_with_its_sample() {
     }
 }
 
-/// Takes so many bytes and no more.
+/// Accepts this many bytes and no more.
 struct Full(usize);
 
 impl Write for Full {

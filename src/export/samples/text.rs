@@ -1,14 +1,14 @@
 //! Rows of samples as text: CSV (docs/formats.md), NDJSON, or one JSON document.
 //!
-//! Times are exact to the nanosecond and values are the shortest decimals that are read back as the same number: what is
-//! imported again is bit for bit what was exported.
+//! Times are exact to the nanosecond and values are the shortest decimals that are read back as the same number:
+//! exported data that is imported again is identical bit for bit.
 
 use super::{ExportError, Rows, Sink, Tally};
 use crate::sample::Channel;
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// The forms of samples.
+/// The text formats of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextFormat {
     /// One document.
@@ -20,7 +20,7 @@ pub enum TextFormat {
 }
 
 impl TextFormat {
-    /// All.
+    /// All formats.
     pub const ALL: [Self; 3] = [Self::Json, Self::Csv, Self::Ndjson];
 
     /// The name in queries.
@@ -44,18 +44,18 @@ impl TextFormat {
     }
 }
 
-/// What the document says besides its rows.
+/// The contents of the document besides its rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TextHead {
     /// Id of the capture.
     pub capture: i64,
-    /// RFC 3339: what `time_s` counts from.
+    /// The origin of `time_s`, RFC 3339.
     pub origin: String,
     /// Output rate in Hz.
     pub rate_hz: Option<f64>,
     /// Samples in the range.
     pub samples: u64,
-    /// Samples per row where rows are minima and maxima of several.
+    /// Samples per row if rows are minima and maxima of several.
     pub bucket: Option<u64>,
 }
 
@@ -69,14 +69,14 @@ pub struct TextWriter {
 }
 
 impl TextWriter {
-    /// A writer of these channels in this order; of two columns each where rows are minima and maxima.
+    /// A writer of these channels in this order, with two columns each if rows are minima and maxima.
     #[must_use]
     pub fn new(format: TextFormat, channels: &[Channel], min_max: bool) -> Self {
         let suffixes: &[&str] = if min_max { &["_min", "_max"] } else { &[""] };
         let (mut names, mut units) = (vec!["time_s".to_owned()], vec!["s"]);
         for channel in channels {
             for suffix in suffixes {
-                // In CSV the header alone says the unit.
+                // In CSV only the header states the unit.
                 let unit = if format == TextFormat::Csv { channel.csv_suffix() } else { "" };
                 names.push(format!("{}{suffix}{unit}", channel.name()));
                 units.push(channel.unit());
@@ -85,7 +85,7 @@ impl TextWriter {
         Self { format, names, units, first: true }
     }
 
-    /// What stands before the rows.
+    /// Writes the text before the rows.
     pub fn head(&self, out: &mut String, head: &TextHead) {
         match self.format {
             TextFormat::Csv => self.header(out),
@@ -146,7 +146,7 @@ impl TextWriter {
         self.first = false;
     }
 
-    /// What stands after the rows.
+    /// Writes the text behind the rows.
     pub fn tail(&self, out: &mut String) {
         if self.format == TextFormat::Json {
             out.push_str("]}\n");
@@ -168,7 +168,7 @@ impl<W: Write> TextSink<W> {
     /// Begins CSV or NDJSON; `origin_ns` is added to every time.
     ///
     /// # Errors
-    /// What is written to says.
+    /// The error that the destination reports.
     pub fn begin(to: W, format: TextFormat, channels: &[Channel], origin_ns: i64) -> Result<Self, ExportError> {
         let (writer, mut out) = (TextWriter::new(format, channels, false), String::new());
         if format == TextFormat::Csv {
@@ -199,7 +199,7 @@ impl<W: Write> Sink for TextSink<W> {
     }
 }
 
-/// Nanoseconds as seconds, exactly, without zeros at the end.
+/// Nanoseconds as seconds, exactly, without trailing zeros.
 fn seconds(out: &mut String, ns: i64) {
     let sign = if ns < 0 { "-" } else { "" };
     let (whole, rest) = (ns.unsigned_abs() / 1_000_000_000, ns.unsigned_abs() % 1_000_000_000);

@@ -35,8 +35,8 @@ pub struct AllanCurve {
 }
 
 impl AllanCurve {
-    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. Where that
-    /// is angle noise, white or flicker, the intervals are those of flicker.
+    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. If that is
+    /// angle noise, white or flicker, the intervals are those of flicker.
     #[must_use]
     pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
         Self::from_points(&sums.points(), rate_hz, unit)
@@ -47,7 +47,7 @@ impl AllanCurve {
     pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
         for (point, noise) in points.iter().zip(noise_by_slope(points)) {
-            // The slope cannot tell white from flicker angle noise: the wider interval holds for both.
+            // The slope cannot separate white from flicker angle noise: the wider interval holds for both.
             let edf = match noise {
                 NoiseType::WhiteAngle => point.edf(noise).min(point.edf(NoiseType::FlickerAngle)),
                 _ => point.edf(noise),
@@ -60,8 +60,8 @@ impl AllanCurve {
 
     /// The curve of any estimator over whole segments in memory.
     ///
-    /// Intervals are those of what is estimated: of a total deviation the Allan deviation, from which its expectation
-    /// departs at long averaging times; `deviation` is as defined, without a correction.
+    /// Intervals are those of the estimated quantity. For a total deviation that is the Allan deviation, from which its
+    /// expectation departs at long averaging times; `deviation` is as defined, without a correction.
     #[must_use]
     pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
         let sums: Vec<(usize, SquareSum, ByLength)> = grid
@@ -106,8 +106,8 @@ impl AllanCurve {
 
     /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
     ///
-    /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one: what it lets
-    /// through at short averaging times is no lowest point, and the search begins where the curve begins to fall.
+    /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one. The noise that it
+    /// passes at short averaging times is not a lowest point, and the search begins where the curve begins to fall.
     #[must_use]
     pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
         let rows = self.tau_s.iter().zip(&self.deviation).zip(&self.edf);
@@ -118,8 +118,8 @@ impl AllanCurve {
     }
 }
 
-/// Place of the deviation from which on the curve first falls, beyond chance; 0 if it never does. `rows`: deviations with their degrees of
-/// freedom.
+/// Place of the deviation from which on the curve first falls, beyond chance; 0 if it never does. `rows`: deviations
+/// with their degrees of freedom.
 pub(in crate::noise) fn first_fall(rows: impl Iterator<Item = (f64, f64)>) -> usize {
     /// Standard errors of a logarithm: 1/√(2 edf) each.
     const BEYOND: f64 = 3.0;
@@ -225,7 +225,8 @@ impl AllanReport {
         }
     }
 
-    /// Says where differences are no longer taken at every sample ([`AllanCurve::stride_from_s`]).
+    /// Marks the averaging time from which on differences are no longer taken at every sample
+    /// ([`AllanCurve::stride_from_s`]).
     #[must_use]
     pub fn stride_warning(&self) -> Option<String> {
         let from_s = self.channels.values().filter_map(|curve| curve.stride_from_s).min_by(f64::total_cmp)?;

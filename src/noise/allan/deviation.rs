@@ -1,6 +1,6 @@
-//! The other deviations, in one pass over a slice: for comparison with other tools, and where a capture fits into memory.
+//! The other deviations, in one pass over a slice: for comparison with other tools, and for captures that fit into memory.
 //!
-//! All take rate samples and integrate them to phases with a leading 0, all answer `None` where no term fits.
+//! All take rate samples and integrate them to phases with a leading 0. All return `None` if no term fits.
 
 use serde::{Deserialize, Serialize};
 
@@ -49,12 +49,12 @@ impl Estimator {
 
 /// Phases of one segment: a leading 0 and the running sums of the samples less their mean.
 ///
-/// Without the mean the phases stay small, and no deviation here sees it: rounding then stays below 1e-11 of a deviation
+/// Without the mean the phases stay small, and no deviation here depends on it. Rounding then stays below 1e-11 of a deviation
 /// even with gravity on the channel.
 #[derive(Debug, Clone)]
 pub struct Phases(Vec<f64>);
 
-/// A sum of squares and how many terms it has: what adds over segments.
+/// A sum of squares and its number of terms; both add over segments.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SquareSum {
     /// Sum of the squared terms, scaled so that its mean is the variance.
@@ -77,7 +77,7 @@ impl SquareSum {
 }
 
 impl Phases {
-    /// Integrates rate samples; `None` where one is not finite.
+    /// Integrates rate samples; `None` if one is not finite.
     #[must_use]
     pub fn integrate(samples: &[f64]) -> Option<Self> {
         let count = samples.len().max(1) as f64;

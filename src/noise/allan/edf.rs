@@ -71,8 +71,7 @@ const LONGEST_SUM: f64 = 100.0;
 
 /// Equivalent degrees of freedom of one deviation.
 ///
-/// `phases`: number of phases (samples + 1) of one segment. At least 1 where the estimator has a term at all; 0 where it
-/// has none.
+/// `phases`: number of phases (samples + 1) of one segment. At least 1 where the estimator has a term at all; 0 if it has none.
 ///
 /// # Validation
 /// `equivalent_degrees_of_freedom_are_those_of_the_reference_table`: within 1e-3 of allantools' `edf_greenhall` at 720,001
@@ -94,7 +93,8 @@ pub fn equivalent_degrees_of_freedom(estimator: Estimator, noise: NoiseType, m: 
 /// dense as the table takes them.
 const TABLE_FROM: usize = 8;
 
-/// NIST SP1065, table 7, from m = 8 on, and the overlapping estimator's degrees below; angle noise, for which it has no row, by its equation for α = 2 of the overlapping estimator.
+/// NIST SP1065, table 7, from m = 8 on, and the overlapping estimator's degrees below; angle noise, for which it has no
+/// row, by its equation for α = 2 of the overlapping estimator.
 fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
     // A segment of fewer samples than the averaging factor has no term.
     if m as u64 + 1 >= phases {
@@ -187,7 +187,8 @@ fn greenhall(noise: NoiseType, d: usize, m: usize, phases: u64, overlapping: boo
             sum(LONGEST_SUM, LONGEST_SUM, interpolated, interpolated) / (growing * LONGEST_SUM)
         }
     } else {
-        // White angle: differences share phases only at multiples of m, equation 13: in full with few blocks, else its closed form.
+        // White angle: differences share phases only at multiples of m, equation 13: in full with few blocks, else its
+        // closed form.
         let (a0, a1) = if d == 2 { (35.0 / 18.0, 1.0) } else { (231.0 / 100.0, 1.5) };
         if blocks.ceil() <= order { shared_phases(d, blocks) / terms } else { (a0 - a1 / blocks) / terms }
     };
@@ -288,8 +289,8 @@ pub const CONFIDENCE_68: f64 = 0.682_689_492_137_085_9;
 /// 95 %.
 pub const CONFIDENCE_95: f64 = 0.95;
 
-/// The interval that holds a deviation's true value with probability `confidence`, given `edf` degrees of freedom; `None`
-/// where there are none.
+/// The interval that holds a deviation's true value with probability `confidence`, given `edf` degrees of freedom; `None` if
+/// there are none.
 ///
 /// # Source
 /// NIST SP1065, equation 45. Above 10^5 degrees the quantiles are those of Wilson and Hilferty (relative error below 1e-9).
@@ -301,7 +302,7 @@ pub fn confidence_factors(edf: f64, confidence: f64) -> Option<ConfidenceFactors
     (low.is_finite() && high.is_finite()).then_some(ConfidenceFactors { low, high })
 }
 
-/// Where the χ² distribution reaches `probability`.
+/// The value at which the χ² distribution reaches `probability`.
 pub(crate) fn chi_squared_quantile(probability: f64, degrees: f64) -> Option<f64> {
     const LARGE: f64 = 1e5;
     if !(degrees.is_finite() && degrees > 0.0) {

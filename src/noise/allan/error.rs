@@ -1,4 +1,4 @@
-//! What the Allan estimators refuse.
+//! The inputs that the Allan estimators refuse.
 
 /// Why an Allan estimator refused its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -62,7 +62,7 @@ pub enum AllanError {
     /// A checkpoint is damaged.
     #[error("the checkpoint is damaged at {field} (expected {expected}, found {found}): start the job again")]
     CheckpointDamaged {
-        /// What was being read.
+        /// The object that was being read.
         field: &'static str,
         /// What belongs there.
         expected: u64,

@@ -38,7 +38,7 @@ impl FixedPoint {
     /// The finest scale in which `decimals` decimals are exact and values up to `2^range_exponent` fit.
     ///
     /// # Errors
-    /// [`AllanError::ScaleTooFine`] where decimals and range alone need more bits than there are.
+    /// [`AllanError::ScaleTooFine`] if decimals and range alone need more bits than there are.
     pub fn for_range(decimals: u32, range_exponent: i32) -> Result<Self, AllanError> {
         let spare = Self::spare_bits(decimals, range_exponent);
         if decimals > 12 || !(0..=60).contains(&spare) {
@@ -84,7 +84,7 @@ impl FixedPoint {
         ((1u64 << Self::MAGNITUDE_BITS) - 1) as f64
     }
 
-    /// The value as an integer; `None` where it is not finite or out of range.
+    /// The value as an integer; `None` if it is not finite or out of range.
     #[must_use]
     pub fn quantise(self, value: f64) -> Option<i64> {
         Self::steps(value * self.steps_per_unit())

@@ -180,7 +180,7 @@ fn equivalent_degrees_of_freedom_are_those_of_the_reference_table() {
     assert!(checked > 190, "{checked} values");
 }
 
-/// The five power laws that the README tells, of 4096 samples each.
+/// The five power laws that the README lists, of 4096 samples each.
 fn power_laws() -> [(&'static str, Vec<f64>); 5] {
     const COUNT: usize = 4096;
     let v: Vec<f64> = lcg().take(COUNT + 1).map(|u| u - 0.5).collect();
@@ -256,7 +256,7 @@ fn seven_hundred_thousand_samples_have_allantools_deviations() {
             close(sums.variance(index).unwrap().sqrt(), deviation, 2e-12, &what);
         }
     }
-    // Gravity on the channel changes nothing: not even with a channel's own scale.
+    // Gravity on the channel does not change the result, not even with the channel's own scale.
     let offset: Vec<f64> = mixed.iter().map(|value| value + 9.80665).collect();
     let expected = &reference["same_plus_offset_9.80665"]["devs"]["oadev"];
     let factors = numbers(&expected["m"]).into_iter().map(|m| m as usize);

@@ -142,7 +142,7 @@ impl TauGrid {
         self.factors.last().copied().unwrap_or(1)
     }
 
-    /// Those of the factors whose differences are taken at every phase; the first ones.
+    /// The factors whose differences are taken at every phase; the first ones.
     #[must_use]
     pub fn full_overlap(&self) -> &[usize] {
         &self.factors[..self.full_factors()]
@@ -169,8 +169,8 @@ impl TauGrid {
         self.full_overlap
     }
 
-    /// How many samples before a cut the terms of full overlap reach back to: what
-    /// [`Overlapping::restore`](super::Overlapping::restore) needs.
+    /// The number of samples before a cut to which the terms of full overlap reach back;
+    /// [`Overlapping::restore`](super::Overlapping::restore) needs them.
     #[must_use]
     pub fn halo_len(&self) -> usize {
         2 * self.full_overlap().last().copied().unwrap_or(0)

@@ -1,11 +1,12 @@
 //! Noise identification: which power law dominates at an averaging time. The degrees of freedom depend on it.
 //!
-//! Two views, each where it sees best. The slope of the overlapping Allan variance over an octave to both sides tells white
-//! rate, flicker and random walk apart, and all of them from angle noise; it needs the sums alone and sees every term: with
-//! r₁, r₂ the autocorrelations of second differences at lags m and 2m, σ²(2m)/σ²(m) = (6 + 8 r₁ + 2 r₂)/4. It cannot tell
-//! white from flicker angle noise, whose Allan variances both go as τ⁻²: there the lag-1 autocorrelation of the phases does,
-//! where the samples are at hand. By itself the lag-1 autocorrelation takes one phase in m and names averaged flicker a random
-//! walk, picked flicker angle white (`lag_1_alone_mistakes_both_flickers`).
+//! Two estimates are used, each in the range in which it is the more precise. The slope of the overlapping Allan variance over an
+//! octave to both sides separates white rate, flicker and random walk from one another, and all of them from angle noise. It
+//! needs the sums alone and uses every term: with r₁, r₂ the autocorrelations of second differences at lags m and 2m,
+//! σ²(2m)/σ²(m) = (6 + 8 r₁ + 2 r₂)/4. It cannot separate white from flicker angle noise, whose Allan variances both go as τ⁻².
+//! There the lag-1 autocorrelation of the phases separates them, if the samples are available. Alone, the lag-1 autocorrelation
+//! takes one phase in m, identifies averaged flicker as a random walk, and picked flicker angle as white
+//! (`lag_1_alone_mistakes_both_flickers`).
 //!
 //! # Source
 //! W. J. Riley and C. A. Greenhall, "Power law noise identification using the lag 1 autocorrelation", 18th EFTF (2004); NIST
@@ -14,18 +15,19 @@
 use super::point::noise_by_slope;
 use super::{AllanPoint, Estimator, NoiseType, Phases, SquareSum};
 
-/// Fewest averages for which the lag-1 autocorrelation tells white from flicker angle noise in 95 % of records.
+/// Fewest averages for which the lag-1 autocorrelation separates white from flicker angle noise in 95 % of records.
 const LEAST: usize = 100;
 /// Fewest points for which it is stated at all (SP1065).
 const STATED: usize = 30;
-/// Between what the lag-1 autocorrelation says of flicker angle noise (0.5 to 1.5) and of white (2 ± 0.2 at [`LEAST`]).
+/// The limit between the exponents that the lag-1 autocorrelation gives for flicker angle noise (0.5 to 1.5) and for
+/// white (2 ± 0.2 at [`LEAST`]).
 const BETWEEN: f64 = 1.6;
 /// Averaging factors up to which the slope of flicker angle noise may pass for that of white rate noise.
 const UNSURE: usize = 4;
 /// Most differences taken: Allan's variance converges down to α = −2.
 const DIFFERENCES: i32 = 2;
 
-/// What the lag-1 autocorrelation says of a series of phases.
+/// The lag-1 autocorrelation estimate for a series of phases.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lag1 {
     /// Exponent of the rate's spectrum, not rounded.
@@ -40,7 +42,7 @@ impl Lag1 {
     /// Of stretches of phases, which are pooled; None with fewer than 30 points in the longest, or without variation.
     pub(super) fn of(stretches: impl IntoIterator<Item = Vec<f64>>) -> Option<Self> {
         let mut series: Vec<Vec<f64>> = stretches.into_iter().filter(|stretch| stretch.len() >= STATED).collect();
-        // An offset of the rate and its drift are no noise.
+        // An offset of the rate and its drift are not noise.
         series.iter_mut().for_each(|stretch| remove_parabola(stretch));
         for differences in 0..=DIFFERENCES {
             let r1 = autocorrelation(&series)?;

@@ -1,12 +1,13 @@
 //! The inner loop in integers, for processors without a fused multiply-add and for differences that do not fit one.
 //!
-//! Products of 64-bit integers do not vectorise on baseline x86-64, products of 32-bit halves do. Each width below adds a
-//! bias so that differences are non-negative, multiplies halves of 32 bits or fewer, checks afterwards that every
-//! difference fitted, and leaves to the next width what did not.
+//! Products of 64-bit integers do not vectorise on baseline x86-64, products of 32-bit halves do. Each width below adds a bias so
+//! that differences are non-negative, multiplies halves of 32 bits or fewer, checks afterwards that every difference fitted, and
+//! leaves the others to the next width.
 
 use super::kernel::{BIAS as OF_NEWEST, BLOCK};
 
-/// How many bits the differences of a block need, as far as is known; the next block of the same factor begins with it.
+/// The number of bits that the differences of a block need, as far as it is known; the next block of the same factor
+/// begins with it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub(super) enum Width {
     #[default]
@@ -25,7 +26,8 @@ impl Width {
     }
 }
 
-/// As [`super::kernel::sum_of_squares`], which says what goes in; `width` is where to begin and then the width that it took.
+/// As [`super::kernel::sum_of_squares`], which defines the arguments; `width` is the width to begin with and then the width that
+/// it took.
 pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
     if *width <= Width::Bits31
         && let Some(sum) = bits31(newest, middle, oldest)

@@ -1,17 +1,17 @@
 //! The inner loop: the exact sum of `(x − 2y + z)²` over three windows of integer phases.
 //!
-//! Where the processor has a fused multiply-add, differences become doubles (exact below 2^51) and each square is split by
-//! two fused operations into a multiple of 2^45 and an exact rest; sums of both stay exact, and whether every difference
-//! fitted is seen by the sum itself afterwards. Nothing depends on how large the differences of a block are, so that binary
-//! floats cost what ASCII decimals do. Blocks that do not fit, and other processors, take [`integers`]. All ways give the
-//! same sum; `benches/allan.rs` times them.
+//! If the processor has a fused multiply-add, differences become doubles (exact below 2^51), and two fused operations split each
+//! square into a multiple of 2^45 and an exact rest. Sums of both stay exact, and the sum itself shows afterwards whether every
+//! difference fitted. The cost does not depend on how large the differences of a block are, so that binary floats cost what ASCII
+//! decimals do. Blocks that do not fit, and other processors, take [`integers`]. All ways give the same sum; `benches/allan.rs`
+//! times them.
 
 use super::integers::{self, Width};
 use fearless_simd::Level;
 
 /// Terms per call: each lane's sums are sized for it.
 pub(super) const BLOCK: usize = 8192;
-/// What is added to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 + d.
+/// The addition to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 + d.
 pub(super) const BIAS: i64 = ORIGIN.to_bits() as i64;
 
 const ORIGIN: f64 = 6_755_399_441_055_744.0;
@@ -26,7 +26,7 @@ const MOST_PER_LANE: usize = 512;
 /// The exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms; `newest` holds [`BIAS`] more than
 /// the phases are. Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
 ///
-/// `width`: what the differences of this factor needed last time, where that counts.
+/// `width`: the width that the differences of this factor needed last time, if the form depends on it.
 pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
     debug_assert!(newest.len() <= BLOCK && newest.len() == middle.len() && newest.len() == oldest.len());
     match dispatched(newest, middle, oldest) {
@@ -35,7 +35,7 @@ pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], wid
     }
 }
 
-/// The fused form by the widest instructions there are; None where there is no fused multiply-add.
+/// The fused form by the widest instructions available; None if there is no fused multiply-add.
 #[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
 fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u128>> {
     use fearless_simd::Simd as _;
@@ -68,8 +68,8 @@ fn dispatched(_: &[i64], _: &[i64], _: &[i64]) -> Option<Option<u128>> {
 /// Adds a term to one lane's coarse sum and sum of rests.
 ///
 /// Let c be the coarse sum, a double in [2^97, 2^98) and thus a multiple of 2^45. The fused d² + c rounds once, to such a
-/// multiple again, so that the step c' − c is exact, within 2^44 of d², and d² less the step is an integer below 2^53,
-/// which the second fused operation gives exactly. All of this holds when the last c' is below 2^98: c never falls.
+/// multiple again, so that the step c' − c is exact, within 2^44 of d². Then d² less the step is an integer below 2^53, which the
+/// second fused operation gives exactly. All of this holds when the last c' is below 2^98: c never falls.
 ///
 /// A difference beyond ±2^51 changes the exponent of the double that its bits are read as. That double's distance from the
 /// origin is 2^51 or more all the same (or it is no number), because doubles are ordered as their bits are: its square
@@ -82,7 +82,8 @@ fn add((newest, middle, oldest): (i64, i64, i64), (coarse, rest): (f64, f64)) ->
     (next, rest + difference.mul_add(difference, -(next - coarse)))
 }
 
-/// Each lane's sums over whole rows. By itself, so that they stay in registers: what indexes lanes by a variable comes after.
+/// Each lane's sums over whole rows. A separate function, so that they stay in registers: code that indexes lanes by a variable
+/// follows it.
 #[inline(always)]
 fn rows<const LANES: usize>(
     newest: &[[i64; LANES]],
@@ -98,7 +99,7 @@ fn rows<const LANES: usize>(
     (coarse, rest)
 }
 
-/// The sum by fused multiply-adds; None where a difference or a sum does not fit.
+/// The sum by fused multiply-adds; None if a difference or a sum does not fit.
 #[inline(always)]
 fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
     const { assert!(BLOCK <= MOST_PER_LANE * LANES) };
@@ -108,7 +109,7 @@ fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> 
     for (lane, ((x, y), z)) in last_x.iter().zip(last_y).zip(last_z).enumerate() {
         (coarse[lane], rest[lane]) = add((*x, *y, *z), (coarse[lane], rest[lane]));
     }
-    // Written so that what is no number does not fit.
+    // Written so that NaN does not fit.
     if !coarse.iter().all(|sum| *sum < 2.0 * COARSE_ORIGIN) {
         return None;
     }
@@ -151,7 +152,7 @@ mod tests {
             }
         }
 
-        /// The rests of a lane add up to the most there can be, and the sum is exact or refused whatever the size.
+        /// The rests of a lane add up to the largest possible value, and the sum is exact or refused for any size.
         #[test]
         fn a_full_block_is_exact_or_refused(value in any::<i64>(), shift in 7u32..60) {
             let value = value >> shift;

@@ -31,7 +31,7 @@ impl Level {
     }
 }
 
-/// Folds the samples of one channel into octave Allan variances. About 12 kB, whatever the length.
+/// Folds the samples of one channel into octave Allan variances. It takes about 12 kB, for any length.
 #[derive(Debug, Clone)]
 pub struct LiveAllan {
     scale: FixedPoint,
@@ -47,7 +47,7 @@ pub struct LiveAllan {
 }
 
 impl LiveAllan {
-    /// An estimator that has seen nothing.
+    /// An estimator without samples.
     #[must_use]
     pub fn new(scale: FixedPoint) -> Self {
         Self {
@@ -139,7 +139,7 @@ impl LiveAllan {
             let m = 1usize << power;
             let stride = (m / OVERLAP).max(1);
             let terms = level.terms * stride as u64;
-            // A segment of 4m samples has 2m terms: shorter ones say little.
+            // A segment of 4m samples has 2m terms: shorter segments carry little information.
             if level.terms == 0 || level.squares == u128::MAX || terms < level.segments * 2 * m as u64 {
                 continue;
             }

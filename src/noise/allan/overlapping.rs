@@ -34,7 +34,7 @@ pub struct Overlapping {
 }
 
 impl Overlapping {
-    /// An estimator that has seen nothing.
+    /// An estimator without samples.
     #[must_use]
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let strided = Strided::new(&grid);
@@ -60,7 +60,7 @@ impl Overlapping {
         estimator
     }
 
-    /// The checkpoint: the sums over everything pushed so far, and where in its segment the next sample stands.
+    /// The checkpoint: the sums over all samples pushed so far, and the position of the next sample in its segment.
     pub fn save(&mut self) -> Vec<u8> {
         let sums = self.sums().to_bytes();
         let mut bytes = (sums.len() as u64).to_le_bytes().to_vec();
@@ -71,8 +71,8 @@ impl Overlapping {
 
     /// Continues from a checkpoint.
     ///
-    /// `halo`: the samples of the segment that precede the next one to be pushed, oldest first: the last
-    /// [`TauGrid::halo_len`] of them, or all where the segment has fewer; none at the start of a segment. More does no harm.
+    /// `halo`: the samples of the segment that precede the next one to be pushed, oldest first: the last [`TauGrid::halo_len`] of
+    /// them, or all if the segment has fewer; none at the start of a segment. More samples do no harm.
     ///
     /// # Errors
     /// [`AllanError`] as [`AllanSums::from_bytes`].
@@ -98,8 +98,7 @@ impl Overlapping {
 
     /// Takes the next samples of the segment, in the channel's unit.
     ///
-    /// A sample that is not finite or beyond the channel's range is counted and ends the segment: nothing is averaged
-    /// across it.
+    /// A sample that is not finite or beyond the channel's range is counted and ends the segment: no average spans it.
     pub fn push(&mut self, samples: &[f64]) {
         for portion in samples.chunks(kernel::BLOCK) {
             let mut rest = portion;
@@ -119,7 +118,7 @@ impl Overlapping {
         }
     }
 
-    /// Takes samples up to the first that is out of range; answers how many they were.
+    /// Takes samples up to the first that is out of range; returns how many they were.
     fn append(&mut self, samples: &[f64]) -> usize {
         let known = self.phases.len();
         let before = self.phases[known - 1];
@@ -129,7 +128,7 @@ impl Overlapping {
         taken
     }
 
-    /// Adds the phases of samples up to the first that is out of range; answers how many they were.
+    /// Adds the phases of samples up to the first that is out of range; returns how many they were.
     fn integrate(&mut self, samples: &[f64]) -> usize {
         let scale = self.steps_per_unit;
         let fits = |value: &f64| FixedPoint::steps(value * scale).is_some();
@@ -148,7 +147,7 @@ impl Overlapping {
         taken
     }
 
-    /// Ends the segment: what comes next does not continue what came before.
+    /// Ends the segment: later samples do not continue the earlier ones.
     pub fn break_segment(&mut self) {
         self.fold();
         self.strided.break_segment();
@@ -157,13 +156,13 @@ impl Overlapping {
         self.folded = 1;
     }
 
-    /// The sums over everything pushed so far.
+    /// The sums over all samples pushed so far.
     pub fn sums(&mut self) -> &AllanSums {
         self.fold();
         &self.sums
     }
 
-    /// The sums over everything pushed.
+    /// The sums over all samples pushed.
     #[must_use]
     pub fn into_sums(mut self) -> AllanSums {
         self.fold();

@@ -1,8 +1,8 @@
-//! One averaging factor's worth of knowledge: what curves and fits are made of, whichever estimator it came from.
+//! One averaging factor's estimate: the element of curves and fits, for any estimator that it came from.
 
 use super::{Estimator, NoiseType, equivalent_degrees_of_freedom};
 
-/// An overlapping Allan variance with what its confidence rests on.
+/// An overlapping Allan variance with the data for its confidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AllanPoint {
     /// Averaging factor.
@@ -24,7 +24,7 @@ impl AllanPoint {
         taken.saturating_sub(segments) * stride as u64 + segments.min(taken)
     }
 
-    /// How many differences were averaged: fewer than [`Self::terms`] where not every phase is the newest of one.
+    /// How many differences were averaged: fewer than [`Self::terms`] if not every phase is the newest of one.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.terms.saturating_sub(self.segments) / self.stride.max(1) as u64 + self.segments.min(self.terms)
@@ -32,9 +32,9 @@ impl AllanPoint {
 
     /// Equivalent degrees of freedom where `noise` dominates: those of each segment add.
     ///
-    /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for
-    /// segments of a few m, so that only the counts have to be carried through merges. Where one segment is long and thousands
-    /// of others hold a single term, that is too many.
+    /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for segments of
+    /// a few m, so that only the counts have to be carried through merges. If one segment is long and thousands of others hold a
+    /// single term, that is too many.
     #[must_use]
     pub fn edf(&self, noise: NoiseType) -> f64 {
         let phases = self.phases() as u64;
@@ -47,9 +47,9 @@ impl AllanPoint {
     }
 }
 
-/// The noise that dominates at each point, by the slope of the variance over an octave to both sides; `points` in order of
-/// m. Where a segment is shorter than thirty averaging times the slope is mostly chance, and the last noise that was told
-/// before stays.
+/// The noise that dominates at each point, by the slope of the variance over an octave to both sides; `points` in order of m. If
+/// a segment is shorter than thirty averaging times, the slope is mostly chance, and the last noise type that was identified
+/// stays.
 #[must_use]
 pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
     /// At both sides this factor in m takes part in the slope.
@@ -133,7 +133,7 @@ mod tests {
         assert_eq!(points.len(), 10);
         points.extend((10..13).map(|k| AllanPoint { m: 1 << k, variance: 1.0, terms: 3000, segments: 1, stride: 1 }));
         assert_eq!(noise_by_slope(&points), [NoiseType::WhiteRate; 13]);
-        // Nothing told before: the slope has to do.
+        // No type was identified before: the slope has to decide.
         let short: Vec<AllanPoint> = (0..3)
             .map(|k| AllanPoint { m: 1 << k, variance: f64::from(1 << k), terms: 5, segments: 1, stride: 1 })
             .collect();

@@ -1,7 +1,7 @@
 //! Averaging factors beyond full overlap: second differences at every m/16th phase, in constant memory.
 //!
 //! For white rate noise the variance of the estimate grows by 0.5 % against full overlap, and a factor needs 33 phases
-//! whatever its length.
+//! for any length.
 
 use super::{AllanSums, TauGrid};
 
@@ -33,7 +33,7 @@ struct Ring {
 }
 
 impl Ring {
-    /// Takes the phase at `number` strides; answers the difference that it is the newest phase of.
+    /// Takes the phase at `number` strides; returns the difference that it is the newest phase of.
     fn keep(&mut self, number: u64, phase: i128) -> Option<i128> {
         let span = KEPT as u64;
         let slot = (number % span) as usize;
@@ -88,7 +88,7 @@ impl Strided {
         bytes
     }
 
-    /// Reads what [`Self::to_bytes`] wrote for the same grid; None where it is of another length.
+    /// Reads what [`Self::to_bytes`] wrote for the same grid; None if it is of another length.
     pub(super) fn from_bytes(grid: &TauGrid, bytes: &[u8]) -> Option<Self> {
         let mut strided = Self::new(grid);
         let (index, rest) = bytes.split_first_chunk::<8>()?;

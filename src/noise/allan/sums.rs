@@ -1,4 +1,4 @@
-//! Sums of squared second differences: the whole of what an overlapping Allan deviation needs to know about its data.
+//! Sums of squared second differences: the only data that an overlapping Allan deviation needs.
 
 use super::{AllanError, FixedPoint, TauGrid};
 
@@ -21,7 +21,7 @@ pub struct AllanSums {
 }
 
 impl AllanSums {
-    /// Sums over nothing.
+    /// Sums without data.
     #[must_use]
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let taus = grid.factors().len();
@@ -42,20 +42,20 @@ impl AllanSums {
         self.scale
     }
 
-    /// The averaging factors; shape of everything per factor.
+    /// The averaging factors, which give the shape of all fields per factor.
     #[must_use]
     pub fn grid(&self) -> &TauGrid {
         &self.grid
     }
 
-    /// How many second differences each sum has: over a segment of `n` samples `n + 1 − 2m`, or with a stride `s` every
-    /// `s`th of these from the first one on.
+    /// The number of second differences in each sum: over a segment of `n` samples `n + 1 − 2m`, or with a stride `s`
+    /// every `s`th of these from the first one on.
     #[must_use]
     pub fn terms(&self) -> &[u64] {
         &self.terms
     }
 
-    /// How many segments gave at least one term to each sum.
+    /// The number of segments that gave at least one term to each sum.
     #[must_use]
     pub fn segments(&self) -> &[u64] {
         &self.segments
@@ -73,8 +73,8 @@ impl AllanSums {
         self.out_of_range
     }
 
-    /// The overlapping Allan variance at the grid's factor number `index`, in the channel's unit squared; `None` without a
-    /// term, or where the sum went beyond 2^128 (full-scale motion for hours).
+    /// The overlapping Allan variance at the grid's factor number `index`, in the channel's unit squared; `None` without a term,
+    /// or if the sum went beyond 2^128 (full-scale motion for hours).
     ///
     /// # Source
     /// Riley & Howe, NIST SP1065 (2008), equation 10.
@@ -93,7 +93,7 @@ impl AllanSums {
     /// Adds the sums of other data.
     ///
     /// # Errors
-    /// [`AllanError::ScaleMismatch`] and [`AllanError::GridMismatch`] where they are not of the same kind.
+    /// [`AllanError::ScaleMismatch`] and [`AllanError::GridMismatch`] if they are not of the same kind.
     pub fn merge(&mut self, other: &Self) -> Result<(), AllanError> {
         if self.scale != other.scale {
             return Err(AllanError::ScaleMismatch {

@@ -1,5 +1,5 @@
-//! How Allan variances at different averaging times vary together: they are made of the same data, and a hundred of them
-//! are not a hundred measurements.
+//! The covariance of Allan variances at different averaging times: they are computed from the same data, and a hundred of them
+//! are not a hundred independent measurements.
 
 use super::term::{Term, response};
 use crate::noise::allan::AllanPoint;
@@ -40,7 +40,7 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl CovarianceForm {
-    /// Integrates for `points`, sampled every `dt_s` behind a filter, where there is one.
+    /// Integrates for `points`, sampled every `dt_s` behind a filter, if there is one.
     pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Self {
         let count = points.len();
         let mut integrals = vec![DMatrix::<f64>::zeros(count, count); pairs().count()];

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// What non-negative least squares found.
+/// The solution of non-negative least squares.
 #[derive(Debug, Clone)]
 pub(super) struct Solution {
     /// One value per column, ≥ 0.
@@ -12,7 +12,7 @@ pub(super) struct Solution {
 }
 
 /// Minimises |`target` − `design` · x|² over x ≥ 0 by trying every set of columns: exact, and with five columns at most
-/// cheaper than being clever. `None` where the numbers are not finite.
+/// cheaper than being clever. `None` if the numbers are not finite.
 pub(super) fn non_negative(design: &DMatrix<f64>, target: &DVector<f64>) -> Option<Solution> {
     let columns = design.ncols();
     let mut best = Solution { values: vec![0.0; columns], objective: target.norm_squared() };
@@ -37,7 +37,7 @@ pub(super) fn non_negative(design: &DMatrix<f64>, target: &DVector<f64>) -> Opti
     Some(best)
 }
 
-/// Least squares without bounds; `None` where columns depend on one another.
+/// Least squares without bounds; `None` if columns depend on one another.
 pub(super) fn unconstrained(design: &DMatrix<f64>, target: &DVector<f64>) -> Option<DVector<f64>> {
     let inverse = normal_inverse(design)?;
     Some(inverse * (design.transpose() * target))

@@ -1,10 +1,10 @@
 //! The fit: noise parameters from Allan variances.
 //!
-//! [`fit`] takes the points of a curve and answers N, B, K, Q and R with 95 % intervals that hold ("monte_carlo.rs" has the
-//! figures), says which of them the data does not support, and whether the model describes the data at all.
+//! [`fit`] takes the points of a curve and returns N, B, K, Q and R with 95 % intervals that hold ("monte_carlo.rs" has the
+//! figures). It also reports which of them the data does not support, and whether the model describes the data at all.
 //!
 //! # Validation
-//! 300 records of 5 h at 40 Hz (`monte_carlo.rs`, whose generator shares nothing with the program's simulator), N 3.5e-3:
+//! 300 records of 5 h at 40 Hz (`monte_carlo.rs`, whose generator is independent of the program's simulator), N 3.5e-3:
 //!
 //! | truth | root mean square error of N, B, K | 95 % intervals that hold | K named | residual p < 0.05 |
 //! |---|---|---|---|---|
@@ -36,22 +36,22 @@ use variance_fit::{Choice, VarianceFit};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "wls-avar";
-/// Shortest averaging times that are left out at most, where the model misfits with them.
+/// Shortest averaging times that are left out at most, if the model misfits with them.
 const SHAPED: usize = 6;
 /// Further ones that are then left out as well.
 const BEYOND: usize = 3;
 
 /// Fits the noise parameters of a channel to its overlapping Allan variances; `rate_hz` finite and above 0.
 ///
-/// Points of any grid do, from [`AllanSums::points`](crate::noise::allan::AllanSums::points) or
-/// [`LiveAllan::points`](crate::noise::allan::LiveAllan::points). Never fails: what cannot be told is not identified, and a
-/// flag says why.
+/// Points of any grid are valid, from [`AllanSums::points`](crate::noise::allan::AllanSums::points) or
+/// [`LiveAllan::points`](crate::noise::allan::LiveAllan::points). The function never fails: a parameter that cannot be determined
+/// is not identified, and a flag states why.
 #[must_use]
 pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParameters {
     fit_as_sampled(points, rate_hz, channel, None)
 }
 
-/// The same of samples that came about as `sampling` says, where that is known: its boxcar is then part of the law.
+/// The same for samples with a known `sampling`: its boxcar is then part of the law.
 #[must_use]
 pub fn fit_as_sampled(
     points: &[AllanPoint],
@@ -78,7 +78,7 @@ fn of_law(points: &[AllanPoint], rate_hz: f64, channel: Channel, filter: Option<
     let longer = || {
         let first =
             (1..=SHAPED).find(|from| points.get(*from..).and_then(of).is_some_and(|(choice, _)| choice.describes()))?;
-        // What a filter takes halves from octave to octave: a test sees it no more before it is gone.
+        // The part that a filter removes halves from octave to octave: a test no longer detects it before it is gone.
         let found = |from: usize| points.get(from..).and_then(of).map(|found| (from, found));
         (first..=first + BEYOND).rev().find_map(found)
     };
@@ -156,7 +156,7 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
     }
 }
 
-/// The answer where nothing can be told.
+/// The result if no parameter can be determined.
 pub(in crate::noise) fn nothing(channel: Channel, method: &str, flag: Flag) -> NoiseParameters {
     let estimate = |term| Estimate::unidentified(channel, term, None);
     NoiseParameters {
@@ -178,13 +178,13 @@ pub(in crate::noise) fn nothing(channel: Channel, method: &str, flag: Flag) -> N
     }
 }
 
-/// Panics where a number is not finite. JSON has null for it, which a list of numbers cannot be read back from and an optional
+/// Panics if a number is not finite. JSON has null for it, which a list of numbers cannot be read back from and an optional
 /// number would silently be absent by.
 #[cfg(test)]
 pub(in crate::noise) fn assert_finite(parameters: &NoiseParameters) {
     let text = serde_json::to_string(parameters).unwrap();
     let back: NoiseParameters = serde_json::from_str(&text).unwrap();
-    // Null where there was a number: the text of the one that was read back lacks nothing else.
+    // Detects null in place of a number: the text of the value that was read back has no other absent field.
     let absent = |of: &NoiseParameters| format!("{of:?}").matches("None").count();
     assert_eq!(absent(&back), absent(parameters), "{parameters:?}");
 }
@@ -393,8 +393,8 @@ mod tests {
             let parameters = fit(&estimator.sums().points(), 40.0, channel);
             let n = &parameters.n;
             let misfit = parameters.flags.iter().any(|flag| flag.kind == "misfit");
-            // Vibration at 13.38 Hz adds 6 % to the gyroscope's N, which Allan variances cannot tell from white noise; if
-            // the fit is flagged the interval is wide.
+            // Vibration at 13.38 Hz adds 6 % to the gyroscope's N, which Allan variances cannot separate from white noise; if the
+            // fit is flagged the interval is wide.
             let allowed = if misfit { 2.7 } else { 1.07 };
             let ratio = n.value.unwrap() / density;
             assert!((1.0 / allowed..allowed).contains(&ratio), "{channel}: {n:?}");

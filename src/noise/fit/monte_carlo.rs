@@ -1,4 +1,5 @@
-//! The fit against truth: many simulated records, by a generator that shares nothing with the program's simulator.
+//! The fit compared with the truth: many simulated records, by a generator that is independent of the program's
+//! simulator.
 //!
 //! `cargo test --release --lib noise::fit::monte_carlo -- --ignored --nocapture`; `VN100D_SEEDS` sets how many.
 

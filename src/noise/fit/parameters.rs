@@ -1,4 +1,5 @@
-//! Noise parameters of one channel as docs/formats.md has them: with units, intervals, and what the data does not support.
+//! Noise parameters of one channel as docs/formats.md has them: with units, intervals, and the parameters that the data does not
+//! support.
 
 use super::term::Term;
 use crate::noise::RecordNeeded;
@@ -53,7 +54,7 @@ impl Estimate {
         }
     }
 
-    /// A value with its 95 % interval in a unit of its own.
+    /// A value with its 95 % interval in its own unit.
     #[must_use]
     pub fn of(unit: &str, value: f64, ci95: [f64; 2]) -> Self {
         Self {
@@ -182,9 +183,11 @@ impl FittedCurve {
     }
 }
 
-/// Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose correlation time is 1/`decay` samples.
+/// Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose correlation time is
+/// 1/`decay` samples.
 ///
-/// The samples are an AR(1) sequence with φ = e^(−decay). A sum of m of them has the variance m (1 + φ)/(1 − φ) − 2 φ (1 − φᵐ)/(1 − φ)².
+/// The samples are an AR(1) sequence with φ = e^(−decay). A sum of m of them has the variance m (1 + φ)/(1 − φ) − 2 φ
+/// (1 − φᵐ)/(1 − φ)².
 ///
 /// # Source
 /// IEEE Std 952-1997, annex C, has the same for a process that is averaged without sampling it: 2/3 of it at m = 1.
@@ -226,7 +229,7 @@ impl Flag {
         Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
     }
 
-    /// `out_of_range`, where that many values were no measurements; none where all were.
+    /// `out_of_range`, if that many values were no measurements; none if all were.
     #[must_use]
     pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
         let note =
@@ -234,7 +237,7 @@ impl Flag {
         (samples > 0).then(|| Self::whole("out_of_range", note()))
     }
 
-    /// `other_rate`, where that many samples came at another rate than the one analysed; none where none did.
+    /// `other_rate`, if that many samples came at another rate than the one analysed; none if none did.
     #[must_use]
     pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
         let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
@@ -289,7 +292,7 @@ pub struct NoiseParameters {
     pub flags: Vec<Flag>,
 }
 
-/// Documents of before have no word on it.
+/// Earlier documents do not have this key.
 fn yes() -> bool {
     true
 }
@@ -306,7 +309,7 @@ pub struct Minimum {
 }
 
 impl NoiseParameters {
-    /// Withholds the parameters for a reason, and clears what would follow from them.
+    /// Withholds the parameters for a reason, and clears the values that follow from them.
     pub fn refuse(&mut self, reason: String) {
         (self.usable, self.reason) = (false, Some(reason));
         (self.record_needed, self.walk_shows_beyond_s) = (RecordNeeded::default(), None);
@@ -364,8 +367,8 @@ impl NoiseReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-noise-1";
 
-    /// Why parameters of this report should go nowhere: the `concerned` channels that are not usable, with their reasons. None
-    /// where all are.
+    /// The reasons why parameters of this report should not be used: the `concerned` channels that are not usable, with their
+    /// reasons. None if all are.
     #[must_use]
     pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
         let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));

@@ -1,9 +1,9 @@
-//! Statements that hold after selection: a term is named where the data asks for it and limited where it does not, and both
-//! statements are to be true as often as they say among the records in which they are made.
+//! Statements that hold after selection: a term is named if the data asks for it, and otherwise it has a limit. Both statements
+//! hold as often as they claim among the records in which they are made.
 //!
-//! All is said in signed roots of likelihood ratios: r(c) = ±√(2 log L(ĉ)/L(c)), positive for c below the maximum, is a
-//! standard normal number where c is the truth. The term is named where r(0) reaches a threshold; r(0) − r(c) is how far c
-//! lies from 0, so that under c naming is r(c) reaching the threshold less that.
+//! All statements use signed roots of likelihood ratios. r(c) = ±√(2 log L(ĉ)/L(c)), positive for c below the maximum, is a
+//! standard normal number if c is the truth. The term is named if r(0) reaches a threshold. r(0) − r(c) is how far c lies from 0,
+//! so that under c the term is named if r(c) reaches the threshold less that distance.
 //!
 //! # Source
 //! G. J. Feldman, R. D. Cousins, Phys. Rev. D 57 (1998) 3873, for intervals whose coverage does not depend on what they
@@ -14,13 +14,14 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// What intervals and limits hold.
+/// The coverage of intervals and limits.
 const CONFIDENCE: f64 = 0.95;
 /// A limit fails in no more than this share of all records, named or not. Without it the limit of a term that was all but
 /// named would be without bounds.
 const FAILS_AT_MOST: f64 = 1e-3;
-/// A term at its limit is told by few squares, whose sum strays to low values more often than a normal number does: so many
-/// deviations are allowed for. Without, limits of a walk that is usually named held in 84 % of the records that do not name it.
+/// The limit of a term depends on few squares, whose sum takes low values more often than a normal number does. This number of
+/// deviations allows for that. Without it, limits of a walk that is usually named held in 84 % of the records that do not name
+/// it.
 const FEW_SQUARES: f64 = 0.3;
 /// From so many deviations on a term is named in any record.
 const BEYOND_DOUBT: f64 = 8.0;
@@ -28,7 +29,7 @@ const BEYOND_DOUBT: f64 = 8.0;
 const PRECISION: f64 = 1e-4;
 const TRIALS: usize = 60;
 
-/// Whether c belongs to the interval of a term that is named; below 0 where it does.
+/// Whether c belongs to the interval of a term that is named; below 0 if it does.
 ///
 /// Of the numbers that naming allows, the 95 % closest to 0 are those that speak for c.
 fn named(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
@@ -39,7 +40,7 @@ fn named(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     Some(closer.max(0.0) - CONFIDENCE * normal.sf(least)).filter(|excess| excess.is_finite())
 }
 
-/// Whether c lies above the limit of a term that is not named; above 0 where it does.
+/// Whether c lies above the limit of a term that is not named; above 0 if it does.
 fn limited(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     let normal = Normal::standard();
     let unnamed = normal.cdf(threshold - (r_zero - r));
@@ -49,8 +50,8 @@ fn limited(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     Some(allowed.ln() - below.ln()).filter(|excess| excess.is_finite())
 }
 
-/// The 95 % interval of a named term of the value `value`, above 0; `root`: r(c); `r_zero`: r(0), infinite where the term
-/// is beyond doubt.
+/// The 95 % interval of a named term of the value `value`, above 0; `root`: r(c); `r_zero`: r(0), infinite if the term is beyond
+/// doubt.
 pub(in crate::noise) fn interval(
     value: f64,
     r_zero: f64,
@@ -80,7 +81,8 @@ pub(in crate::noise) fn upper_limit(
     crossing(least, 2.0 * least, |c| 2.0 * c, &excess)
 }
 
-/// Where `excess` becomes positive on the way from `inside` through `trial` and what `further` makes of it.
+/// The value at which `excess` becomes positive on the way from `inside` through `trial` and the further trials that
+/// `further` makes of it.
 fn crossing(
     inside: f64,
     trial: f64,
@@ -136,7 +138,7 @@ mod tests {
 
     const THRESHOLD: f64 = 2.326;
 
-    /// One measurement of c = `truth` in units of its own deviation.
+    /// One measurement of c = `truth` in units of its standard deviation.
     fn statement(measured: f64) -> (Option<[f64; 2]>, Option<f64>) {
         let r_zero = measured.max(0.0);
         // The likelihood's maximum over c ≥ 0.

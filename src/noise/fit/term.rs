@@ -1,4 +1,4 @@
-//! The terms of a rate's noise: what each adds to the Allan variance and to the spectrum of sampled data.
+//! The terms of a rate's noise: the contribution of each to the Allan variance and to the spectrum of sampled data.
 //!
 //! # Source
 //! IEEE Std 952-1997, annex C, for the spectra and their Allan variances; the sampled forms follow from

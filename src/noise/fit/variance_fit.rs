@@ -6,8 +6,8 @@
 //! freedom at long averaging times, are not.
 //!
 //! # Source
-//! Guerrier, Molinari, Stebler, IEEE SPL 23 (2016) 597, for what a line through the Allan variance costs; E. B. Wilson and
-//! M. M. Hilferty, PNAS 17 (1931) 684, for the cube root.
+//! Guerrier, Molinari, Stebler, IEEE SPL 23 (2016) 597, for the cost of a line through the Allan variance; E. B. Wilson and M. M.
+//! Hilferty, PNAS 17 (1931) 684, for the cube root.
 
 use super::FittedCurve;
 use super::covariance::CovarianceForm;
@@ -25,18 +25,18 @@ pub(super) const SIGNIFICANT: f64 = 5.41;
 const WORTH_ADDING_RAMP: f64 = 3.84;
 /// Quantization noise, which few sensors show, has to be plain (0.1 %): named by chance it would take its variance from N.
 const WORTH_ADDING_QUANTIZATION: f64 = 9.55;
-/// A term found by so many deviations would be named in any record: nothing was selected.
+/// A term that exceeds 0 by this number of deviations would be named in any record, so that no selection took place.
 const BEYOND_DOUBT: f64 = 6.0;
 /// Two-sided 95 % of the normal distribution, in standard deviations.
 const TWO_SIDED_95: f64 = 1.959_964;
 const ITERATIONS: usize = 40;
 
-/// Variances at octave-spaced points and everything that does not depend on the coefficients.
+/// Variances at octave-spaced points and all quantities that do not depend on the coefficients.
 #[derive(Debug)]
 pub(super) struct VarianceFit {
     points: Vec<AllanPoint>,
     dt_s: f64,
-    /// Per point what each of [`Term::ALL`] of coefficient 1 gives to the variance.
+    /// Per point, the contribution of each of [`Term::ALL`] of coefficient 1 to the variance.
     parts: Vec<[f64; Term::ALL.len()]>,
     variances: DVector<f64>,
     form: CovarianceForm,
@@ -58,9 +58,9 @@ pub(super) struct Choice {
     pub(super) model: Model,
     /// Whether each of them is significant.
     pub(super) identified: Vec<bool>,
-    /// The residual test, where a degree of freedom is left.
+    /// The residual test, if a degree of freedom is left.
     pub(super) residual: Option<Residual>,
-    /// Factor on standard deviations: above 1 where the residuals are larger than they should be (R. T. Birge, 1932).
+    /// Factor on standard deviations: above 1 if the residuals are larger than they should be (R. T. Birge, 1932).
     pub(super) widen: f64,
 }
 
@@ -80,13 +80,13 @@ pub(super) struct Residual {
 }
 
 impl VarianceFit {
-    /// Least points for a fit of three terms with something left to judge it by.
+    /// Fewest points for a fit of three terms that leaves a degree of freedom for the residual test.
     pub(super) const LEAST_POINTS: usize = 5;
 
-    /// Takes the points nearest to octaves: points between them add little but cost, measured at under 1 % of the error.
-    /// `None` where fewer than [`VarianceFit::LEAST_POINTS`] remain.
+    /// Takes the points nearest to octaves: points between them add little but cost, measured at under 1 % of the error. `None`
+    /// if fewer than [`VarianceFit::LEAST_POINTS`] remain.
     ///
-    /// `filter`: what lies between the noise and the samples, where that is known.
+    /// `filter`: the filter between the noise and the samples, if it is known.
     pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Option<Self> {
         let points = octaves(points);
         if points.len() < Self::LEAST_POINTS {
@@ -104,7 +104,7 @@ impl VarianceFit {
         Some(Self { points, dt_s, parts, variances, form })
     }
 
-    /// What a term of coefficient 1 gives to a point's variance.
+    /// The contribution of a term of coefficient 1 to a point's variance.
     fn part(&self, term: Term, row: usize) -> f64 {
         Term::ALL.iter().position(|own| *own == term).map_or(0.0, |at| self.parts[row][at])
     }
@@ -118,7 +118,7 @@ impl VarianceFit {
         DVector::from_fn(self.points.len(), of)
     }
 
-    /// Fits `terms`; those at their boundary have a square of 0. `None` where nothing is positive.
+    /// Fits `terms`; those at their boundary have a square of 0. `None` if no square is positive.
     pub(super) fn fit(&self, terms: &[Term]) -> Option<Model> {
         let design = self.design(terms);
         // To begin with, each variance is as certain as its number of independent blocks.
@@ -176,10 +176,10 @@ impl VarianceFit {
 
     /// Chooses the terms that the data supports: N, B and K, which every sensor has, then any other worth adding.
     ///
-    /// A positive term whose gain is below [`SIGNIFICANT`] stays in the model, so that the others' intervals allow for it,
-    /// but is not identified: leaving it out was measured to let the interval of B hold in 91 % instead of 93 % of records
-    /// with a weak K. Q and R serve only where the data is then described: vibration and knocks are not to pass for them.
-    /// `None` where no term is positive.
+    /// A positive term whose gain is below [`SIGNIFICANT`] stays in the model, so that the others' intervals allow for it, but is
+    /// not identified. Leaving it out was measured to let the interval of B hold in 91 % instead of 93 % of records with a weak
+    /// K. Q and R are used only if the data is then described, so that they do not stand for vibration and knocks. `None` if no
+    /// term is positive.
     pub(super) fn choose(&self) -> Option<Choice> {
         let base = [Term::N, Term::B, Term::K];
         let extended = self.judge(&self.extend(&base)?)?;
@@ -215,7 +215,7 @@ impl VarianceFit {
         Some(terms)
     }
 
-    /// Fits those of `terms` that are positive and tells which are significant.
+    /// Fits those of `terms` that are positive and determines which are significant.
     fn judge(&self, terms: &[Term]) -> Option<Choice> {
         let model = self.fit(terms)?;
         let terms = self.positive(&model);
@@ -227,7 +227,7 @@ impl VarianceFit {
         };
         let significant = |term: &Term| {
             let others: Vec<Term> = terms.iter().copied().filter(|other| other != term).collect();
-            // Without a gain to be told the others alone are no noise at all: the term carries the model.
+            // If no gain can be computed, the others alone are not a noise model: the term carries the model.
             self.gain(&others, *term).is_none_or(|gain| gain / (widen * widen) >= SIGNIFICANT)
         };
         let identified = terms.iter().map(significant).collect();
@@ -318,7 +318,7 @@ impl VarianceFit {
         FittedCurve::at(factors, dt_s, parts)
     }
 
-    /// Whether the residuals of `model` are of the size that its covariance says.
+    /// Whether the residuals of `model` are of the size that its covariance predicts.
     pub(super) fn residual(&self, model: &Model) -> Option<Residual> {
         let terms: Vec<Term> = model.squares.iter().map(|(term, _)| *term).collect();
         let (design, target) = self.whitened(model, &terms)?;
@@ -332,7 +332,7 @@ impl VarianceFit {
 
 /// The points nearest to powers of two times the smallest factor, each once.
 fn octaves(points: &[AllanPoint]) -> Vec<AllanPoint> {
-    /// Nearer than this factor two points say the same.
+    /// Two points that are nearer than this factor carry the same information.
     const APART: f64 = 1.6;
     let usable: Vec<&AllanPoint> = points.iter().filter(|point| point.variance > 0.0 && point.terms > 0).collect();
     let Some(first) = usable.first() else { return Vec::new() };

@@ -1,9 +1,10 @@
-//! Block means: a channel reduced to some dozens of levels over the whole record, for what is slower than noise.
+//! Block means: a channel reduced to some dozens of levels over the whole record, for changes that are slower than
+//! noise.
 
 use super::Part;
 
-/// Mean level of each of `count` equal stretches of time, and the time of its middle; `None` where less than a quarter of
-/// its samples are there.
+/// Mean level of each of `count` equal stretches of time, and the time of its middle; `None` if less than a quarter of its
+/// samples are there.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Blocks {
     pub(super) begin_s: f64,

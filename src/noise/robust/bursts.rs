@@ -1,9 +1,9 @@
-//! Bursts: single wild samples, knocks and handling, by what remains of the samples less the mean of their neighbours.
+//! Bursts: single wild samples, knocks and handling, detected in the samples less the mean of their neighbours.
 //!
-//! White noise of variance σ² leaves 1.5 σ² there, whatever the level, drift or walk. Its mean square over short windows is
-//! χ² distributed; how many degrees of freedom it has is read off the windows' own spread, so that coloured noise and what
-//! vibration is left do not ring the alarm. Slow changes of the noise's size belong to [`super::dynamic`], not here: each
-//! window is compared with the windows around it.
+//! White noise of variance σ² leaves 1.5 σ² there, for any level, drift or walk. The mean square over short windows is χ²
+//! distributed. Its degrees of freedom are estimated from the scatter of the windows, so that coloured noise and the remaining
+//! vibration do not raise the alarm. Slow changes of the noise's size are detected in [`super::dynamic`]: each window is compared
+//! with the windows around it.
 
 use super::Part;
 use super::event::{Event, Kind};
@@ -77,7 +77,7 @@ pub(super) fn find(parts: &[Part], rate_hz: f64) -> Bursts {
         let window = ((window_s * rate_hz).round() as usize).max(LEAST);
         let mut found = Vec::new();
         windows(parts, &residuals, rate_hz, window, &mut found);
-        // Short windows place a knock; long ones only find what short ones miss.
+        // Short windows place a knock; long ones only find knocks that short ones miss.
         found.retain(|alarm: &Alarm| {
             !shaking.iter().any(|known: &Alarm| known.from_s <= alarm.to_s + 1.0 && alarm.from_s <= known.to_s + 1.0)
         });
@@ -94,8 +94,8 @@ pub(super) fn find(parts: &[Part], rate_hz: f64) -> Bursts {
     Bursts { events, heavy_tails }
 }
 
-/// Standard deviation of the residuals without the wild ones: of normal values beyond four deviations nothing is missing,
-/// and coarse steps do not narrow it as they do a quantile.
+/// Standard deviation of the residuals without the wild ones. Excluding values beyond four deviations hardly changes that of
+/// normal values, and coarse steps do not narrow it as they do a quantile.
 fn deviation(residuals: &[Vec<f64>], count: usize) -> Option<f64> {
     let thin = count.div_ceil(1 << 18).max(1);
     let some: Vec<f64> = residuals.iter().flat_map(|part| part.iter().step_by(thin)).copied().collect();
@@ -105,14 +105,13 @@ fn deviation(residuals: &[Vec<f64>], count: usize) -> Option<f64> {
     (number > 0).then(|| (squares / number as f64).sqrt())
 }
 
-/// Wild samples that stand alone or in twos and threes. They are taken out of the residuals, so that what remains tells of
-/// shaking.
+/// Wild samples that stand alone or in twos and threes. They are removed from the residuals, so that the rest shows shaking.
 fn spikes(parts: &[Part], residuals: &mut [Vec<f64>], rate_hz: f64, limit: f64, sigma: f64) -> Vec<Alarm> {
     /// Wild samples in a row that are still no shaking.
     const FEW: usize = 3;
     let mut alarms = Vec::new();
     for (part, residuals) in parts.iter().zip(residuals) {
-        // A wild sample leaves half of itself with each neighbour: it is where it is largest.
+        // A wild sample leaves half of itself with each neighbour: its place is that of the largest residual.
         let peaks: Vec<usize> = (0..residuals.len())
             .filter(|index| {
                 let size = residuals[*index].abs();

@@ -1,8 +1,9 @@
-//! Drift: warm-up and creep, told from a random walk.
+//! Drift: warm-up and creep, as distinct from a random walk.
 //!
-//! The levels of a walk change by independent amounts. A drift makes them share a direction, always (creep) or at the
-//! beginning (warm-up): the changes are correlated with those of a straight line and of exponentials, and Student's t
-//! says how often a walk would do as much. White and flicker noise do less than a walk.
+//! The levels of a walk change by independent amounts. A drift makes the changes share a direction, always (creep) or
+//! at the beginning (warm-up). The changes are therefore correlated with those of a straight line and of exponentials,
+//! and Student's t gives the probability of that correlation for a walk. White and flicker noise give less correlation
+//! than a walk.
 
 use super::Part;
 use super::blocks::Blocks;
@@ -15,7 +16,7 @@ const BY_CHANCE: f64 = 1e-4;
 const COUNTS: [usize; 2] = [16, 64];
 /// Time constants of the exponentials over the record's length.
 const CONSTANTS: [f64; 7] = [1.0 / 128.0, 1.0 / 64.0, 1.0 / 32.0, 1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0];
-/// The best of them is made precise to this share: what is left of a warm-up passes for a walk.
+/// The time constant of the best exponential is refined to this share: the rest of a warm-up would pass for a walk.
 const PRECISE: f64 = 1e-3;
 /// An exponential has to be better than a line by this much in 2 Δ log L (1 % of χ² with one degree).
 const BETTER: f64 = 6.63;
@@ -166,7 +167,7 @@ mod tests {
         assert!(parts[0].values[..4000].iter().sum::<f64>().abs() / 4000.0 < 0.01);
     }
 
-    /// What precedes the levels, a stretch too short for them, does not move the exponential.
+    /// A stretch before the levels, too short for them, does not move the exponential.
     #[test]
     fn a_warm_up_counts_from_where_it_was_found() {
         let mut values = Noise::new(45).sensor(100_000, 40.0, 2e-3, 5e-4, 1e-5);
@@ -204,7 +205,7 @@ mod tests {
         assert_eq!(found.count(), 0);
     }
 
-    /// Whatever its time constant: little enough is left for a walk of the sensor's own size.
+    /// For any time constant: the rest is small enough against a walk of the sensor's own size.
     #[test]
     fn what_is_left_of_a_warm_up_is_less_than_a_walk() {
         for (seed, (amplitude, tau_s)) in

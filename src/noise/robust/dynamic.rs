@@ -10,7 +10,7 @@ use crate::noise::allan::{AllanPoint, FixedPoint, Overlapping, TauGrid, noise_by
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Length of a block where the record holds at least [`LEAST`] of them, s.
+/// Length of a block if the record holds at least [`LEAST`] of them, s.
 const HOUR_S: f64 = 3600.0;
 /// Blocks into which a shorter record is cut.
 const LEAST: usize = 4;
@@ -63,7 +63,7 @@ pub(super) struct Dynamic {
 }
 
 impl Dynamic {
-    /// Nothing yet of a record from `begin_s` to `end_s`; `None` where that is too short.
+    /// An accumulator for a record from `begin_s` to `end_s`, without samples; `None` if the record is too short.
     pub(super) fn new((begin_s, end_s): (f64, f64), rate_hz: f64, scale: FixedPoint) -> Option<Self> {
         let hours = ((end_s - begin_s) / HOUR_S).round() as usize;
         let blocks = if hours >= LEAST { hours } else { LEAST };

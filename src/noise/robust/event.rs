@@ -1,8 +1,8 @@
-//! Events: what happened to a channel at a known time.
+//! Events: disturbances of a channel at a known time.
 
 use crate::noise::fit::Flag;
 
-/// What kind of thing.
+/// The kind of an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// One to three samples far outside the noise.
@@ -31,7 +31,7 @@ impl Kind {
     }
 }
 
-/// Something that happened; its samples are left out of the parameters.
+/// An event; its samples are left out of the parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Event {
     /// What.
@@ -57,7 +57,7 @@ impl Event {
     }
 }
 
-/// Times are told in ms: no sample is shorter.
+/// Times are reported in ms: no sample is shorter.
 fn milli(time_s: f64) -> f64 {
     (time_s * 1e3).round() / 1e3
 }

@@ -1,4 +1,4 @@
-//! Excision: samples with chosen frequencies brought down to the background, everything else left as it is.
+//! Excision: brings samples with chosen frequencies down to the background, and leaves all else as it is.
 //!
 //! Overlapping windows are transformed, multiplied by a gain per bin that is 1 outside the bands, and added up again. With
 //! a gain of 1 everywhere the samples come back unchanged: the window is a half sine both ways, whose squares add to 1.
@@ -9,7 +9,7 @@ use super::spectrum::Spectrum;
 use realfft::RealFftPlanner;
 use std::f64::consts::PI;
 
-/// Gains per bin that bring the bands of `lines` down to `quiet`; `None` where there is nothing to do.
+/// Gains per bin that bring the bands of `lines` down to `quiet`; `None` if no bin needs it.
 pub(super) fn gains(spectrum: &Spectrum, quiet: &[f64], lines: &[Line]) -> Option<Vec<f64>> {
     let mut gains: Vec<f64> = vec![1.0; spectrum.window / 2 + 1];
     for line in lines {
@@ -23,10 +23,10 @@ pub(super) fn gains(spectrum: &Spectrum, quiet: &[f64], lines: &[Line]) -> Optio
     gains.iter().any(|gain| *gain < 1.0).then_some(gains)
 }
 
-/// What becomes of parts that are shorter than half a window, which cannot be filtered.
+/// The treatment of parts that are shorter than half a window, which cannot be filtered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Short {
-    /// They are left out: what vibrates in them would pass for knocks.
+    /// They are left out: vibration in them would pass for knocks.
     LeftOut,
     /// They stay as they are: a fit leaves the bands out anyway.
     Kept,

@@ -1,4 +1,4 @@
-//! False alarms: how often pure noise is said to be disturbed.
+//! False alarms: how often pure noise is reported as disturbed.
 //!
 //! `cargo test --release --lib false_alarms -- --ignored --nocapture` prints the counts.
 
@@ -6,7 +6,7 @@ use super::synthetic::Noise;
 use super::*;
 use std::collections::BTreeMap;
 
-/// What is found in `records` records of pure noise of `count` samples at 40 Hz, by kind.
+/// The findings in `records` records of pure noise of `count` samples at 40 Hz, by kind.
 fn found(records: u64, count: usize, b: f64, k: f64) -> (usize, BTreeMap<String, usize>) {
     let mut kinds = BTreeMap::new();
     let mut disturbed = 0;

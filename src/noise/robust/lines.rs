@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 
 /// Lines expected by chance in a record of pure noise.
 const BY_CHANCE: f64 = 1e-4;
-/// A peak lower than this over the background changes nothing and is left alone.
+/// A peak lower than this over the background has no material effect and is left alone.
 const LEAST_RATIO: f64 = 1.5;
 /// A line reaches as far as its power stands this far above the background.
 const FOOT: f64 = 1.25;
@@ -113,8 +113,8 @@ fn mains(frequency_hz: f64, step_hz: f64, rate_hz: f64) -> Vec<f64> {
 
 /// Bands in which the background itself rises above the level of the frequencies below: vibration, resonances.
 ///
-/// A sensor's own spectrum falls with frequency (N, B, K) or rises as sin²(πf/rate) (Q); what neither describes belongs to
-/// where it stands.
+/// A sensor's own spectrum falls with frequency (N, B, K) or rises as sin²(πf/rate) (Q). A band that neither describes belongs to
+/// the environment.
 pub(super) fn vibration(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
     /// Bands from 0 to half the rate.
     const BANDS: usize = 24;
@@ -187,7 +187,7 @@ pub(super) fn joined(mut lines: Vec<Line>, blocks: usize) -> Vec<Line> {
     groups.into_iter().filter_map(|group| one(&group, blocks)).collect()
 }
 
-/// One line of what blocks have of it.
+/// One line, from the blocks that have it.
 fn one(group: &[Line], blocks: usize) -> Option<Line> {
     let first = group.first()?;
     let power = |line: &Line| line.amplitude * line.amplitude;
@@ -212,7 +212,7 @@ fn one(group: &[Line], blocks: usize) -> Option<Line> {
     })
 }
 
-/// What the density would be without lines and vibration, per bin: what [`super::excise`] brings the bands down to.
+/// The density without lines and vibration, per bin: the level to which [`super::excise`] brings the bands down.
 pub(super) fn quiet(spectrum: &Spectrum, lines: &[Line]) -> Vec<f64> {
     let mut quiet = spectrum.background.clone();
     let from = Spectrum::FIRST.max(spectrum.power.len() / 24);

@@ -1,12 +1,12 @@
-//! Robustness: what happened to a channel while its noise was recorded, and the parameters with and without it.
+//! Robustness: the disturbances of a channel while its noise was recorded, and the parameters with and without them.
 //!
-//! [`examine`] finds spectral lines and vibration, then, with these brought down to the background, spikes, knocks and
-//! handling by time, then steps, bumps and drift of the level. A [`Record`] holds the sums of what is left, and the deviation hour
-//! by hour; parameters are fitted with and without all that. A record is looked through twice, block by block ([`BLOCK`]): memory does not grow with
-//! its length. Everything found is told as flags of docs/formats.md.
+//! [`examine`] finds spectral lines and vibration. With these brought down to the background, it then finds spikes, knocks and
+//! handling by time, and then steps, bumps and drift of the level. A [`Record`] holds the sums of the remaining samples, and the
+//! deviation hour by hour; parameters are fitted with and without the disturbances. A record is examined twice, block by block
+//! ([`BLOCK`]): memory does not grow with its length. All findings are reported as flags of docs/formats.md.
 //!
 //! # Validation
-//! Each detector's test has its synthetic case; `recordings.rs` holds the real ones; `false_alarms.rs` counts what is found in
+//! Each detector's test has its synthetic case; `recordings.rs` holds the real ones; `false_alarms.rs` counts the findings in
 //! pure noise.
 
 mod blocks;
@@ -50,14 +50,14 @@ use survey::Survey;
 /// Samples of a block: 7 h at 40 Hz, 22 min at 800 Hz. A block takes about a hundred bytes a sample while it is looked through.
 pub const BLOCK: u64 = 1 << 20;
 
-/// How many blocks a record of that many samples is looked through in; they are of equal length, since a short one would
-/// tell little by itself.
+/// The number of blocks in which a record of that many samples is examined. The blocks are of equal length, because a short one
+/// would carry little information.
 #[must_use]
 pub fn blocks_of(samples: u64) -> usize {
     usize::try_from(samples.div_ceil(BLOCK)).unwrap_or(usize::MAX).max(1)
 }
 
-/// What was found in a channel, and what has to be left out for its noise alone.
+/// The findings in a channel, and the samples to be left out for its noise alone.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Examination {
     /// Disturbances by time.
@@ -79,13 +79,13 @@ pub struct Examination {
 }
 
 impl Examination {
-    /// Whether the samples are nothing but noise, as far as can be told.
+    /// Whether the samples are pure noise, as far as can be determined.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.excluded_intervals.is_empty() && self.gains.iter().all(Option::is_none) && self.drift.is_none()
     }
 
-    /// Everything found as flags of the document, in order of time.
+    /// All findings as flags of the document, in order of time.
     #[must_use]
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let unit = channel.unit();
@@ -144,7 +144,7 @@ pub fn examine(parts: &[Part], rate_hz: f64) -> Examination {
     survey.settle().0
 }
 
-/// Spectral sums of parts: what the Whittle fit works on.
+/// Spectral sums of parts: the input of the Whittle fit.
 #[must_use]
 pub fn spectral_sums(parts: &[Part], scale: FixedPoint) -> DstSums {
     let mut transform = Transform::new();

@@ -12,7 +12,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// Where sample `index` lies, s since the start of the capture.
+    /// The time of sample `index`, s since the start of the capture.
     pub(super) fn time_s(&self, index: usize, rate_hz: f64) -> f64 {
         self.start_s + index as f64 / rate_hz
     }
@@ -21,7 +21,7 @@ impl Part {
 /// Samples of a portion of a record.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Portion {
-    /// The parts, in order of time. Each stands by itself, however close to the next.
+    /// The parts, in order of time. Each is independent, however close to the next.
     pub parts: Vec<Part>,
     /// Whether the first sample continues the stretch that the portion before ended with.
     pub continues: bool,
@@ -38,7 +38,7 @@ fn reaching<'a>(
     intervals.get(first..).unwrap_or_default().iter().take_while(move |(from_s, _)| *from_s < end_s)
 }
 
-/// Cuts the intervals (s, sorted, disjoint) out of parts; what remains of less than two samples is left out.
+/// Cuts the intervals (s, sorted, disjoint) out of parts; remainders of less than two samples are left out.
 #[must_use]
 pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     let mut kept = Vec::new();
@@ -81,13 +81,13 @@ fn bridge(mut part: Part, intervals: &[(f64, f64)], rate_hz: f64) -> Option<Part
             let count = range.len();
             (count > 0).then(|| part.values[range].iter().sum::<f64>() / count as f64)
         };
-        // What the neighbouring intervals hold is no level.
+        // The samples inside the neighbouring intervals are not a level.
         let disturbed_from = disturbed.get(index + 1).map_or(last, |next| next.start);
         // A long bridge hangs on as many samples: otherwise its ends' white noise would pass for a slow change.
         let reach = reach.max(to.saturating_sub(from));
         let before = mean(from.saturating_sub(reach).max(undisturbed_from).min(from)..from);
         let after = mean(to..(to + reach).min(disturbed_from).max(to));
-        // Between two that touch nothing is left: the bridge before ends at a level.
+        // Between two that touch, no level is left: the bridge before ends at a level.
         let before = before.or(after).or_else(|| from.checked_sub(1).map(|end| part.values[end]));
         let (before, after) = before.zip(after.or(before))?;
         undisturbed_from = to;
@@ -123,8 +123,8 @@ pub fn samples_of(parts: &[Part], range: &Range<usize>, rate_hz: f64) -> Portion
     found
 }
 
-/// Tells whether the first part of a portion goes on where the last one of the portion before ended, as it does when a record is
-/// read in portions, unless its beginning or the other's end was taken out.
+/// Determines whether the first part of a portion continues the last one of the portion before. It does when a record is read in
+/// portions, unless its beginning or the other's end was removed.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Seam {
     end_s: Option<f64>,
@@ -149,7 +149,7 @@ impl Seam {
     }
 }
 
-/// A channel's level: means over some samples, which is all that slow changes need, whatever the record's length.
+/// A channel's level: means over some samples. Slow changes need no more data, for any length of the record.
 #[derive(Debug, Clone)]
 pub struct Levels {
     per_level: usize,
@@ -189,8 +189,8 @@ impl Levels {
         without_intervals(&self.parts, intervals, self.rate_hz())
     }
 
-    /// Takes the next samples, in order of time; `continues` as [`Portion::continues`]. What a stretch leaves over is less
-    /// than a level and is left out.
+    /// Takes the next samples, in order of time; `continues` as [`Portion::continues`]. The samples that a stretch leaves over
+    /// are fewer than a level needs and are left out.
     pub fn push(&mut self, parts: &[Part], continues: bool) {
         for (part, joins) in self.seam.joins(parts, continues, self.samples_hz) {
             if !joins {

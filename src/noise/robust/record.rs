@@ -1,5 +1,5 @@
-//! One capture's record of a channel: looked through by itself, cleaned, and summed, so that sums of several captures can be
-//! fitted together.
+//! One capture's record of a channel: examined separately, cleaned, and summed, so that sums of several captures can be fitted
+//! together.
 
 use super::rest::Rest;
 use super::survey::Survey;
@@ -15,13 +15,13 @@ use crate::sample::Channel;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 
-/// What is left of a channel of one capture once it was looked through: sums, no samples.
+/// The remainder of a channel of one capture after examination: sums, no samples.
 #[derive(Debug, Clone)]
 pub struct Record {
     found: Examination,
-    /// Sums of the noise alone; none where nothing was taken out and nobody needs them apart.
+    /// Sums of the noise alone; none if nothing was removed and no caller needs them separately.
     noise: Option<DstSums>,
-    /// The same without the temperature's part, where that is significant.
+    /// The same without the temperature's part, if that is significant.
     without_temperature: Option<DstSums>,
     /// Octaves of the Allan variance.
     points: Vec<AllanPoint>,
@@ -29,7 +29,7 @@ pub struct Record {
     dynamic: Option<DynamicAllan>,
 }
 
-/// Whether a record's sums are needed even where nothing was taken out of it: to be added to those of other captures.
+/// Whether a record's sums are needed even if nothing was removed from it: to be added to those of other captures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Company {
     /// Its parameters are its own.
@@ -48,7 +48,7 @@ pub struct All<'a> {
 }
 
 impl<'a> All<'a> {
-    /// The parameters of sums; `rate_hz` finite and above 0. `sampling`: how the samples came about, where that is known.
+    /// The parameters of sums; `rate_hz` finite and above 0. `sampling`: how the samples came about, if that is known.
     #[must_use]
     pub fn of(channel: Channel, rate_hz: f64, sums: &'a DstSums, sampling: Option<&'a Sampling>) -> Self {
         Self { sums, sampling, parameters: fit_as_sampled(sums, rate_hz, channel, sampling) }
@@ -56,10 +56,10 @@ impl<'a> All<'a> {
 }
 
 impl Record {
-    /// Looks a channel of a capture through. `temperature`: empty where it was not recorded.
+    /// Examines a channel of a capture. `temperature`: empty if it was not recorded.
     ///
-    /// `read` gives the samples of each of `blocks` portions of the record ([`blocks_of`]) in order of time; it is called once per
-    /// block where there is one, twice otherwise.
+    /// `read` gives the samples of each of `blocks` portions of the record ([`blocks_of`]) in order of time; it is
+    /// called once per block where there is one, twice otherwise.
     ///
     /// # Errors
     /// Those of `read`.
@@ -122,7 +122,7 @@ impl Record {
         record
     }
 
-    /// The parameters of this record by itself without its disturbances, and what these were.
+    /// The parameters of this record alone without its disturbances, and the disturbances.
     ///
     /// `all`: all its samples. The parameters that come back carry the flags.
     #[must_use]
@@ -140,13 +140,13 @@ impl Record {
         (main, disturbances)
     }
 
-    /// Octaves of the Allan variance without what was left out.
+    /// Octaves of the Allan variance without the excluded samples.
     #[must_use]
     pub fn points(&self) -> &[AllanPoint] {
         &self.points
     }
 
-    /// Where bands of vibration begin, Hz.
+    /// The lowest frequencies of the bands of vibration, Hz.
     fn foot_hz(&self) -> impl Iterator<Item = f64> {
         self.found.lines.iter().filter(|line| line.broad).map(|line| line.band_hz[0])
     }
@@ -155,7 +155,7 @@ impl Record {
         self.found.excluded_bands_hz.iter().copied()
     }
 
-    /// What was found, as flags of the document; times count from the capture's start.
+    /// The findings, as flags of the document; times count from the capture's start.
     #[must_use]
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let mut flags = self.found.flags(channel);
@@ -170,7 +170,7 @@ impl Record {
         flags
     }
 
-    /// What the document says of this capture by itself, besides its parameters.
+    /// The document's statement about this capture alone, besides its parameters.
     #[must_use]
     pub fn disturbances(&self, rate_hz: f64) -> Disturbances {
         let found = &self.found;
@@ -190,11 +190,11 @@ impl Record {
     }
 }
 
-/// The parameters of several captures of one sensor, each looked through by itself: the sums of their noise are
-/// added and fitted as one.
+/// The parameters of several captures of one sensor, each examined separately: the sums of their noise are added and
+/// fitted as one.
 ///
-/// `all`: all samples of all of them. What the disturbances say of times stands with each capture; here
-/// are the time left out altogether, the bands, and what follows from the sums.
+/// `all`: all samples of all of them. Flags with times stand with each capture. This result holds the time left out
+/// altogether, the bands, and the findings in the sums.
 #[must_use]
 pub fn parameters_together(
     channel: Channel,
@@ -220,7 +220,7 @@ pub fn parameters_together(
         true => all.parameters.clone(),
         false => sum(|record| record.noise.as_ref()),
     };
-    // What the sums themselves had to say stays said.
+    // The flags of the sums themselves are kept.
     let said = all.parameters.flags.iter().filter(|flag| !is_misfit(flag) && !main.flags.contains(flag));
     let said: Vec<Flag> = said.cloned().collect();
     main.flags.extend(said);
@@ -234,7 +234,7 @@ pub fn parameters_together(
             *ends = [ends[0].min(least), ends[1].max(most)];
         }
     }
-    // Nobody knows whether samples far out are noise or no measurements. What else was left out may have taken some of them.
+    // Whether samples far out are noise or faulty measurements is not known. Other exclusions may have removed some of them.
     let tails = records.iter().filter_map(|record| record.found.heavy_tails).map(|tails| tails.core).reduce(f64::min);
     if let (Some(core), Some(ends)) = (tails, &mut main.n.ci95) {
         let of_all = all.parameters.n.ci95.map_or(ends[1], |ends| ends[1]);

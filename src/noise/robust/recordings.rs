@@ -1,4 +1,5 @@
-//! Real recordings: what is known about them has to be found. They are read from the folder that `VN100D_REAL_DATA` names.
+//! Real recordings: the detectors have to find the known disturbances. The recordings are read from the folder that
+//! `VN100D_REAL_DATA` names.
 
 use super::*;
 use std::io::Read as _;

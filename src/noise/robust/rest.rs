@@ -1,4 +1,5 @@
-//! The rest: a channel's samples without what was found in them, block by block, and what is computed of them.
+//! The rest: a channel's samples without the disturbances found in them, block by block, and the sums computed from
+//! them.
 
 use super::dynamic::{Dynamic, DynamicAllan};
 use super::part::Seam;
@@ -8,7 +9,7 @@ use crate::noise::allan::{AllanPoint, FixedPoint, Overlapping, TauGrid};
 use crate::noise::whittle::{DstEstimator, DstSums, Transform};
 use std::collections::BTreeMap;
 
-/// What is left of one block.
+/// The rest of one block.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cleaned {
     /// Cut at every interval left out: right for averaging times that are short beside the intervals' distance.
@@ -17,7 +18,7 @@ pub(super) struct Cleaned {
     pub(super) bridged: Vec<Part>,
 }
 
-/// Takes out of a block of the record what was found in it.
+/// Removes from a block of the record the disturbances found in it.
 pub(super) fn clean(parts: Vec<Part>, block: usize, rate_hz: f64, found: &Examination) -> Cleaned {
     let mut quiet = match found.gains.get(block).and_then(Option::as_ref) {
         // Knocks first: filtered, they would ring on beyond their interval.
@@ -47,11 +48,11 @@ pub(super) struct Rest<'a> {
     dynamic: Option<Dynamic>,
 }
 
-/// What the rest came to.
+/// The sums of the rest.
 pub(super) struct Outcome {
-    /// Spectral sums, where they were wanted.
+    /// Spectral sums, if they were wanted.
     pub(super) sums: Option<DstSums>,
-    /// The same without the temperature's part, where that matters.
+    /// The same without the temperature's part, if that matters.
     pub(super) cool: Option<DstSums>,
     /// Octaves of the overlapping Allan variance.
     pub(super) points: Vec<AllanPoint>,
@@ -59,7 +60,7 @@ pub(super) struct Outcome {
 }
 
 impl<'a> Rest<'a> {
-    /// `course`: the temperature and what the channel owes to it, where that is significant. `sums`: whether spectral sums are
+    /// `course`: the temperature and the channel's dependence on it, if that is significant. `sums`: whether spectral sums are
     /// wanted.
     pub(super) fn new(
         rate_hz: f64,
@@ -111,7 +112,7 @@ impl<'a> Rest<'a> {
         }
     }
 
-    /// Everything of the blocks that were pushed.
+    /// The sums of all blocks that were pushed.
     pub(super) fn finish(mut self) -> Outcome {
         let points = Octaves::joined(self.short.finish(), self.long.finish(), self.longest_bridge);
         let transform = &mut self.transform;
@@ -128,7 +129,7 @@ impl<'a> Rest<'a> {
 /// cut ones for the others. A bridge has no noise: of 1 % bridged samples N would come out 0.5 % too small.
 struct Spectral {
     bridged: Stretches,
-    /// Where there is a bridge.
+    /// The places of the bridges.
     cut: Option<Stretches>,
     longest_bridge: usize,
 }
@@ -258,7 +259,8 @@ mod tests {
         values
     }
 
-    /// What of the document does not depend on how often it is read: kinds and times of flags, N and its like with all.
+    /// The part of the document that does not depend on how often the record is read: kinds and times of flags, N and
+    /// its like with all.
     fn of(values: &[f64], blocks: usize) -> (crate::noise::NoiseParameters, super::super::Disturbances) {
         let part = Part { start_s: 0.0, values: values.to_vec() };
         let sums = spectral_sums(std::slice::from_ref(&part), FixedPoint::for_channel(Channel::GyroX));
@@ -298,7 +300,7 @@ mod tests {
             assert!((low..=high).contains(&2e-3), "{:?}", parameters.n);
             let with = about.with_disturbances.as_ref().unwrap();
             assert!(with.n.value.unwrap() > 1.05 * 2e-3, "the tone alone adds an eighth to N²");
-            // Nothing of the step or the warm-up passes for a walk: 0.02 in 1.7 h would be 2.6e-4.
+            // No part of the step or the warm-up passes for a walk: 0.02 in 1.7 h would be 2.6e-4.
             assert!(parameters.k.upper_limit95.or(parameters.k.value).unwrap() < 5e-5, "{:?}", parameters.k);
         }
         let ratio = whole.n.value.unwrap() / blocks.n.value.unwrap();

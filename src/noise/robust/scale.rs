@@ -19,7 +19,7 @@ fn quantile_of(values: &mut [f64], fraction: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at.min(last), f64::total_cmp).1)
 }
 
-/// The median; `None` of nothing.
+/// The median; `None` if there are no values.
 pub(super) fn median(values: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     quantile_of(&mut thinned(values), 0.5)
 }

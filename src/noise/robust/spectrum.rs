@@ -27,16 +27,16 @@ pub(super) struct Spectrum {
     pub(super) step_hz: f64,
     /// Power density per bin, U²/Hz; bin 0 is the mean, which was taken out, the last is half the rate.
     pub(super) power: Vec<f64>,
-    /// The same for each quarter of the record; empty where it had no window.
+    /// The same for each quarter of the record; empty if it had no window.
     pub(super) stretches: [Vec<f64>; STRETCHES],
     /// Windows that count as independent.
     pub(super) windows: f64,
-    /// What the density would be without lines: the running median.
+    /// The density without lines: the running median.
     pub(super) background: Vec<f64>,
 }
 
 impl Spectrum {
-    /// The spectrum of parts; `None` where none is long enough for [`LEAST_WINDOWS`] windows of 256 samples in all.
+    /// The spectrum of parts; `None` if none is long enough for [`LEAST_WINDOWS`] windows of 256 samples in all.
     pub(super) fn of(parts: &[Part], rate_hz: f64) -> Option<Self> {
         let longest = parts.iter().map(|part| part.values.len()).max()?;
         let most = (longest / LEAST_WINDOWS).clamp(SHORTEST, LONGEST);
@@ -81,7 +81,7 @@ impl Spectrum {
         Some(Self { window, step_hz: rate_hz / window as f64, power, stretches, windows, background })
     }
 
-    /// The first bin at which lines are looked for: below it the background cannot be told.
+    /// The first bin at which lines are looked for: below it the background cannot be determined.
     pub(super) const FIRST: usize = 8;
 }
 
@@ -107,12 +107,12 @@ fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<boo
         .collect();
     let centre = median(roughness.iter().copied()).unwrap_or(0.0);
     let below = roughness.iter().map(|value| value.min(centre)).collect::<Vec<_>>();
-    // The spread of the calm half: knocks must not widen what they are measured by.
+    // The spread of the calm half: knocks must not widen the scale by which they are measured.
     let spread = (2.0 * spread_of_95(below.iter().copied()).unwrap_or(0.0)).max((2.0 / window as f64).sqrt());
     roughness.iter().map(|value| value - centre > WILD * spread + 0.1).collect()
 }
 
-/// What the density would be without lines: its running median, under the lobes of a moving average if the samples are means of many.
+/// The density without lines: its running median, under the lobes of a moving average if the samples are means of many.
 fn background(power: &[f64]) -> Vec<f64> {
     let plain = running_median(power);
     let Some(gain) = lobes(power) else { return plain };
@@ -134,7 +134,8 @@ fn misfit(power: &[f64], background: &[f64]) -> f64 {
     bins.map(|(power, level)| (power.max(f64::MIN_POSITIVE) / level).ln().clamp(-LINE, LINE).powi(2)).sum()
 }
 
-/// The gain of the moving average under which the density is most nearly flat, of [`WINDOWS`]; `None` if the density does not fall as theirs do.
+/// The gain of the moving average under which the density is most nearly flat, of [`WINDOWS`]; `None` if the density
+/// does not fall as theirs do.
 fn lobes(power: &[f64]) -> Option<Vec<f64>> {
     /// Windows are compared on so many means of bins.
     const COARSE: usize = 1024;
@@ -165,7 +166,7 @@ fn lobes(power: &[f64]) -> Option<Vec<f64>> {
 /// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.
 fn running_median(power: &[f64]) -> Vec<f64> {
     let bins = power.len();
-    // Nothing but rounding lies below: ratios to it stay numbers.
+    // Only rounding lies below this value: it keeps ratios finite.
     let floor = (1e-12 * power.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
     let widest = (bins / 20).max(24);
     let mut at = Vec::new();

@@ -118,7 +118,7 @@ fn event(sums: &[f64], m: usize, middle: usize, part: &Part, rate_hz: f64, score
     let mean = |from: usize, to: usize| (to > from).then(|| (sums[to] - sums[from]) / (to - from) as f64);
     let change =
         mean(middle, (middle + m).min(last)).zip(mean(middle.saturating_sub(m), middle)).map_or(0.0, |(a, b)| a - b);
-    // What lies two to four averaging times away tells whether it stayed.
+    // The levels two to four averaging times away show whether the step stayed.
     let before = mean(middle.saturating_sub(4 * m), middle.saturating_sub(2 * m));
     let after = mean((middle + 2 * m).min(last), (middle + 4 * m).min(last));
     let stays = before.zip(after).is_none_or(|(before, after)| (after - before) / change > 0.5);

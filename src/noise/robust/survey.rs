@@ -1,7 +1,7 @@
-//! The survey: a channel looked through block by block, so that a record of any length takes the memory of one block.
+//! The survey: examines a channel block by block, so that a record of any length takes the memory of one block.
 //!
-//! Lines, vibration and what is quick (spikes, knocks, handling) are found within a block; what is slow (steps, drift) in the
-//! levels that are left of all blocks.
+//! Lines, vibration and fast disturbances (spikes, knocks, handling) are found within a block. Slow ones (steps, drift) are found
+//! in the levels of all blocks.
 
 use super::event::merged;
 use super::spectrum::Spectrum;
@@ -18,7 +18,7 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    /// Nothing seen yet of a record of so many samples.
+    /// An examination without samples, for a record of so many samples.
     pub(super) fn new(rate_hz: f64, samples: u64) -> Self {
         Self { rate_hz, found: Examination::default(), lines: Vec::new(), levels: Levels::new(rate_hz, samples) }
     }
@@ -52,12 +52,12 @@ impl Survey {
         }
     }
 
-    /// Everything that was found, and the levels without it.
+    /// All findings, and the levels without them.
     pub(super) fn settle(self) -> (Examination, Levels) {
         let (mut found, levels) = (self.found, self.levels);
         found.lines = lines::joined(self.lines, found.gains.len());
         found.excluded_bands_hz = merged(found.lines.iter().map(|line| (line.band_hz[0], line.band_hz[1])).collect());
-        // A knock may leave a step behind: then the step says so too.
+        // A knock may leave a step behind: then the step is reported too.
         let steps = steps::find(levels.parts(), levels.rate_hz());
         found.events.extend(steps);
         found.drift = drift::find(levels.parts(), levels.rate_hz(), &found.steps_s());

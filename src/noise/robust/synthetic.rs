@@ -1,4 +1,4 @@
-//! Synthetic noise for the tests of this room: seeded, and sharing nothing with the simulator.
+//! Synthetic noise for the tests of this module: seeded, and independent of the simulator.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

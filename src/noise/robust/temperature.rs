@@ -1,7 +1,7 @@
-//! Temperature: what a channel's level owes to the sensor's temperature.
+//! Temperature: the dependence of a channel's level on the sensor's temperature.
 //!
-//! Changes of the level from block to block are regressed on changes of the temperature: for a level that walks the changes
-//! are independent, and the coefficient's interval holds. It is taken out only where it differs from 0 at the 1 % level.
+//! Changes of the level from block to block are regressed on changes of the temperature. For a level that walks the changes are
+//! independent, and the coefficient's interval holds. The dependence is removed only if it differs from 0 at the 1 % level.
 
 use super::blocks::Blocks;
 use super::{Levels, Part};
@@ -10,7 +10,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Blocks of the record.
 const BLOCKS: usize = 64;
-/// Least range of the temperature, °C: below it the sensor's own resolution is all that changes.
+/// Least range of the temperature, °C: below it only the sensor's own resolution changes.
 const LEAST_RANGE_C: f64 = 0.2;
 /// Level at which the coefficient counts.
 const LEVEL: f64 = 0.01;
@@ -28,7 +28,7 @@ pub struct TemperatureDependence {
     pub range_c: [f64; 2],
 }
 
-/// The regression of parts on the temperature; `None` where that is not recorded, hardly changes, or too few blocks have both.
+/// The regression of parts on the temperature; `None` if that is not recorded, hardly changes, or too few blocks have both.
 /// Increments across a step (s) do not count.
 pub(super) fn regress(
     parts: &[Part],

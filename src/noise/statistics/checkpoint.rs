@@ -35,7 +35,7 @@ impl Accumulator {
         bytes
     }
 
-    /// The accumulator that wrote `bytes`; `None` where they are damaged or of another version.
+    /// The accumulator that wrote `bytes`; `None` if they are damaged or of another version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = bytes;

@@ -1,8 +1,8 @@
 //! Bandwidth: which filter, if any, lies between the noise and the samples.
 //!
-//! Where the plain law misfits, a moving average and low passes compete with it by likelihood, each with and without white noise
-//! behind it; where none of them describes the spectrum, a smooth shape does as far up as it can. A sampling that is known, a
-//! boxcar and a decimation, is no candidate but the law itself.
+//! If the plain law misfits, a moving average and low passes compete with it by likelihood, each with and without white noise
+//! behind it. If none of them describes the spectrum, a smooth shape does as far up as it can. A known sampling, a boxcar and a
+//! decimation, is not a candidate but the law itself.
 //!
 //! # Validation
 //! `tests::filters` has worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
@@ -22,28 +22,30 @@ const ORDERS: std::ops::RangeInclusive<u32> = 1..=4;
 const CLOSELY: usize = 2;
 /// Cutoffs that a search begins at, cycles a sample.
 const CUTOFFS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.42];
-/// Filters reach this far up at least, cycles a sample: nobody sends samples 125 times as often as they change.
+/// Filters reach this far up at least, cycles a sample: a sensor does not send samples 125 times as often as they
+/// change.
 const LOWEST: f64 = 0.004;
 /// A shape has to better 2 log L by this beyond its price, in units of the plain law's misfit.
 const PLAINLY: f64 = 10.0;
-/// A shape whose score is worse by less is a rival: white noise behind a filter that was not worth its price moves N all the same.
+/// A shape whose score is worse by less is a rival: white noise behind a filter that was not worth its price moves N
+/// all the same.
 const RIVALS: f64 = 9.0;
 /// Slopes are computed again at most this often.
 const ROUNDS: usize = 24;
 
-/// How the samples came about, where that is known: the sensor takes the mean of `window` samples at its internal rate.
+/// How the samples came about, if that is known: the sensor takes the mean of `window` samples at its internal rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// Rate at which the sensor samples, Hz.
     pub internal_rate_hz: f64,
     /// Samples to a mean; 0 and 1 are no averaging.
     pub window: u32,
-    /// Where that is known from, for the document: `register 85`, `option`.
+    /// The source of that knowledge, for the document: `register 85`, `option`.
     pub source: String,
 }
 
 impl Sampling {
-    /// Internal samples to an output sample; none where the rates are no multiples of each other, to 1 in 1,000.
+    /// Internal samples to an output sample; none if the rates are no multiples of each other, to 1 in 1,000.
     #[must_use]
     pub fn every(&self, rate_hz: f64) -> Option<u32> {
         let ratio = self.internal_rate_hz / rate_hz;
@@ -55,7 +57,7 @@ impl Sampling {
         Some(Shape::Decimated { window: self.window.max(1), every: self.every(rate_hz)? })
     }
 
-    /// What the document says of it.
+    /// The document's description of the sampling.
     pub(in crate::noise) fn bandwidth(&self) -> Bandwidth {
         Bandwidth {
             kind: "moving_average".to_owned(),
@@ -76,8 +78,8 @@ impl Sampling {
         self.shape(rate_hz).filter(colours_white).map(|shape| Filter { shape })
     }
 
-    /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the
-    /// images k of the output rate R. None where the rates do not fit.
+    /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the images
+    /// k of the output rate R. None if the rates do not fit.
     #[must_use]
     pub fn density_factor(&self, rate_hz: f64) -> Option<f64> {
         Some(density_factor(self.window, self.every(rate_hz)?))
@@ -96,7 +98,7 @@ fn colours_white(shape: &Shape) -> bool {
     (1..=64).any(|at| (shape.gains(f64::from(at) / 128.0).white - 1.0).abs() > 1e-6)
 }
 
-/// A known filter and what it makes of each term, for fits to Allan variances.
+/// A known filter and its effect on each term, for fits to Allan variances.
 #[derive(Debug, Clone)]
 pub(in crate::noise) struct Filter {
     shape: Shape,
@@ -118,7 +120,7 @@ impl Filter {
         Self::gain_of(term)(self.shape.gains(u))
     }
 
-    /// What is left of the Allan variance at averaging factors.
+    /// The part of the Allan variance that the filter leaves at averaging factors.
     pub(in crate::noise) fn ratios(&self, term: Term, factors: &[usize], dt_s: f64) -> Vec<f64> {
         match term {
             Term::R => vec![1.0; factors.len()],
@@ -140,8 +142,8 @@ pub(super) fn basic(
     }
 }
 
-/// A better law than that of `basic`, if that misfits and there is one. A known sampling is given up only for a law that describes the
-/// record.
+/// A better law than that of `basic`, if that misfits and there is one. A known sampling is given up only for a law
+/// that describes the record.
 pub(super) fn compete(
     sums: &DstSums,
     rate_hz: f64,
@@ -180,21 +182,21 @@ pub(super) fn compete(
     }
 }
 
-/// A law with its filter, and the laws that describe the record nearly as well: what they say of N is not excluded.
+/// A law with its filter, and the laws that describe the record nearly as well: their values of N are not excluded.
 pub(super) struct Law {
     pub(super) likelihood: Likelihood,
     pub(super) choice: Choice,
     pub(super) rivals: Vec<(Likelihood, Choice)>,
 }
 
-/// White noise behind the filter is a part of the plateau. Where it is more than half of it, that is no filter: the skirt of a vibration
-/// looks so.
+/// White noise behind the filter is a part of the plateau. If it is more than half of it, the shape is not a filter: the skirt of
+/// a vibration looks like that.
 fn is_behind(model: &Model) -> bool {
     2.0 * model.squares[BEHIND] <= model.squares[0]
 }
 
-/// Whether a law has a Gauss–Markov process that may be white noise behind a low pass of first order, which has the same spectrum: there is
-/// hardly any white noise beside it; or it is as short as a filter's, and most of the plateau.
+/// Whether a law has a Gauss–Markov process that may be white noise behind a low pass of first order, which has the
+/// same spectrum: there is hardly any white noise beside it; or it is as short as a filter's, and most of the plateau.
 fn is_filter(choice: &Choice, rate_hz: f64) -> bool {
     /// White noise is at most this share of the process at half the rate.
     const SHARE: f64 = 0.1;
@@ -231,10 +233,10 @@ struct Search {
 impl Search {
     /// The best N, B and K under a shape whose numbers are fitted.
     ///
-    /// The slope of a low pass of first order is so gentle that flicker may take its place for good. So these are sought from the shape that
-    /// white noise alone has as well.
+    /// The slope of a low pass of first order is so gentle that flicker may take its place for good. So these are
+    /// sought from the shape that white noise alone has as well.
     ///
-    /// `best`: the score of another shape. None where this one will not come near it.
+    /// `best`: the score of another shape. None if this one will not come near it.
     fn of(&self, shape: &Shape, behind: bool, best: f64) -> Option<Candidate> {
         let gentle = matches!(shape, Shape::Butterworth { order: 1, .. } | Shape::Exponential { .. });
         let from_white = gentle.then(|| self.from(shape, behind, 4, best)).flatten();
@@ -244,7 +246,7 @@ impl Search {
 
     /// The same from this shape on, with white noise alone in so many first rounds.
     fn from(&self, shape: &Shape, behind: bool, white: usize, best: f64) -> Option<Candidate> {
-        /// What rounds still gain is less than this many times the last gain.
+        /// The remaining gain of further rounds is less than this many times the last gain.
         const STILL: f64 = 20.0;
         /// The best numbers are so near.
         const NEAR: f64 = 0.1;
@@ -261,7 +263,8 @@ impl Search {
                 if !is_behind(&model) {
                     return None;
                 }
-                // Nor is what falls off where no sensor's output does: a slow motion looks so.
+                // Nor is a spectrum that falls off at frequencies at which no sensor's output does: a slow motion looks
+                // like that.
                 if shape.gains(LOWEST).white < 0.5 {
                     return None;
                 }
@@ -323,7 +326,7 @@ impl Search {
         /// No chance does this.
         const BEYOND_CHANCE: f64 = 1e-6;
         let is_chance = plain.is_none_or(|plain| plain.p_value > BEYOND_CHANCE);
-        /// A band is described by a shape from this p-value on: what nearly misfits already moves N.
+        /// A band is described by a shape from this p-value on: a shape that nearly misfits already moves N.
         const DESCRIBED: f64 = 0.05;
         /// The ends of the band tried, cycles a sample.
         const ENDS: [f64; 8] = [0.5, 0.42, 0.34, 0.26, 0.18, 0.12, 0.08, 0.05];
@@ -344,7 +347,7 @@ impl Search {
                 }
             }
             let Some(best) = best else { continue };
-            // What the next coefficient would still move is part of the error: it stays in.
+            // The change by the next coefficient is part of the error: it stays in.
             let finer = match best.likelihood.shape() {
                 Shape::Smooth { coefficients, .. } if coefficients.len() < TILTS => {
                     let coefficients = coefficients.iter().copied().chain([0.0]).collect();
@@ -369,7 +372,7 @@ impl Search {
     }
 }
 
-/// What a shape has to add to 2 log L.
+/// The gain that a shape needs in 2 log L.
 fn price(shape: &Shape, behind: bool) -> f64 {
     let windows = 2.0 * f64::from(WINDOWS.end() - WINDOWS.start() + 1).ln();
     let own = match shape {
@@ -382,7 +385,7 @@ fn price(shape: &Shape, behind: bool) -> f64 {
     own + if behind { PLAIN } else { 0.0 }
 }
 
-/// What the document says of the shape under which `choice` was made; none where noise is white up to half the rate.
+/// The document's description of the shape under which `choice` was made; none if noise is white up to half the rate.
 pub(super) fn statement(
     likelihood: &Likelihood,
     choice: &Choice,
@@ -469,7 +472,7 @@ pub(super) fn variance_ratios(
     gain: fn(Gains) -> f64,
     spectrum: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    /// Up to here by quadrature; what a filter takes falls with m beyond.
+    /// Up to here by quadrature; beyond, the part that a filter removes falls with m.
     const EXACT: usize = 256;
     const POINTS: u32 = 16_384;
     let grid: Vec<(f64, f64, f64)> = (0..POINTS)

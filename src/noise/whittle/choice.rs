@@ -1,22 +1,23 @@
-//! The choice of a model: which terms the spectrum asks for.
+//! The choice of a model: the terms that the spectrum requires.
 
 use super::likelihood::{Held, Likelihood, Model, Terms, place};
 use super::residual::{MISFIT, Residual};
 use crate::noise::fit::Term;
 
-/// What a term has to add to 2 log L: 1 % of a 50:50 mixture of χ²₀ and χ²₁ for one at its boundary of 0.
+/// The gain that a term needs in 2 log L: 1 % of a 50:50 mixture of χ²₀ and χ²₁ for a term at its boundary of 0.
 pub(super) const SIGNIFICANT: f64 = 5.41;
-/// The same for a walk: 5.41 names one in about 1.2 % of records without (few low frequencies are no large sample), and what is
-/// barely there comes out twice its size (scenario D of the Monte Carlo); 6.5 keeps that under a tenth of such records.
+/// The same for a walk: 5.41 names one in about 1.2 % of records without a walk, because few low frequencies are not a large
+/// sample. A walk that is barely there comes out at twice its size (scenario D of the Monte Carlo); 6.5 keeps that under a tenth
+/// of such records.
 pub(super) const SIGNIFICANT_WALK: f64 = 6.5;
 /// The correlation time of a Gauss–Markov process, whose inverse is 0 for a random walk: between 5.41, which names a process in
 /// 2.2 % of the records of a walk (scenario B), and 9.55, which names one that is there (scenario C) in only 80 %.
 pub(super) const PLAIN_TIME: f64 = 7.0;
-/// What else might explain low frequencies has to be plainer (0.1 %, of two signs 0.2 %): a ramp, and flicker or a walk beside a
+/// Other explanations of low frequencies have to be plainer (0.1 %, of two signs 0.2 %): a ramp, and flicker or a walk beside a
 /// Gauss–Markov process. At 1 % one of them took the place of a true random walk too often.
 pub(super) const PLAIN: f64 = 9.55;
-/// Quantization noise, which few sensors show, is told from N by the highest frequencies alone and there beyond doubt where
-/// it is real (5e-5): named by chance it would take its variance from N, whose error is small.
+/// Quantization noise, which few sensors show, is separated from N by the highest frequencies alone and there beyond doubt if it
+/// is real (5e-5). If it were named by chance, it would take its variance from N, whose error is small.
 pub(super) const PLAIN_QUANTIZATION: f64 = 15.1;
 /// A process of fewer samples is a filter's work: white noise behind a first-order low pass has the same spectrum.
 pub(super) const SHORTEST_PROCESS: f64 = 8.0;
@@ -34,7 +35,8 @@ pub(super) struct Choice {
     pub(super) residual: Option<Residual>,
 }
 
-/// What naming `term` costs in a model of `terms`: the one price for choosing it and for what is then said of it.
+/// The price of naming `term` in a model of `terms`: the same price for choosing it and for the later statements about
+/// it.
 pub(super) fn price(term: Term, terms: Terms) -> f64 {
     match term {
         Term::B | Term::K if terms.has_gauss_markov() => PLAIN,
@@ -61,9 +63,9 @@ fn better(best: Option<Model>, other: Option<Model>) -> Option<Model> {
     }
 }
 
-/// Chooses among N, B and K, with which every sensor begins; then looks whether a ramp, a Gauss–Markov process in place of
-/// one or both of B and K, or quantization noise is worth its price. These serve only where the data is then described:
-/// vibration and knocks are not to pass for them. None where nothing fits.
+/// Chooses among N, B and K, with which every sensor begins. Then tests whether a ramp, a Gauss–Markov process in place of one or
+/// both of B and K, or quantization noise is worth its price. These are used only if the data is then described, so that they do
+/// not stand for vibration and knocks. None if no model fits.
 pub(super) fn choose(likelihood: &Likelihood) -> Option<Choice> {
     let bases = [&[][..], &[Term::B], &[Term::K], &[Term::B, Term::K]];
     let models: Vec<Option<Model>> = bases
@@ -121,8 +123,9 @@ fn average_walk(likelihood: &Likelihood, values: &mut Model) {
     values.squares[walk] = k * k;
 }
 
-/// The shortest correlation time of a process: behind a filter that is fitted, ten times the filter's own, which is 1/2πf at its half-power
-/// frequency f. A shorter one and the filter would share the white noise between them in any proportion.
+/// The shortest correlation time of a process: behind a filter that is fitted, ten times the filter's own, which is
+/// 1/2πf at its half-power frequency f. A shorter one and the filter would share the white noise between them in any
+/// proportion.
 fn shortest_process_s(likelihood: &Likelihood) -> f64 {
     const FILTERS: f64 = 10.0;
     let shape = likelihood.shape();
@@ -202,7 +205,7 @@ mod tests {
         Model { terms, squares: [1.0; 6], tc_s: 1.0, ramp: 1.0, tilt: [0.0; 6], deviance: 0.0 }
     }
 
-    /// What the choice charges for a term is what statements about it take for its price, beside a process too.
+    /// The choice and the statements charge the same price for a term, beside a process too.
     #[test]
     fn a_term_has_one_price_for_choice_and_statement() {
         let white = Terms::of(&[Term::N]);

@@ -33,17 +33,17 @@ impl std::fmt::Debug for Transform {
 }
 
 impl Transform {
-    /// Nothing planned yet.
+    /// A transform without plans.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The DST-I of the differences of `samples`: z_k = √(2/n) Σ d_j sin(πjk/n) with d_j = y_j − y_{j−1} and n samples,
-    /// handed to `each` for k = 1 … n−1 in this order as (k, z_k, sin²(πk/2n), √(2/n) cot(πk/2n) for odd k and 0 for even).
+    /// The DST-I of the differences of `samples`: z_k = √(2/n) Σ d_j sin(πjk/n) with d_j = y_j − y_{j−1} and n samples. Calls
+    /// `each` for k = 1 … n−1 in this order with (k, z_k, sin²(πk/2n), √(2/n) cot(πk/2n) for odd k and 0 for even).
     ///
-    /// The last of these is the transform of a constant 1. `samples.len()` is even and at least 2; other lengths hand out
-    /// nothing.
+    /// The last of these is the transform of a constant 1. `samples.len()` is even and at least 2; for other lengths `each` is
+    /// not called.
     ///
     /// # Source
     /// Press et al., Numerical Recipes (2007), section 12.4.1, for the sine transform by a real FFT of length n.

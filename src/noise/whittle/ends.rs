@@ -1,10 +1,10 @@
-//! Ends: what the ends of a stretch add to the expected squares of noise that a filter correlates.
+//! Ends: the addition of a stretch's ends to the expected squares of noise that a filter correlates.
 //!
 //! Let d be the differences of a stretch of n samples, D their autocovariance, and θ = πk/n the angle of a coefficient of the
-//! DST-I. Then exactly E z² = Σ D(l) cos lθ − (1/n) Σ D(l) g(|l|) over l from −n to n, with g(l) = l cos lθ − cot θ sin lθ.
-//! The first sum is the spectrum. The second one is what the ends add; it vanishes if D ends at l = 1, as that of white noise does.
-//! With R the autocovariance of the samples and z²/4 sin²(θ/2), the power, the second one is (1/n) times
-//! −2 Σ R(l) (l cos lθ + sin lθ / sin θ) over l from 1 on.
+//! DST-I. Then exactly E z² = Σ D(l) cos lθ − (1/n) Σ D(l) g(|l|) over l from −n to n, with g(l) = l cos lθ − cot θ sin lθ. The
+//! first sum is the spectrum. The second one is the addition of the ends; it vanishes if D ends at l = 1, as that of white noise
+//! does. With R the autocovariance of the samples and z²/4 sin²(θ/2), the power, the second one is (1/n) times −2 Σ R(l) (l cos
+//! lθ + sin lθ / sin θ) over l from 1 on.
 //!
 //! # Validation
 //! `tests` hold both forms against the covariance matrix itself.
@@ -30,7 +30,7 @@ pub(super) struct Excess {
 }
 
 impl Excess {
-    /// Of a filter; `None` if it correlates nothing.
+    /// For a filter; `None` if it does not correlate white noise.
     pub(super) fn of(shape: &Shape) -> Option<Self> {
         if *shape == Shape::Open {
             return None;
@@ -95,7 +95,7 @@ impl Own {
         Self { lags }
     }
 
-    /// What the ends of a stretch add to z² at u cycles a sample, times the stretch's length.
+    /// The addition of a stretch's ends to z² at u cycles a sample, times the stretch's length.
     pub(super) fn excess(&self, u: f64) -> f64 {
         let theta = TAU * u;
         let over = theta.cos() / theta.sin().max(1e-9);
@@ -125,7 +125,8 @@ fn turned(theta: f64, first: f64, second: f64) -> impl Iterator<Item = f64> {
 mod tests {
     use super::*;
 
-    /// E z²/(4 sin²(πu)) of coefficient k of a stretch of n samples with this autocovariance, by the covariance matrix of its differences.
+    /// E z²/(4 sin²(πu)) of coefficient k of a stretch of n samples with this autocovariance, by the covariance matrix
+    /// of its differences.
     fn exact(covariance: impl Fn(usize) -> f64, n: usize, k: usize) -> f64 {
         let of_difference = |lag: usize| 2.0 * covariance(lag) - covariance(lag + 1) - covariance(lag.abs_diff(1));
         let theta = PI * k as f64 / n as f64;
@@ -176,7 +177,7 @@ mod tests {
         let excess = Excess::of(&Shape::MovingAverage(4)).unwrap();
         for u in [0.05, 0.1, 0.2, 0.3, 0.4, 0.48] {
             let expected = excess.at(u) * 4.0 * (PI * u).sin().powi(2);
-            // What 400,000 samples leave to chance.
+            // The scatter of 400,000 samples.
             assert!((own.excess(u) - expected).abs() < 0.4, "{u}: {} for {expected}", own.excess(u));
         }
     }

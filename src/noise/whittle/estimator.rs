@@ -8,11 +8,11 @@ use std::ops::Range;
 
 /// Folds the samples of one channel into [`DstSums`].
 ///
-/// A stretch without a gap is transformed as a whole up to [`DstEstimator::CHUNK`] samples, cut only where its length would
-/// transform slowly (less than 1 % then stands by itself). A longer one is transformed chunk by chunk for the frequencies
-/// that a chunk resolves, and as a whole, averaged over 64 samples or more, for the lowest. Of these alone the end of the
-/// stretch is lost: up to 2 % of it, for a length that transforms fast, and what does not fill the last mean. A channel needs at
-/// most 9.4 MB whatever the length.
+/// A stretch without a gap is transformed as a whole up to [`DstEstimator::CHUNK`] samples. It is cut only if its length would
+/// transform slowly (less than 1 % is then transformed separately). A longer one is transformed chunk by chunk for the
+/// frequencies that a chunk resolves, and as a whole, averaged over 64 samples or more, for the lowest. For the lowest
+/// frequencies alone, the end of the stretch is lost: up to 2 % of it, for a length that transforms fast, and the samples that do
+/// not fill the last mean. A channel needs at most 9.4 MB for any length.
 #[derive(Debug, Clone)]
 pub struct DstEstimator {
     sums: DstSums,
@@ -31,17 +31,17 @@ impl DstEstimator {
     pub const CHUNK: usize = 1 << 20;
     /// Frequencies below this k of a chunk come from the averaged stretch.
     const FIRST_OF_CHUNK: usize = 16;
-    /// Shorter pieces tell nothing that is worth their ends.
+    /// Shorter pieces carry less information than their ends cost.
     const SHORTEST: usize = 16;
 
-    /// An estimator that has seen nothing; `scale`: that of the channel's Allan sums, so that both refuse the same values.
+    /// An estimator without samples; `scale`: that of the channel's Allan sums, so that both refuse the same values.
     #[must_use]
     pub fn new(scale: FixedPoint) -> Self {
         Self::resume(scale, DstSums::new())
     }
 
-    /// Goes on at the beginning of a stretch with what [`Self::sums`] gave before it: the samples of a stretch that was
-    /// open then are pushed again.
+    /// Continues at the beginning of a stretch with the sums that [`Self::sums`] returned before it: the samples of a
+    /// stretch that was open then are pushed again.
     #[must_use]
     pub fn resume(scale: FixedPoint, sums: DstSums) -> Self {
         Self { sums, range: scale.range(), buffer: Vec::new(), low: None, open: 0 }
@@ -76,8 +76,8 @@ impl DstEstimator {
         }
     }
 
-    /// As [`Self::push`], for samples of the numbers from `first` on: those in `excluded` (ascending, apart) take no part, and
-    /// nothing is learned across them. For knocks, warm-up and the like, by whatever numbering the caller has.
+    /// As [`Self::push`], for samples of the numbers from `first` on: those in `excluded` (ascending, apart) take no part, and no
+    /// transform spans them. For knocks, warm-up and the like, by any numbering that the caller uses.
     pub fn push_except(&mut self, transform: &mut Transform, samples: &[f64], first: u64, excluded: &[Range<u64>]) {
         let mut rest = samples;
         let mut next = first;
@@ -111,7 +111,7 @@ impl DstEstimator {
         }
     }
 
-    /// Ends the stretch: a gap, or something in the data that nothing is to be learned across.
+    /// Ends the stretch: at a gap, or at data that no transform may span.
     pub fn break_segment(&mut self, transform: &mut Transform) {
         let band = match self.low.take() {
             Some(mut low) => {
@@ -165,8 +165,8 @@ impl Band {
     const BELOW: Self = Self(0.0, Self::SPLIT);
 }
 
-/// Flicker's variance of z_k over λ_k = 4 sin²(πu)·S: the spectrum of flicker's differences rises with f, not f², and what
-/// leaks in from higher frequencies is not made up for at the first few k.
+/// Flicker's variance of z_k over λ_k = 4 sin²(πu)·S: the spectrum of flicker's differences rises with f, not f², and leakage
+/// from higher frequencies is not compensated at the first few k.
 ///
 /// # Source
 /// The ratio of ∫ x (1 ∓ cos πx) / (x² − k²)² dx to its value for white noise (x²); the series' first term is 2/(π²k).

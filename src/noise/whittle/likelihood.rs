@@ -1,9 +1,9 @@
 //! The likelihood of spectral sums under a noise model, and its maximum over coefficients that are not negative.
 //!
-//! The z_k of a stretch are independent and normal with mean Rdt·μ_k and variance 4 sin²(πu)·S(f)/dt: exactly for white noise
-//! and random walks, to leading order for flicker and Gauss–Markov noise, whose end effects are allowed for. A bin of n of
-//! them is a gamma variable of shape n/2, so that −2 log L = Σ n (log λ + P/λ) with P the mean square and λ, linear in the
-//! squared coefficients, the mean of what is expected.
+//! The z_k of a stretch are independent and normal with mean Rdt·μ_k and variance 4 sin²(πu)·S(f)/dt. That holds exactly for
+//! white noise and random walks, and to leading order for flicker and Gauss–Markov noise, whose end effects are allowed for. A
+//! bin of n of them is a gamma variable of shape n/2, so that −2 log L = Σ n (log λ + P/λ). P is the mean square, and λ, linear
+//! in the squared coefficients, is the mean of the expected squares.
 //!
 //! # Source
 //! P. Whittle, Ark. Mat. 2 (1953) 423, for the likelihood; P. McCullagh, J. A. Nelder, Generalized Linear Models (1989),
@@ -25,7 +25,7 @@ pub(super) const BEHIND: usize = 5;
 /// Unknowns of a scoring step: squares, then the shape's numbers.
 const UNKNOWNS: usize = SQUARES + TILTS;
 const SCORING_STEPS: usize = 60;
-/// −2 log L is known to this; roots of differences of it are what intervals are made of.
+/// −2 log L is known to this; intervals are made of roots of differences of it.
 const SETTLED: f64 = 1e-8;
 /// The shape's numbers move by no more than this in one step.
 const FARTHEST: f64 = 0.5;
@@ -90,7 +90,7 @@ impl Terms {
     }
 }
 
-/// What is held at a value while the others are fitted.
+/// The coefficient that is held at a value while the others are fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Held {
     Nothing,
@@ -128,7 +128,7 @@ impl Model {
     }
 }
 
-/// One bin: n squares of mean `power`, and the mean of what each term is expected to give for a coefficient of 1.
+/// One bin: n squares of mean `power`, and the mean of each term's expected squares for a coefficient of 1.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     count: f64,
@@ -141,7 +141,7 @@ struct Row {
     ramp: f64,
     /// A rough level: of the bin and its neighbours.
     level: f64,
-    /// What the filter leaves of white noise and of a process, and d ln(gain)/dp.
+    /// The part of white noise and of a process that the filter leaves, and d ln(gain)/dp.
     white_gain: f64,
     process_gain: f64,
     slopes: [f64; TILTS],
@@ -171,7 +171,8 @@ impl Row {
         }
     }
 
-    /// Puts a filter before the row: the mean of its gains over the bin's frequencies, with what a stretch's ends add to white noise.
+    /// Puts a filter before the row: the mean of its gains over the bin's frequencies, with the addition of a stretch's ends to
+    /// white noise.
     fn filtered(&self, [low, high]: [f64; 2], shape: &Shape, excess: Option<&Excess>, dt_s: f64) -> Self {
         let mut row = *self;
         /// Gauss–Legendre of three points.
@@ -201,7 +202,7 @@ impl Row {
         row
     }
 
-    /// What each term is expected to give with the shape's numbers moved.
+    /// The expected squares of each term with the shape's numbers moved.
     fn basis_at(&self, tilt: &[f64; TILTS], dt_s: f64) -> [f64; SQUARES] {
         if tilt.iter().all(|by| *by == 0.0) {
             return self.basis;
@@ -231,10 +232,11 @@ pub(super) struct FineBins {
 impl FineBins {
     /// Takes the bins that touch none of `excluded_bands_hz`, nor neighbour one that does.
     ///
-    /// Frequencies at which hardly anything is left of the noise take no part: what a stretch's ends add there is more, and of few
-    /// independent numbers. The data alone decides which, so that all shapes are held against the same.
+    /// Frequencies at which a filter leaves almost no noise take no part: the part that a stretch's ends add there is larger, and
+    /// has few independent numbers. The data alone determines these frequencies, so that all shapes are compared on the same
+    /// bins.
     pub(super) fn new(sums: &DstSums, rate_hz: f64, excluded_bands_hz: &[[f64; 2]]) -> Self {
-        /// What ends add is at most this share of a power that takes part.
+        /// The ends add at most this share of a power that takes part.
         const ADDED_MOST: f64 = 0.1;
         let dt_s = 1.0 / rate_hz;
         let bins = sums.finely_filled().filter(|(range, _)| !excluded(*range, rate_hz, excluded_bands_hz));
@@ -303,7 +305,7 @@ impl Likelihood {
         self.dt_s
     }
 
-    /// The largest likelihood of `terms`, beginning from `start` where there is one. None where nothing fits.
+    /// The largest likelihood of `terms`, beginning from `start` if there is one. None if no model fits.
     pub(super) fn maximise(&self, terms: Terms, tc_s: f64, held: Held, start: Option<&Model>) -> Option<Model> {
         let rows = self.with_gauss_markov(terms, tc_s);
         let mut ramp = match held {
@@ -342,7 +344,7 @@ impl Likelihood {
                 } else {
                     deviance = before;
                 }
-                // The first step from somebody else's maximum may well lead nowhere, but the ramp's has been taken.
+                // The first step from another law's maximum may well lead nowhere, but the ramp's has been taken.
                 if step > 0 || !terms.ramp {
                     break;
                 }
@@ -440,7 +442,7 @@ fn level(rows: &mut [Row]) {
 
 /// Whether a bin touches a band that is left out, or neighbours one that does.
 fn excluded([low, high]: [f64; 2], rate_hz: f64, bands_hz: &[[f64; 2]]) -> bool {
-    /// A bin is 3.7 % wide: what a line leaks beyond its neighbour falls with the square of the distance.
+    /// A bin is 3.7 % wide: the leakage of a line beyond its neighbour falls with the square of the distance.
     const MARGIN: f64 = 1.037;
     bands_hz.iter().any(|[from, to]| high * rate_hz >= from / MARGIN && low * rate_hz <= to * MARGIN)
 }
@@ -528,7 +530,8 @@ fn scoring_step(
     Some(next)
 }
 
-/// Goes towards what is proposed as far as the likelihood rises; `base`: the deviance at `from`, infinite if nothing has begun.
+/// Goes towards the proposed values as far as the likelihood rises; `base`: the deviance at `from`, infinite before the first
+/// step.
 fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, base: f64, dt_s: f64) -> (Point, f64) {
     const HALVINGS: i32 = 30;
     let (mut next, mut reached) = (proposed, deviance_of(rows, &proposed, ramp, dt_s));
@@ -580,9 +583,9 @@ fn non_negative(
     Some(best)
 }
 
-/// Cholesky's solution for a set of columns scaled to a diagonal of 1; None where they depend on one another.
+/// Cholesky's solution for a set of columns scaled to a diagonal of 1; None if they depend on one another.
 fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[usize]) -> Option<[f64; UNKNOWNS]> {
-    /// Columns whose rest is smaller than this share of them are not told apart.
+    /// If the rest of a column is smaller than this share of it, the columns cannot be separated.
     const DEPENDENT: f64 = 1e-12;
     let mut lower = [[0.0f64; UNKNOWNS]; UNKNOWNS];
     let mut values = [0.0; UNKNOWNS];
@@ -615,7 +618,7 @@ fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[u
 mod tests {
     use super::*;
 
-    /// It stood still where N was held and neither B nor K was there: intervals of N were those of a known filter.
+    /// It stood still if N was held and neither B nor K was there: intervals of N were those of a known filter.
     #[test]
     fn a_signed_column_moves_where_no_square_does() {
         let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];

@@ -1,9 +1,9 @@
 //! The Whittle fit: noise parameters from the spectrum of a record's differences, as precise as the data allows.
 //!
-//! Samples enter a [`DstEstimator`] stretch by stretch; what leaves are [`DstSums`], which add over segments and captures, and
-//! from these [`fit`] answers N, B, K, Q, R or a Gauss–Markov process with 95 % intervals, or limits for what the data does
-//! not support. The basis is the DST-I of the differences, in which white noise and random walks are independent exactly;
-//! their mean is not taken out, since that would move the ends' white noise to the lowest frequencies.
+//! Samples enter a [`DstEstimator`] stretch by stretch. The outputs are [`DstSums`], which add over segments and captures. From
+//! these [`fit`] returns N, B, K, Q, R or a Gauss–Markov process with 95 % intervals, or limits for parameters that the data does
+//! not support. The basis is the DST-I of the differences, in which white noise and random walks are independent exactly. Their
+//! mean is not removed, since that would move the ends' white noise to the lowest frequencies.
 //!
 //! # Validation
 //! `examples/noise_monte_carlo.rs` with its table in docs/validation.md; `tests` has a small form of it.
@@ -43,14 +43,15 @@ use statement::{Profile, Statement};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "whittle-dst";
-/// Squares below which nothing is fitted.
+/// Fewest squares for a fit.
 const LEAST: f64 = 48.0;
 
 /// Fits the noise parameters of a channel; `rate_hz` finite and above 0.
 ///
-/// `excluded_bands_hz`: frequencies that are no noise, such as those of vibration lines; they, and 4 % beside them, take no
-/// part. `sampling`: how the samples came about, where that is known; its filter is then part of the law. Where the law misfits,
-/// filters inside the band compete with it. Never fails: what cannot be told is not identified, and a flag says why.
+/// `excluded_bands_hz`: frequencies that are not noise, such as those of vibration lines; they, and 4 % beside them, take no
+/// part. `sampling`: how the samples came about, if that is known; its filter is then part of the law. If the law misfits,
+/// filters inside the band compete with it. The function never fails: a parameter that cannot be determined is not identified,
+/// and a flag states why.
 #[must_use]
 pub fn fit(
     sums: &DstSums,
@@ -203,7 +204,7 @@ fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
             Term::K => ratios(walk_like, &spectrum),
             Term::R => vec![1.0; factors.len()],
         };
-        // Of the plateau what lies behind the filter stays as it is.
+        // The part of the plateau that lies behind the filter stays as it is.
         let behind = if term == Term::N { model.squares[likelihood::BEHIND] } else { 0.0 };
         let variance = move |m: usize| {
             let ratio = at(m).and_then(|at| ratio.get(at).copied()).unwrap_or(1.0);

@@ -1,4 +1,4 @@
-//! The residual test: whether the spectrum looks as the model says.
+//! The residual test: whether the spectrum agrees with the model.
 
 use super::likelihood::{Likelihood, Model};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -37,7 +37,7 @@ impl Residual {
         (chi2.is_finite() && p_value.is_finite()).then_some(Self { chi2, degrees_of_freedom, p_value })
     }
 
-    /// Factor on standard deviations: above 1 where the residuals are larger than they should be (R. T. Birge, 1932).
+    /// Factor on standard deviations: above 1 if the residuals are larger than they should be (R. T. Birge, 1932).
     pub(super) fn widen(residual: Option<Self>) -> f64 {
         match residual {
             Some(residual) if residual.p_value < MISFIT => {

@@ -1,4 +1,4 @@
-//! Shapes: what a filter inside the recorded band makes of the noise in front of it.
+//! Shapes: the effect of a filter inside the recorded band on the noise in front of it.
 //!
 //! A shape is a power gain over u = f·dt that is 1 at low frequencies, so that N stays the plateau of the spectrum as
 //! sampled. Its numbers (a cutoff, coefficients) are fitted by their slopes d ln(gain)/dp.
@@ -69,7 +69,7 @@ impl Shape {
             }
             Self::Decimated { window, every } => decimated(*window, *every, u),
             Self::Smooth { coefficients, up_to } => {
-                // A polynomial leaves all bounds beyond what it was fitted to.
+                // A polynomial leaves all bounds beyond the range to which it was fitted.
                 let x = (PI * u.min(*up_to)).sin().powi(2);
                 let sum: f64 = coefficients.iter().rev().fold(0.0, |sum, c| (sum + c) * x);
                 alike((-sum).exp())

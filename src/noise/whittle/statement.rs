@@ -7,12 +7,12 @@ use super::shape::Shape;
 use crate::noise::fit::Term;
 use crate::noise::fit::selection::{interval, upper_limit};
 
-/// What the data says of one coefficient.
+/// The information of the data about one coefficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Statement {
     /// A value and its 95 % interval; a ramp's with its sign.
     Named(f64, [f64; 2]),
-    /// A 95 % upper limit, where there is one.
+    /// A 95 % upper limit, if there is one.
     Limited(Option<f64>),
 }
 
@@ -32,8 +32,8 @@ impl<'a> Profile<'a> {
         Self { likelihood, choice, widen: chosen * Residual::widen(choice.residual) }
     }
 
-    /// The model that intervals are read from: what was chosen, with B and K whether named or not, since a term that is
-    /// too weak to be named is not thereby absent. A Gauss–Markov process stands in their place.
+    /// The model that intervals are read from: the chosen terms, with B and K whether named or not, since a term that
+    /// is too weak to be named is not thereby absent. A Gauss–Markov process stands in their place.
     fn family(&self) -> Terms {
         let chosen = self.choice.model.terms;
         if chosen.has_gauss_markov() { chosen } else { self.plain_family() }
@@ -98,7 +98,7 @@ impl<'a> Profile<'a> {
             .is_none_or(|without| self.root(without.deviance, chosen.deviance).powi(2) >= price(term, chosen.terms))
     }
 
-    /// σ and Tc of the Gauss–Markov process, where one was chosen.
+    /// σ and Tc of the Gauss–Markov process, if one was chosen.
     pub(super) fn gauss_markov(&self) -> Option<[(f64, [f64; 2]); 2]> {
         let chosen = &self.choice.model;
         let sigma = chosen.squares[SIGMA].sqrt();
@@ -117,7 +117,7 @@ impl<'a> Profile<'a> {
             let held = self.likelihood.maximise(chosen.terms, c, Held::Nothing, Some(chosen))?;
             Some(signed(held.deviance, c, chosen.tc_s))
         };
-        // Both are there or not together, far beyond doubt: nothing was selected by either.
+        // Both are present or absent together, far beyond doubt: neither was selected.
         let sigma_95 = interval(sigma, f64::INFINITY, 0.0, &of_sigma);
         let tc_95 = interval(chosen.tc_s, f64::INFINITY, 0.0, &of_tc);
         Some([(sigma, sigma_95?), (chosen.tc_s, tc_95?)])
@@ -134,14 +134,14 @@ struct Course<'a> {
     /// The size at the maximum, and its sign.
     found: f64,
     sign: f64,
-    /// The root at 0, infinite where the family needs the term.
+    /// The root at 0, infinite if the family needs the term.
     r_zero: f64,
     /// The root from which on the term is named.
     threshold: f64,
 }
 
 impl<'a> Course<'a> {
-    /// None where the family does not fit.
+    /// None if the family does not fit.
     fn new(profile: &'a Profile<'a>, term: Term, family: Terms) -> Option<Self> {
         let terms = family.with(term);
         let maximum = profile.best(terms, Held::Nothing, &profile.choice.model)?;

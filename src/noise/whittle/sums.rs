@@ -1,9 +1,9 @@
 //! Spectral sums: the binned squares of a DST, which add over stretches, segments and captures of one rate.
 
-/// Bins to the decade of frequency. Within one the spectrum of a random walk varies by ±3.7 %, which costs 0.05 % of what
-/// the squares could tell.
+/// Bins to the decade of frequency. Within one, the spectrum of a random walk varies by ±3.7 %, which costs 0.05 % of the
+/// information of the squares.
 const PER_DECADE: usize = 64;
-/// From half the rate down; what lies below belongs to the last.
+/// From half the rate down; lower frequencies belong to the last bin.
 const BINS: usize = 10 * PER_DECADE;
 /// Numbers kept per bin.
 const FIELDS: usize = 8;
@@ -68,7 +68,7 @@ impl Default for DstSums {
 }
 
 impl DstSums {
-    /// Nothing summed.
+    /// Sums without data.
     #[must_use]
     pub fn new() -> Self {
         let (bins, fine) = (vec![Bin::default(); BINS], vec![Bin::default(); FINE]);
@@ -81,13 +81,13 @@ impl DstSums {
         self.samples
     }
 
-    /// Values that were not finite or beyond what the channel can measure; each ended a stretch.
+    /// Values that were not finite or beyond the channel's range; each ended a stretch.
     #[must_use]
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
 
-    /// Adds what was summed over other stretches, also of another capture of the same sensor at the same rate.
+    /// Adds the sums over other stretches, also of another capture of the same sensor at the same rate.
     pub fn merge(&mut self, other: &Self) {
         self.samples += other.samples;
         self.out_of_range += other.out_of_range;
@@ -95,8 +95,7 @@ impl DstSums {
         pairs.for_each(|(own, other)| own.add(other));
     }
 
-    /// Takes from `other` what it has of frequencies that lie above `u` cycles a sample altogether; samples stay counted as they
-    /// were.
+    /// Takes from `other` the bins whose frequencies all lie above `u` cycles a sample; samples stay counted as they were.
     pub fn replace_above(&mut self, u: f64, other: &Self) {
         for (index, (own, other)) in self.bins.iter_mut().zip(&other.bins).enumerate() {
             if edge(index + 1) >= u {
@@ -130,7 +129,7 @@ impl DstSums {
         }
     }
 
-    /// Bins that hold something, from low to high frequency: the range of u = f·dt of each, and its sums.
+    /// Bins that are not empty, from low to high frequency: the range of u = f·dt of each, and its sums.
     pub(super) fn filled(&self) -> impl Iterator<Item = ([f64; 2], &Bin)> {
         let filled = self.bins.iter().enumerate().rev().filter(|(_, bin)| bin.count > 0.0);
         filled.map(|(index, bin)| ([edge(index + 1), edge(index)], bin))
@@ -159,7 +158,7 @@ impl DstSums {
         bytes
     }
 
-    /// What [`Self::to_bytes`] wrote; None where it is damaged.
+    /// The sums that [`Self::to_bytes`] wrote; None if the bytes are damaged.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         const ROW: usize = 4 + 8 * FIELDS;

@@ -1,4 +1,4 @@
-//! What the Whittle fit promises, on small records; `examples/noise_monte_carlo.rs` is the large form.
+//! The properties of the Whittle fit, on small records; `examples/noise_monte_carlo.rs` is the large form.
 
 use super::*;
 use crate::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
@@ -216,7 +216,7 @@ fn captures_of_one_sensor_make_one_estimate() {
     assert!(holds(&together.n, 3.5e-3), "{:?}", together.n);
 }
 
-/// A stretch of more than one chunk loses next to nothing: its lowest frequencies come from the averaged whole.
+/// A stretch of more than one chunk loses almost no information: its lowest frequencies come from the averaged whole.
 #[test]
 fn a_long_stretch_is_as_good_in_chunks_as_whole() {
     let samples = record(3.5e-3, 0.0, 1e-5, DstEstimator::CHUNK * 5 / 2, 6);
@@ -352,7 +352,8 @@ fn white_walk_and_ramp_of_the_reference_set_are_told_apart() {
     assert!(!parameters.b.identified, "{:?}", parameters.b);
 }
 
-/// Worlds of `examples/noise_worlds.rs` in small: N behind filters that the fit is not told, whole and with one sample in a hundred lost.
+/// Worlds of `examples/noise_worlds.rs` in small: N behind filters that the fit does not know, whole and with one sample in a
+/// hundred lost.
 mod filters {
     use super::*;
     use rand::{RngExt as _, SeedableRng as _};

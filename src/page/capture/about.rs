@@ -1,4 +1,4 @@
-//! What made the data: the sensor, its configuration, and the program.
+//! The origin of the data: the sensor, its configuration, and the program.
 
 use super::{Capture, CaptureView, escaped, opened, wide};
 use serde_json::Value;
@@ -16,9 +16,9 @@ pub(super) fn section(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
         for (key, value) in part.as_object().into_iter().flatten() {
             match value {
                 Value::Null => {}
-                // What the sensor said of itself is told once.
+                // The sensor's own statements are shown once.
                 _ if std::ptr::eq(part, &of.configuration) && of.sensor.get(key) == Some(value) => {}
-                // The program has a row of its own.
+                // The program has a separate row.
                 _ if key == "software" => {}
                 Value::Object(_) | Value::Array(_) => nested(out, key, value, opened(view)),
                 Value::String(text) => row(out, &key.replace('_', " "), text),
@@ -34,7 +34,7 @@ fn row(out: &mut String, name: &str, value: &str) {
     let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escaped(name), escaped(value));
 }
 
-/// What has parts, as it is stored.
+/// A value with parts, as it is stored.
 fn nested(out: &mut String, key: &str, value: &Value, open: &str) {
     let text = serde_json::to_string_pretty(value).unwrap_or_default();
     let _ = write!(

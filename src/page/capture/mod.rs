@@ -1,4 +1,4 @@
-//! The page of a capture: what it got, the numbers, the pictures, what happened, and what made it.
+//! The page of a capture: its contents, the numbers, the pictures, the events, and its origin.
 
 mod about;
 mod noise;
@@ -15,20 +15,20 @@ use std::fmt::Write as _;
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::exhaustive_enums, reason = "the two ways to have a picture")]
 pub enum Figure {
-    /// Fetched from there, where it comes into sight; `told` is for those who do not see it.
+    /// Fetched from there when it scrolls into view; `told` is the description for users who cannot see it.
     Linked {
-        /// What it shows.
+        /// Its description.
         told: String,
-        /// Where it is.
+        /// Its address.
         address: String,
-        /// Its height in units of which it is 560 wide.
+        /// Its height in units in which its width is 560.
         height: u32,
     },
     /// Part of the file: `<svg>…</svg>`.
     Drawn(String),
 }
 
-/// All that is known of a capture. Documents are JSON texts.
+/// The facts about a capture. Documents are JSON texts.
 #[derive(Debug, Clone, Copy)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct CaptureView<'a> {
@@ -38,30 +38,31 @@ pub struct CaptureView<'a> {
     pub statistics: Option<&'a str>,
     /// `vn100d-noise-1`, with its comparison with a datasheet.
     pub noise: Option<&'a str>,
-    /// What is being computed, or why something is not there: sentences.
+    /// The computations in progress, or the reasons why something is missing: sentences.
     pub remarks: &'a [String],
-    /// Whether something is being computed that the page will show.
+    /// Whether the page will show something that is being computed.
     pub waits: bool,
-    /// Gaps, a list; the first of many.
+    /// Gaps, a list; the first ones of many.
     pub gaps: &'a str,
-    /// How many samples are missing by cause, an object.
+    /// The number of missing samples by cause, an object.
     pub causes: &'a str,
     /// Events, a list.
     pub events: &'a str,
-    /// Diagnoses, a list; without those that are enclosed.
+    /// Diagnoses, a list; without the enclosed ones.
     pub diagnoses: &'a str,
-    /// Pictures by name, such as `allan-gyro`; those that are missing are not shown.
+    /// Pictures by name, such as `allan-gyro`; missing ones are not shown.
     pub figures: &'a BTreeMap<String, Figure>,
-    /// Whether it is a page of the daemon, with links to the rest, and if so whether wishes need a token.
+    /// Whether it is a page of the daemon, with links to the rest, and if so whether requests need a token.
     pub served: Option<bool>,
-    /// Its diagnoses, for a file that has them in it: what stands in the bodies of their pages ([`super::diagnosis_body`]).
+    /// Its diagnoses, for a file that includes them: the contents of the bodies of their pages
+    /// ([`super::diagnosis_body`]).
     pub enclosed: &'a [String],
 }
 
 /// The parts of a capture that are shown.
 #[derive(Debug, Deserialize)]
 struct Capture {
-    /// None of a recording that is in no database.
+    /// `None` for a recording that is in no database.
     id: Option<i64>,
     name: String,
     state: String,
@@ -129,9 +130,9 @@ struct Diagnosis {
     summary: Option<String>,
 }
 
-/// Gaps and events that are listed; the interface has them all.
+/// The maximum number of gaps and events listed; the interface returns all of them.
 const LISTED: usize = 50;
-/// Headings of a page, and what they are in a section of another one.
+/// Headings of a page, and their replacements in a section of another one.
 const HEADINGS: [(&str, &str); 4] = [("<h2>", "<h4>"), ("</h2>", "</h4>"), ("<h1>", "<h3>"), ("</h1>", "</h3>")];
 /// Triads and the letters of their axes.
 const TRIADS: [&str; 3] = ["gyro", "accel", "mag"];
@@ -160,18 +161,19 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
     let kind = match view.served {
         None => Kind::File,
         Some(_) if view.waits => Kind::Waiting(3),
-        // What runs grows: those who look will want to see it, but a page with forms may not vanish under them.
+        // A running capture grows: viewers want to see that, but a page with forms must not be replaced while they are
+        // in use.
         Some(_) => Kind::Served,
     };
     Ok(framed(&of.name, kind, &out))
 }
 
-/// How parts begin that can be closed: a file is printed, and what is closed on paper is lost.
+/// The attribute of parts that can be closed: a file may be printed, and a closed part is lost on paper.
 fn opened(view: &CaptureView<'_>) -> &'static str {
     if view.served.is_none() { " open" } else { "" }
 }
 
-/// The picture of that name, where it is there.
+/// The picture with that name, if it exists.
 fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
     // Writing to a text cannot fail.
     match view.figures.get(name) {
@@ -206,7 +208,7 @@ fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     );
     let ended = match &of.ended_at {
         Some(ended) => format!(" to {}", clock(ended)),
-        // On paper there is no now.
+        // On paper "now" has no meaning.
         None if is_open(of) && view.served.is_some() => " to now".to_owned(),
         None => String::new(),
     };
@@ -228,12 +230,12 @@ fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     }
 }
 
-/// Whether samples may still come.
+/// Whether samples may still arrive.
 fn is_open(of: &Capture) -> bool {
     matches!(of.state.as_str(), "capturing" | "waiting")
 }
 
-/// What it got, in one sentence.
+/// The contents of the capture in one sentence.
 fn sentence(of: &Capture) -> String {
     let assumed = if of.rate_assumed { " (assumed)" } else { "" };
     let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz{assumed}", super::figure::plain(rate)));
@@ -252,7 +254,7 @@ fn sentence(of: &Capture) -> String {
     format!("{}{planned}{rate}: {} samples, {missing}", span(of.duration_s), of.samples)
 }
 
-/// What may be asked for on the page; those without scripts have curl.
+/// The requests that the page offers; users without scripts have curl.
 fn wishes(out: &mut String, of: &Capture, id: i64, token: bool) {
     let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");
     if is_open(of) {
@@ -384,7 +386,7 @@ fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>
         *out += "</ul>";
     }
     for own in view.enclosed {
-        // Their headings are below this page's; no text of a document has a tag.
+        // Their headings are below this page's; no text of a document contains a tag.
         let own = HEADINGS.iter().fold(own.clone(), |own, (theirs, ours)| own.replace(theirs, ours));
         let _ = write!(out, "<section class=\"enclosed\">{own}</section>");
     }

@@ -117,7 +117,7 @@ fn parameters(out: &mut String, channels: &BTreeMap<String, NoiseParameters>) {
     *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">N</th>\
              <th scope=\"col\">B</th><th scope=\"col\">K</th></tr>";
     for (name, of) in channels {
-        // What else there is to say takes a line below: a column of its own would lie out of sight.
+        // Further remarks take a line below: in a separate column they would be out of sight.
         let more = more(of);
         let (class, rows) = if more.is_empty() { ("", 1) } else { (" class=\"noted\"", 2) };
         let _ = write!(
@@ -135,7 +135,7 @@ fn parameters(out: &mut String, channels: &BTreeMap<String, NoiseParameters>) {
     *out += "</table></div>";
 }
 
-/// A parameter in the unit of the standard, and below it in the units that people quote.
+/// A parameter in the unit of the standard, and below it in the units in common use.
 fn cell(of: &Estimate) -> String {
     let unit = escaped(&of.unit);
     let alone = if of.source.is_some() { "<div class=\"soft\">from the Allan deviation alone</div>" } else { "" };
@@ -159,14 +159,14 @@ fn cell(of: &Estimate) -> String {
     };
     line(value, of.ci95, &of.unit, "main");
     for (unit, also) in &of.also {
-        // Another unit is a factor.
+        // Another unit differs by a factor.
         let ends = of.ci95.filter(|_| value != 0.0).map(|ends| ends.map(|end| end * also / value));
         line(*also, ends, unit, "soft");
     }
     out + alone
 }
 
-/// What else there is to say of a channel: first whether it may be used at all.
+/// Further remarks on a channel: first whether it may be used at all.
 fn more(of: &NoiseParameters) -> String {
     let mut all: Vec<String> = Vec::new();
     if !of.usable {
@@ -186,13 +186,13 @@ fn more(of: &NoiseParameters) -> String {
     all.join("<br>")
 }
 
-/// A sentence that stands by itself.
+/// The sentence with a capital first letter.
 fn capitalized(sentence: &str) -> String {
     let mut letters = sentence.chars();
     letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())).unwrap_or_default()
 }
 
-/// Which number to paste where; of a served page with links to the files.
+/// The numbers to paste, and where; on a served page with links to the files.
 fn paste(out: &mut String, paste: &Paste, id: Option<i64>) {
     let (header, rows) = paste.table(plain);
     if rows.is_empty() {
@@ -252,7 +252,7 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
         let [printed, unit, verdict] = told;
         let class = match verdict {
             "within" | "explained_by_sampling" => "good",
-            // No verdict on the sensor.
+            // This is no verdict on the sensor.
             "too_short" | "not_at_rest" => "soft",
             _ => "bad",
         };

@@ -31,7 +31,7 @@ struct Normality {
     verdict: String,
 }
 
-/// Channels as the sensor's manual lists them.
+/// Channels in the order of the sensor's manual.
 const ORDER: [&str; 5] = ["yaw", "pitch", "roll", "gyro", "accel"];
 
 /// The table of `vn100d-statistics-1`.
@@ -53,7 +53,7 @@ pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json
     channels.sort_by_key(|(name, _)| place(name));
     for (name, own) in channels {
         let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td>", escaped(name), escaped(&own.unit));
-        // A level of 9.8 with noise of a thousandth has its digits.
+        // A level of 9.8 with noise of a thousandth needs its digits.
         let digits = |value: f64| rounded(value, 6);
         let cells = [
             own.mean.map(digits),

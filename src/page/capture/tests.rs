@@ -19,7 +19,7 @@ fn noise() -> String {
     document(json!({}))
 }
 
-/// One channel with everything, but for what `changed` says of it.
+/// One channel with everything, except where `changed` differs.
 fn document(changed: serde_json::Value) -> String {
     let unknown = |unit: &str| json!({"value": null, "identified": false, "unit": unit});
     let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "identified": true, "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});

@@ -1,4 +1,4 @@
-//! What is drawn: the heat map, the course of a motion, the time, the spectra.
+//! The drawings: the heat map, the course of a motion, the time, the spectra.
 
 use super::super::escaped;
 use super::{Report, named};
@@ -64,7 +64,7 @@ pub(super) fn spectra(out: &mut String, report: &Report, drawn: &Drawn) {
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. \
              White noise stands at its N. Where a spectrum is not the model's parameters alone, one of a simulation is drawn.</p>";
     let picture = |of: &'_ Spectra| {
-        // What a motion drives is in no band of its own.
+        // The effects of a motion have no separate band.
         let places = report.r#where.iter().filter(|place| place.channel == of.channel() && place.at.is_none());
         let bands: Vec<[f64; 2]> = places.map(|place| place.band_hz).collect();
         of.svg(&bands)
@@ -72,7 +72,7 @@ pub(super) fn spectra(out: &mut String, report: &Report, drawn: &Drawn) {
     named_first(out, report, spectra.iter().map(|of| (of.channel(), picture(of))));
 }
 
-/// Pictures of channels with a finding, then the others, which wait to be asked for.
+/// Pictures of channels with a finding, then the others, which are shown on request.
 fn named_first<'a>(out: &mut String, report: &Report, pictures: impl Iterator<Item = (&'a str, String)>) {
     let (found, others): (Vec<_>, Vec<_>) = pictures.partition(|(channel, _)| named(report, channel));
     let all = |of: &[(&str, String)]| {

@@ -1,4 +1,5 @@
-//! What was found: effects in which sensor and model differ with their evidence, what was weighed, what is off, and where.
+//! The findings: effects in which sensor and model differ, with their evidence, the alternatives considered, the
+//! offsets, and the places.
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
@@ -9,9 +10,9 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Entries of a list that are shown of one cause on one channel.
+/// The maximum number of list entries shown of one cause on one channel.
 const ENTRIES: usize = 6;
-/// Characters of a parameter that is no number.
+/// The maximum length of a parameter that is no number, in characters.
 const LONGEST: usize = 60;
 
 pub(super) fn causes(out: &mut String, report: &Report) {
@@ -27,7 +28,7 @@ pub(super) fn causes(out: &mut String, report: &Report) {
     *out += "<table><tr><th scope=\"col\">effect</th><th scope=\"col\">on</th>\
              <th scope=\"col\">parameters, with 95&nbsp;% intervals</th><th scope=\"col\" class=\"number\">sure</th><th scope=\"col\" class=\"number\">closes</th></tr>";
     for cause in &report.causes {
-        // Never more sure than it is.
+        // Rounded down, so that the confidence is never overstated.
         let sure = percent((100.0 * cause.confidence).floor() / 100.0);
         let _ = write!(
             out,
@@ -79,7 +80,7 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
     out + "</ul>"
 }
 
-/// One or a list of several.
+/// One value, or a list of several.
 fn entries(value: &Value) -> Vec<&Value> {
     match value {
         Value::Array(list) => list.iter().collect(),
@@ -100,7 +101,7 @@ fn figure(value: &Value, interval: Option<&Value>) -> String {
     }
 }
 
-/// The unit of an effect's parameter that follows the channel's; that of others is in their name.
+/// The unit of an effect's parameter that follows the channel's; other parameters have it in their names.
 fn unit(parameter: &str, channel: Channel) -> String {
     let unit = channel.unit();
     match parameter {
@@ -204,7 +205,7 @@ pub(super) fn places(out: &mut String, report: &Report) {
     *out += "</table></div>";
 }
 
-/// What the motion does where a gap lies that it drives.
+/// The state of the motion at a gap that it drives.
 fn driver(of: &Driver) -> String {
     let Driver { quantity, axis, unit, range, pose } = of;
     let [from, to] = range.map(plain);
@@ -230,7 +231,7 @@ pub(super) fn alternatives(out: &mut String, report: &Report) {
     }
 }
 
-/// What lies in a place: the name of its effect, or what it is else.
+/// The content of a place: the name of its effect, or another description.
 fn what<'a>(report: &'a Report, place: &Place) -> &'a str {
     let index = place.of.strip_prefix("cause:").and_then(|index| index.parse::<usize>().ok());
     match (index.and_then(|index| report.causes.get(index)), place.of.as_str()) {

@@ -1,4 +1,4 @@
-//! How large the gap is: in all, and channel by channel down to what a true model shows.
+//! The size of the gap: in total, and channel by channel down to what a true model shows.
 
 use super::super::escaped;
 use super::super::figure::{percent, plain};
@@ -6,12 +6,12 @@ use super::{Discrepancy, Report};
 use crate::plot::{Bar, closing};
 use std::fmt::Write as _;
 
-/// The bars' scale over what a true model shows, at least.
+/// The bars' minimum scale, as a multiple of what a true model shows.
 const SCALE: f64 = 20.0;
 
-/// A bar of a length between 0 and 1, one of at least a hair's breadth.
+/// A bar of a length between 0 and 1, with a minimum width.
 fn bar(share: f64, class: &str) -> String {
-    // Of what is no number the breadth of a hair.
+    // A value that is not finite gets the minimum width.
     let width = if share.is_finite() { (100.0 * share).clamp(0.3, 100.0) } else { 0.3 };
     format!(
         "<svg viewBox=\"0 0 100 10\" preserveAspectRatio=\"none\" aria-hidden=\"true\">\
@@ -26,7 +26,7 @@ pub(super) fn section(out: &mut String, gap: &Discrepancy) {
         ("with what was found", gap.after, "after"),
         ("a true model shows", gap.floor, "floor"),
     ];
-    // Where there is no gap the bars are short: the scale reaches to so many times what a true model shows, at least.
+    // Without a gap the bars are short: the scale reaches at least to this multiple of what a true model shows.
     let least = SCALE * gap.floor.max(f64::MIN_POSITIVE);
     let most = rows.iter().map(|(_, value, _)| *value).fold(least, f64::max);
     let _ = write!(out, "<h2>The gap, in {}</h2><div class=\"bars\">", escaped(&gap.unit));

@@ -1,4 +1,4 @@
-//! The page of a diagnosis: the sentence, how large the gap is and what closes it, where it lies, what the model lacks.
+//! The page of a diagnosis: the sentence, the size of the gap and what closes it, its place, and what the model lacks.
 
 mod drawn;
 mod findings;
@@ -13,7 +13,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Where the same is to be had by a program; label and address.
+/// Links to the same data for programs; label and address.
 pub type Links<'a> = &'a [(&'a str, String)];
 
 /// The parts of `vn100d-diagnosis-1` that are shown.
@@ -91,7 +91,7 @@ struct Place {
     sign: String,
 }
 
-/// Where in a motion's range a gap lies.
+/// The position of a gap in a motion's range.
 #[derive(Debug, Deserialize)]
 struct Driver {
     quantity: String,
@@ -114,7 +114,7 @@ struct Parameter {
     ci95: Option<[f64; 2]>,
 }
 
-/// A mean that is another than the model states.
+/// A mean that differs from the model's.
 #[derive(Debug, Deserialize)]
 struct Offset {
     channel: String,
@@ -126,18 +126,18 @@ struct Offset {
     explained: f64,
 }
 
-/// What the size of a difference may mean.
+/// The possible meaning of a difference's size.
 #[derive(Debug, Deserialize)]
 struct Hint {
     about: String,
     text: String,
 }
 
-/// Who has an effect.
+/// Which side has an effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Sense {
-    /// The sensor alone, as reports say that have no sense.
+    /// The sensor alone; assumed for reports without a sense.
     #[default]
     Missing,
     Superfluous,
@@ -180,8 +180,8 @@ struct Gap {
     floor: f64,
 }
 
-/// The page of a diagnosis: `report` is the document `vn100d-diagnosis-1`, `drawings` an object with what is drawn of it
-/// ([`crate::diagnosis::Drawings`]) among its keys, as the daemon's results have them.
+/// The page of a diagnosis. `report` is the document `vn100d-diagnosis-1`. `drawings` is an object with the data of its
+/// pictures ([`crate::diagnosis::Drawings`]) among its keys, as in the daemon's results.
 ///
 /// # Errors
 /// What is missing in a text that is no such document.
@@ -191,7 +191,7 @@ pub fn diagnosis(report: &str, drawings: &str, links: Links<'_>) -> Result<Strin
     Ok(framed(&title, kind, &body))
 }
 
-/// The title of the same page and what stands in its body, to be [enclosed](super::CaptureView::enclosed) in another one.
+/// The title and the body's content of the same page, to be [enclosed](super::CaptureView::enclosed) in another one.
 ///
 /// # Errors
 /// What is missing in a text that is no such document.

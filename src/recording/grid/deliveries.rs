@@ -1,33 +1,36 @@
-//! Deliveries: whether the points of a grid without a sample are losses, or the grid is that in which a port delivered samples. Pure.
+//! Deliveries: determines whether the empty points of a grid are losses, or whether the grid is that of a port's
+//! deliveries. Pure.
 //!
-//! Losses come at random, so that a stretch of W steps is longer by as many periods as it has lost, with a variance of at least their
-//! mean. A port that delivers at steps of its own clock leaves points empty at regular intervals: no stretch differs from the next by more
-//! than a delivery. With a latency timer of 16 ms, 50 samples a second lie on a grid of 62.5 Hz, of which every fifth point is empty.
+//! Losses come at random. So a stretch of W steps is longer by as many periods as it has lost, with a variance of at
+//! least their mean. A port that delivers at steps of its own clock leaves points empty at regular intervals: no
+//! stretch differs from the next by more than a delivery. With a latency timer of 16 ms, 50 samples a second lie on a
+//! grid of 62.5 Hz, of which every fifth point is empty.
 
 use super::StampGrid;
 
-/// Steps whose length is a smaller share of the period are of one delivery.
+/// Steps shorter than this share of the period belong to one delivery.
 pub(super) const TOGETHER: f64 = 0.3;
-/// Steps of the stretches whose lengths are compared.
+/// Steps per stretch whose length is compared.
 const STRETCH: usize = 256;
-/// The variance of shorter ones is chance.
+/// The variance of shorter stretches is chance.
 const STRETCH_LEAST: usize = 32;
-/// Losses whose numbers vary by less than this share of what chance makes are none.
+/// Missing points are no losses if their numbers vary by less than this share of what chance produces.
 const REGULAR: f64 = 0.5;
 /// The variance of fewer losses is chance.
 const MISSING_LEAST: u64 = 40;
-/// A smaller share may be lost at regular intervals: a logger drops each hundredth sample, say.
+/// A smaller share may be lost at regular intervals, for example if a logger drops each hundredth sample.
 const SHARE_LEAST: f64 = 0.03;
-/// From this share of the period on jitter is that of a host's clock. A sensor's own clock may lose samples at regular intervals.
+/// From this share of the period on, jitter is that of a host's clock. A sensor's own clock may lose samples at regular
+/// intervals.
 const JITTER_OF_HOSTS: f64 = 1e-3;
-/// The jitter of a period of fewer steps of the rounding cannot be seen.
+/// Jitter cannot be seen if the period has fewer steps of the rounding.
 const STEPS_LEAST: f64 = 2.5;
-/// From this share of short steps on samples come in batches.
+/// From this share of short steps on, samples come in batches.
 const BATCHES: f64 = 0.2;
-/// From this share of short steps on batches are so large that they hide the grid.
+/// From this share of short steps on, batches are so large that they hide the grid.
 const LARGE_BATCHES: f64 = 0.8;
 
-/// Stamps, as far as they show deliveries.
+/// The stamps' properties that show deliveries.
 pub(super) struct Deliveries<'a> {
     at_ns: &'a [f64],
     /// All stamps are multiples of this.
@@ -37,7 +40,7 @@ pub(super) struct Deliveries<'a> {
 }
 
 impl<'a> Deliveries<'a> {
-    /// Of stamps, ns since the first, which are multiples of `rounding_ns`.
+    /// Determines this from stamps, ns since the first, which are multiples of `rounding_ns`.
     pub(super) fn of(at_ns: &'a [f64], rounding_ns: u64) -> Self {
         let steps = STRETCH.min(at_ns.len() / 32);
         let lengths = || at_ns.iter().zip(at_ns.get(steps..).unwrap_or_default()).map(|(from, to)| to - from);
@@ -53,15 +56,16 @@ impl<'a> Deliveries<'a> {
         short.count() as f64 / self.at_ns.len() as f64
     }
 
-    /// Whether most samples share their delivery with others, so that only the mean rate is known. Rounding may do the same: then most
-    /// stamps are one step of it apart.
+    /// Whether most samples share their delivery with others, so that only the mean rate is known. Rounding may have
+    /// the same effect: then most stamps are one rounding step apart.
     pub(super) fn hide_the_grid(&self, mean_ns: f64) -> bool {
         let apart = || self.at_ns.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
         let next = apart().filter(|step| *step == self.rounding_ns as f64).count();
         self.together(mean_ns) > LARGE_BATCHES && 2 * next <= apart().count()
     }
 
-    /// Whether the points of a grid that `missing` leaves empty beside `count` samples are no losses.
+    /// Whether deliveries explain the `missing` empty points of a grid beside `count` samples, so that they are no
+    /// losses.
     pub(super) fn explain(&self, missing: u64, count: f64, grid: &StampGrid) -> bool {
         let Some((steps, variance_ns2)) = self.stretch.filter(|_| missing >= MISSING_LEAST) else { return false };
         let (missing, period_ns) = (missing as f64, grid.period_ns);

@@ -1,9 +1,10 @@
 //! The grid on which a recording's stamps lie: its period, and the grid point of each stamp.
 //!
-//! A sensor samples at a steady rate; its stamps are those times, rounded to some decimals, with the jitter of whoever read
-//! the clock, and late where deliveries were held up. So neither a single step nor the median one tells the rate, and a long
-//! step is a gap only if the next short ones do not make up for it. In: stamps in the order of their samples. Out: a
-//! [`StampGrid`] ([`find`]), and of each sample how many grid points before it have none ([`Tracker`]). Pure.
+//! A sensor samples at a steady rate. Its stamps are those times, rounded to some decimals, with the jitter of the
+//! clock's reader, and late if deliveries were delayed. So neither a single step nor the median step determines the
+//! rate, and a long step is a gap only if the next short ones do not compensate it. In: stamps in the order of their
+//! samples. Out: a [`StampGrid`] ([`find`]), and for each sample the number of empty grid points before it
+//! ([`Tracker`]). Pure.
 //!
 //! Invariant: (samples + missing) periods = last stamp − first stamp + one period, to the jitter of these two stamps.
 //! Validated in `tests` on 8 rates × rounding, jitter, delays, pairs × losses (docs/validation.md).
@@ -20,21 +21,23 @@ pub(super) use track::{PENDING_MAX, Placed, Tracker};
 /// A grid of stamps, and how stamps differ from it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StampGrid {
-    /// From grid point to grid point, ns.
+    /// The distance of neighbouring grid points, ns.
     pub period_ns: f64,
     /// All stamps are multiples of this, ns; 0 if they are not, or if the period is a multiple of it too.
     pub rounding_ns: u64,
-    /// Standard deviation of stamps about their grid points beyond the rounding, ns; delays do not count.
+    /// Standard deviation of stamps about their grid points beyond the rounding, ns; delays are excluded.
     pub jitter_ns: f64,
-    /// When the first stamp's grid point is, ns after that stamp, but for whole periods.
+    /// The grid point of the first stamp, ns after that stamp, up to whole periods.
     pub(super) start_ns: f64,
-    /// How late the first stamp may be, periods: 0 or negative.
+    /// The possible delay of the first stamp, periods: 0 or negative.
     pub(super) first_late: i64,
-    /// Whether the errors of periods add up, as in a loop that sleeps, reads and stamps: a stamp's only reference is the one before.
+    /// Whether the errors of periods accumulate, as in a loop that sleeps, reads and stamps: each stamp refers only to
+    /// the one before.
     pub(super) is_loop: bool,
     /// Whether more than a twentieth of the stamps is late by most of a period.
     pub late_often: bool,
-    /// Whether single losses can be told from jitter. Otherwise the period is the mean step, and only holes are gaps.
+    /// Whether single losses can be distinguished from jitter. Otherwise the period is the mean step, and only holes
+    /// are gaps.
     pub resolved: bool,
 }
 
@@ -46,5 +49,5 @@ impl StampGrid {
     }
 }
 
-/// Of jitter below this share of the period three standard deviations are less than a period.
+/// If the jitter is below this share of the period, three standard deviations are less than a period.
 const EXACT_JITTER: f64 = 1.0 / 3.0;

@@ -1,53 +1,54 @@
-//! Finds the period of the grid on which stamps lie, from the first of them. Pure.
+//! Finds the period of the grid on which stamps lie, from the first stamps. Pure.
 //!
-//! In a stretch without a loss W steps take W periods, whatever single steps do: jitter and rounding become W times smaller,
-//! and a late stamp is made up for. So the most frequent length of W steps (half-sample mode), for every W, proposes a
-//! period; it is sharpened by the phases of longer and longer stretches (Rayleigh); and of all proposals the one counts under
-//! which the stamps' errors and the losses together take the fewest nats.
+//! In a stretch without a loss W steps take W periods, whatever single steps do. Jitter and rounding become W times
+//! smaller, and a late stamp is compensated. So the most frequent length of W steps (half-sample mode), for every W,
+//! proposes a period. The phases of longer and longer stretches then refine it (Rayleigh). Of all proposals the one is
+//! taken under which the stamps' errors and the losses together cost the fewest nats.
 
 use super::StampGrid;
 use super::deliveries::{Deliveries, TOGETHER};
 use super::track::{self, HOLE, HOLE_LEAST_NS, Tracker};
 
-/// Stamps that are looked at.
+/// Stamps that are examined.
 pub(in crate::recording) const LOOK_AT: usize = 8192;
 /// Stamps on which a period is tried.
 const TRY_ON: usize = 4096;
 /// Numbers of steps whose length proposes a period: those of ten besides those of two, for stamps with few decimals.
 const WINDOWS: [usize; 15] = [1, 2, 4, 5, 8, 10, 16, 20, 32, 64, 100, 200, 256, 500, 1024];
-/// Lengths of stretches whose phases sharpen a period.
+/// Lengths of stretches whose phases refine a period.
 const STRETCHES: [usize; 5] = [64, 256, 1024, 4096, 8192];
-/// Without any phase to begin with, stretches are not longer: that many periods would have to be tried.
+/// The longest stretch if no phase is known yet: otherwise too many periods would have to be tried.
 const STRETCHES_MOST: usize = 1024;
-/// Periods around a proposal that are looked at: more there are where two stamps next to each other proposed it by chance.
+/// The maximum number of periods tried around a proposal. There are more if two neighbouring stamps proposed it by
+/// chance.
 const TRIES_MOST: i64 = 20_000;
-/// How far from a proposal it is looked at first, of it.
+/// The first search range around a proposal, relative to it.
 const FIRST_WITHIN: f64 = 0.01;
-/// Phases agree beyond chance where their sum's square, over their number, is above.
+/// Phases agree beyond chance if the square of their sum, divided by their number, is above this.
 const PHASES_AGREE: f64 = 14.0;
-/// Errors below this share of the mean step are all alike.
+/// Errors below this share of the mean step count as equal.
 const ERROR_LEAST: f64 = 1e-3;
-/// Stamps are coarse from this share of the mean step on: several samples have one.
+/// Stamps are coarse from this share of the mean step on: several samples share one stamp.
 const COARSE_FROM: f64 = 0.95;
-/// A period that is so near a whole number of the stamps' steps is one.
+/// A period that is this close to a whole number of the stamps' steps is taken as that number.
 const EXACT: f64 = 1e-4;
-/// Of the samples that a period asks for so many are there, at least: of any steps a fine enough grid could be made.
+/// At least this share of the samples that a period implies must be present: a fine enough grid would fit any steps.
 const RECEIVED_LEAST: f64 = 0.45;
-/// Deliveries are late often where so large a share of the stamps is.
+/// Deliveries are often late if this share of the stamps is late.
 const LATE_OFTEN: f64 = 0.05;
-/// The median step is this share of the mean one at least: of bursts most steps are short.
+/// The median step is at least this share of the mean step: in bursts most steps are short.
 const MEDIAN_LEAST: f64 = 0.25;
-/// So many samples of one stamp are not counted, their mean is taken.
+/// Above this number of samples per stamp their mean is used instead of a count.
 const CELL_MOST: f64 = 16.0;
-/// What a period takes that is no whole number of the steps in which its stamps come, over the logarithm of their number:
-/// about four losses.
+/// The cost of a period that is no whole number of the steps in which its stamps come, over the logarithm of their
+/// number: about four losses.
 const GUESS: f64 = 4.0;
-/// Gain with which a period is tried: so low that it does not follow losses.
+/// The gain with which a period is tried: low enough not to follow losses.
 const SLOW_GAIN: f64 = 1.0 / 2048.0;
-/// Of a loop's steps so few are neither one period nor a whole number of them.
+/// At most this share of a loop's steps is neither one period nor a whole number of periods.
 const LOOP_BESIDE: f64 = 2e-3;
 
-/// What is tried of the clock behind the stamps.
+/// The tried models of the clock behind the stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Clock {
     Steady,
@@ -55,7 +56,7 @@ enum Clock {
     Loop,
 }
 
-/// Points and stamps last equally long, to this share of it and so many periods.
+/// Points and stamps span the same time, within this share of it and this number of periods.
 const BEYOND: f64 = 0.02;
 const BEYOND_PERIODS: f64 = 32.0;
 /// Jitters, in periods, with which a period is tried.
@@ -63,7 +64,7 @@ const JITTERS: [f64; 2] = [0.03, 0.25];
 
 /// Finds the grid of these stamps, ns, in the order of their samples; `None` if they do not advance.
 ///
-/// Across a hole the number of periods is a guess, so the period is that of the longest stretch without one.
+/// Across a hole the number of periods is a guess, so the period is taken from the longest stretch without a hole.
 pub(in crate::recording) fn find(stamps: &[i64]) -> Option<StampGrid> {
     let stamps = &stamps[..stamps.len().min(LOOK_AT)];
     let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
@@ -123,7 +124,7 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
             tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
         }
     }
-    // Where most samples share their stamp the most frequent length is none.
+    // If most samples share their stamp, there is no usable most frequent length.
     tried.retain(|period_ns| period_ns.is_finite() && *period_ns > 0.0);
     let with = |period_ns: f64, jitter: f64, clock: Clock| {
         tried_with(stamps, &at_ns, &deliveries, rounding_ns, period_ns, jitter, clock)
@@ -136,9 +137,9 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
     let periods = (0..tried.len()).filter(is_new).map(|place| tried[place]);
     let mut best =
         periods.flat_map(|period_ns| JITTERS.map(|jitter| with(period_ns, jitter, Clock::Steady))).fold(None, likelier);
-    // A clock that wanders is followed as it will be: its errors are no jitter then.
+    // A clock that wanders is tracked as it will be later, so that its errors do not count as jitter.
     if let Some(period_ns) = best.as_ref().map(|(_, grid)| grid.period_ns) {
-        // Rounding as coarse as that hides which steps are short.
+        // Rounding this coarse hides which steps are short.
         let is_fine = (rounding_ns as f64) < 0.12 * period_ns;
         let clocks = [Clock::Wandering, Clock::Loop].into_iter().take(1 + usize::from(is_fine));
         best = clocks.flat_map(|clock| JITTERS.map(|jitter| with(period_ns, jitter, clock))).fold(best, likelier);
@@ -157,7 +158,7 @@ fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
     let start_ns = median(&mut starts(at_ns, period_ns, half_ns))?;
     let mut errors: Vec<f64> =
         at_ns.iter().enumerate().map(|(index, at)| at - start_ns - index as f64 * period_ns).collect();
-    // A hole shifts all behind it: the spread is that of short stretches.
+    // A hole shifts everything behind it: the spread is taken from short stretches.
     let mut spreads: Vec<f64> = errors
         .chunks_mut(64)
         .filter_map(|of| {
@@ -188,7 +189,7 @@ fn line(at_ns: &[f64]) -> Option<f64> {
     Some(products / squares).filter(|slope| *slope > 0.0)
 }
 
-/// The grid with about this period and jitter, and what stamps and losses take under it, nats per sample.
+/// The grid with about this period and jitter, and the cost of stamps and losses under it, nats per sample.
 fn tried_with(
     stamps: &[i64],
     at_ns: &[f64],
@@ -200,7 +201,7 @@ fn tried_with(
 ) -> Option<(f64, StampGrid)> {
     let (stamps, at_ns) = (&stamps[..stamps.len().min(TRY_ON)], &at_ns[..at_ns.len().min(TRY_ON)]);
     let mean_ns = at_ns.last()? / (at_ns.len() - 1) as f64;
-    // A period of whole steps is rounded always alike: not at all.
+    // A period of whole steps is always rounded alike, that is, not at all.
     let steps = period_ns / rounding_ns.max(1) as f64;
     let rounding_ns = if (steps - steps.round()).abs() < EXACT && steps > 0.5 { 0 } else { rounding_ns };
     let half_ns = 0.5 * rounding_ns as f64;
@@ -229,7 +230,7 @@ fn tried_with(
             missing += placed.missing;
         }
         let count = errors.len() as f64;
-        // Steps of one and a half periods are no loop's: deliveries make them.
+        // Steps of one and a half periods do not come from a loop but from deliveries.
         let beside = errors.iter().filter(|error| error.abs() > 0.35 * grid.period_ns).count();
         if is_loop && beside as f64 > LOOP_BESIDE * count {
             return None;
@@ -248,14 +249,14 @@ fn tried_with(
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
-        // Neither more points than the stamps last, nor more samples than points.
+        // The points must span the same time as the stamps, and there must be no more samples than points.
         let beyond_ns = (points - 1.0) * grid.period_ns - at_ns.last()?;
         let fits = beyond_ns.abs() <= BEYOND * at_ns.last()? + BEYOND_PERIODS * grid.period_ns;
         if !fits || lost > 1.0 - RECEIVED_LEAST || deliveries.explain(missing, count, &grid) {
             return None;
         }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
-        // Rounding that hides the period explains any steps: it has to explain many losses.
+        // Rounding that hides the period explains any steps: the period must then explain many losses.
         let guess = if rounding_ns as f64 > COARSE_FROM * mean_ns { GUESS * count.ln() / count } else { 0.0 };
         nats = Some(guess + scale.ln() + errors / count + entropy * points / count + 0.05 * tracker.slips as f64);
         let mean = tracker.mean_period_ns().filter(|mean| (mean / grid.period_ns - 1.0).abs() < 0.01);
@@ -265,7 +266,8 @@ fn tried_with(
     nats.filter(|nats| nats.is_finite()).map(|nats| (nats, grid))
 }
 
-/// Where the errors lie that no delay made: their mode, or the middle of the densest stretch as long as the rounding.
+/// The position of the errors that no delay caused: their mode, or the middle of the densest stretch as long as the
+/// rounding.
 fn center(errors: &mut [f64], half_ns: f64, period_ns: f64) -> Option<f64> {
     errors.sort_unstable_by(f64::total_cmp);
     if 2.0 * half_ns < 0.1 * period_ns {
@@ -300,7 +302,7 @@ pub(in crate::recording) fn rounding(stamps: &[i64]) -> u64 {
     powers.take_while(|power| common > 0 && common % power == 0).last().unwrap_or(0)
 }
 
-/// The period where samples come in cells of one stamp, of which most are whole: the cell over their number.
+/// The period if samples come in mostly complete cells that share one stamp: the cell over the number of its samples.
 fn whole_cells(stamps: &[i64], rounding_ns: u64) -> Option<f64> {
     let mut counts: Vec<u64> = Vec::new();
     let mut run = 1;
@@ -316,21 +318,21 @@ fn whole_cells(stamps: &[i64], rounding_ns: u64) -> Option<f64> {
     counts.first()?;
     counts.remove(0);
     let most = *counts.iter().max()?;
-    // A count that hardly ever occurs is a slip.
+    // A count that hardly ever occurs is an error.
     let share = |of: u64| counts.iter().filter(|count| **count == of).count() as f64 / counts.len() as f64;
     let most = (1..=most).rev().find(|count| share(*count) > 0.02)?;
     (share(most) > 0.3).then(|| rounding_ns as f64 / most as f64)
 }
 
-/// When the grid point of the first stamp is, ns since it, and how many periods late that stamp is at most.
+/// The grid point of the first stamp, ns since it, and by how many periods that stamp is late at most.
 fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     if 2.0 * half_ns > 0.5 * period_ns {
-        // Several stamps are one: the middle of all that may be.
+        // Several samples share a stamp: the middle of the possible range.
         return Some((center(&mut starts(at_ns, period_ns, half_ns), half_ns, period_ns)?, 0));
     }
     let looked = &at_ns[..at_ns.len().min(256)];
     let mut phases: Vec<f64> = looked.iter().map(|at_ns| (at_ns / period_ns).rem_euclid(1.0)).collect();
-    // Around the circle once more: a mode may lie at its seam.
+    // The phases are repeated around the circle: a mode may lie at its seam.
     let around: Vec<f64> = phases.iter().map(|phase| phase + 1.0).collect();
     phases.extend(around);
     let phase = mode(&mut phases)?;
@@ -340,15 +342,15 @@ fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     Some((phase * period_ns, lowest.min(0)))
 }
 
-/// When the first grid point was, by each of the first stamps, if nothing is missing.
+/// The first grid point according to each of the first stamps, if nothing is missing.
 fn starts(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Vec<f64> {
     let few = 32.max((4.0 * half_ns / period_ns) as usize).min(at_ns.len());
     at_ns[..few].iter().enumerate().map(|(index, at_ns)| at_ns - index as f64 * period_ns).collect()
 }
 
-/// The period nearby under which the phases of longer and longer stretches agree best; `None` where they do not.
+/// The nearby period under which the phases of longer and longer stretches agree best; `None` if they do not agree.
 fn sharpened(at_ns: &[f64], proposal_ns: f64) -> Option<f64> {
-    // Stamps delivered together have one phase whatever the period: the first of them counts.
+    // Stamps delivered together have one phase whatever the period: only the first of them counts.
     let mut before = f64::NEG_INFINITY;
     let apart: Vec<f64> =
         at_ns.iter().copied().filter(|at| *at - std::mem::replace(&mut before, *at) > TOGETHER * proposal_ns).collect();

@@ -1,4 +1,4 @@
-//! The grid on made-up stamps: 8 rates × rounding, jitter, delays, pairs × losses, and what clocks do.
+//! The grid on generated stamps: 8 rates × rounding, jitter, delays, pairs × losses, and the errors of clocks.
 
 use super::*;
 use rand::{RngExt, SeedableRng};
@@ -9,11 +9,11 @@ use rand_distr::{Distribution, Exp1, StandardNormal};
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Exact,
-    /// To so many ns.
+    /// Rounded to this many ns.
     Rounded(i64),
     /// Normal, of this standard deviation, ns.
     Jitter(f64),
-    /// Deliveries are held up now and then, by up to 200 ms, and then come at once.
+    /// Deliveries are delayed now and then, by up to 200 ms, and then come at once.
     Late,
     /// Two at a time.
     Pairs,
@@ -22,7 +22,7 @@ enum Kind {
 const RATES_HZ: [f64; 8] = [25.0, 40.0, 50.0, 100.0, 128.0, 200.0, 400.0, 800.0];
 const LOSSES: [f64; 3] = [0.0, 0.01, 0.05];
 
-/// Stamps of samples in their order, ns, and how many samples are missing between the first and the last one.
+/// Stamps of samples in their order, ns, and the number of samples missing between the first and the last one.
 fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec<i64>, u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let count = (rate_hz * length_s) as usize;
@@ -38,7 +38,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
                 times[index] + sigma_ns * normal
             }
             Kind::Late => {
-                // Not in the last second: what is held there is never delivered.
+                // Not in the last second: samples delayed there are never delivered.
                 if times[index] > held_until_ns && index as f64 + rate_hz < count as f64 && random.random_bool(0.01) {
                     held_until_ns = times[index] + random.random_range(0.0..2e8);
                 }
@@ -55,7 +55,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
             continue;
         }
         let stamp = (told / step as f64).round() as i64 * step;
-        // As `Order` lets them through.
+        // The stamps as `Order` passes them on.
         stamps.push(stamps.last().map_or(stamp, |last: &i64| stamp.max(*last)));
         places.push(index);
     }
@@ -63,7 +63,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
     (stamps, missing as u64)
 }
 
-/// What the grid tells of stamps: itself, missing samples, the rate.
+/// What the grid shows for stamps: itself, missing samples, the rate.
 fn told(stamps: &[i64]) -> (StampGrid, u64, f64) {
     let grid = find(stamps).unwrap();
     let mut tracker = Tracker::new(&grid);
@@ -105,7 +105,7 @@ fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
         Kind::Rounded(step) => (step as f64) < third,
         Kind::Jitter(sigma_ns) => sigma_ns < third,
     };
-    // Jitter as large as the period hides losses: then the rate is that of what is there.
+    // Jitter as large as the period hides losses: then the rate is that of the samples present.
     let hidden = match kind {
         Kind::Jitter(sigma_ns) => sigma_ns > 0.36 * period_ns,
         _ => false,
@@ -114,7 +114,7 @@ fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
         assert!((found_hz / rate_hz - 1.0).abs() < 1e-4, "{case}");
     }
     if exact {
-        // A loss in what is held at an end is no more to be known than which of a pair it was.
+        // A loss among delayed samples at an end cannot be known, nor which sample of a pair was lost.
         let ends = match kind {
             Kind::Late => 2,
             Kind::Pairs if loss > 0.0 => 1,
@@ -147,7 +147,8 @@ fn half_steps_are_no_loops() {
     assert!(!grid.is_loop && missing == 0 && (rate_hz / mean_hz - 1.0).abs() < 1e-4, "{grid:?} {missing} {rate_hz}");
 }
 
-/// A loop that sleeps, reads and stamps: the errors of its periods add up, and hundreds of samples were missing that nobody had lost.
+/// A loop that sleeps, reads and stamps: the errors of its periods accumulate. Once, hundreds of samples were reported
+/// missing that were not lost.
 #[test]
 fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
     for (seed, sigma) in (0..).zip([0.02, 0.05, 0.1].repeat(3)) {
@@ -168,7 +169,7 @@ fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
             let rate_hz = (stamps.len() as u64 + missing - 1) as f64 / span_s;
             let case =
                 format!("{sigma} {loss} seed {seed}: {found_hz} of {rate_hz} Hz, {found} of {missing}, {grid:?}");
-            // Of errors of a tenth of a period five standard deviations are half a period.
+            // With errors of a tenth of a period, five standard deviations are half a period.
             assert!(found.abs_diff(missing) <= 3 * u64::from(sigma > 0.05 && loss > 0.0), "{case}");
             assert!((found_hz / rate_hz - 1.0).abs() < 2e-4, "{case}");
         }
@@ -264,8 +265,8 @@ fn bursts_of_an_unsteady_reader_have_their_mean_rate() {
     assert!((rate_hz - 100.0).abs() < 0.1 && missing < 3, "{rate_hz} Hz, {missing} missing");
 }
 
-/// Stamps of a port's latency timer of 16 ms, and of deliveries in batches, were taken for the grid: 50, 100 and 200 Hz were 62.5, 125 and
-/// 250 Hz with a fifth of the samples missing.
+/// Stamps of a port's latency timer of 16 ms, and of deliveries in batches, were once taken for the grid: 50, 100 and
+/// 200 Hz were reported as 62.5, 125 and 250 Hz with a fifth of the samples missing.
 #[test]
 fn the_steps_of_deliveries_are_no_grid_of_samples() {
     let mut random = ChaCha8Rng::seed_from_u64(10);
@@ -285,7 +286,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
             "{found_hz} for {rate_hz}, {missing}, {grid:?}"
         );
     }
-    // Batches: so many samples at once, 100 µs apart, or with one stamp.
+    // Batches: several samples at once, 100 µs apart, or with one stamp.
     for (batch, rate_hz, apart_ns) in
         [(2, 1000.0, 100_000), (3, 1000.0, 100_000), (8, 200.0, 0), (2, 100.0, 0), (8, 100.0, 100_000), (8, 100.0, 0)]
     {
@@ -301,7 +302,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
 
 #[test]
 fn regular_losses_of_a_steady_clock_are_losses() {
-    // Every third: 0, 1, 3, 4. From 0, 2, 3, 5 on they are as well pairs.
+    // Every third: 0, 1, 3, 4. From 0, 2, 3, 5 on they could equally be pairs.
     let stamps: Vec<i64> = (0..60_000_i64).filter(|index| index % 3 != 2).map(|index| index * 25_000_000).collect();
     let (_, missing, rate_hz) = told(&stamps);
     assert!((rate_hz - 40.0).abs() < 1e-6 && missing == 19_999, "{rate_hz} Hz, {missing} missing");

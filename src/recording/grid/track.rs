@@ -1,75 +1,76 @@
 //! Finds the point of the grid to which each stamp belongs. Pure.
 //!
-//! A stamp is the time of its grid point, rounded, with jitter, and sometimes late; each sample has a grid point of its own,
-//! later than that of the sample before. With u the stamp's distance from the first grid point in periods, less the number of
-//! samples before, u is the number of missing samples so far, plus the stamp's error: a level that never falls. So a long step
-//! that the next short ones make up for leaves the level as it is, and a missing sample raises it for good.
+//! A stamp is the time of its grid point, rounded, with jitter, and sometimes late. Each sample has its own grid point,
+//! later than that of the sample before. Let u be the stamp's distance from the first grid point in periods, less the
+//! number of samples before. Then u is the number of missing samples so far, plus the stamp's error: a level that never
+//! falls. A long step that the next short ones compensate leaves the level unchanged, and a missing sample raises it
+//! for good.
 //!
-//! The levels are those of the most likely path (Viterbi): a sample costs the square of its error beyond the rounding, a
-//! rise of the level costs what a loss is unlikely, and a late stamp costs at most [`LATE_MOST`], because delays are common and
-//! stamps before their time are not. Period and phase follow a slowly wandering clock by a loop of second order.
+//! The levels are those of the most likely path (Viterbi). A sample costs the square of its error beyond the rounding,
+//! and a rise of the level costs the improbability of a loss. A late stamp costs at most [`LATE_MOST`], because delays
+//! are common and early stamps are not. Period and phase follow a slowly wandering clock by a loop of second order.
 
 use super::StampGrid;
 use std::collections::VecDeque;
 
-/// What a late stamp costs at most, nats.
+/// The maximum cost of a late stamp, nats.
 const LATE_MOST: f64 = 8.0;
-/// The same where deliveries are late often: less than a loss.
+/// The same if deliveries are often late: less than a loss.
 const LATE_CHEAP: f64 = 3.0;
-/// What a stamp before its time costs at most, nats.
+/// The maximum cost of an early stamp, nats.
 const EARLY_MOST: f64 = 60.0;
-/// What a loss costs, nats.
+/// The cost of a loss, nats.
 const LOSS: f64 = 4.0;
-/// Where single losses cannot be told a rise is at least so many times the errors' scale.
+/// If single losses cannot be distinguished, a rise is at least this many times the errors' scale.
 const RISE_LEAST: f64 = 8.0;
-/// A path that costs more than the best one by so much is given up: fifty late stamps in a row are a loss.
+/// A path that costs this much more than the best one is dropped: fifty late stamps in a row are a loss.
 const GIVEN_UP: f64 = 50.0 * LATE_MOST;
-/// Paths that are kept.
+/// The maximum number of paths.
 const PATHS_MAX: usize = 48;
-/// Samples that wait for their position at most.
+/// The maximum number of samples that wait for their position.
 pub(in crate::recording) const PENDING_MAX: usize = 4096;
-/// Levels beyond are none: a thousand years at 30 kHz.
+/// Levels beyond this are invalid: a thousand years at 30 kHz.
 const LEVEL_MOST: f64 = 1e15;
-/// How often, in samples, it is looked how far all paths are one.
+/// The interval in samples at which the common part of all paths is determined.
 const LOOK_EVERY: usize = 64;
 /// Gain of the loop that follows the phase; that of the one that follows the period is a quarter of its square.
 pub(super) const GAIN: f64 = 1.0 / 256.0;
-/// Stamps that the phase at the begin rests on.
+/// The number of stamps that determine the initial phase.
 const BEGUN: u32 = 32;
-/// A rise by so many periods, and by so long, makes the phase uncertain: it is found again. Shorter ones may be deliveries
-/// that were held up.
+/// A rise by this many periods, and by this long, makes the phase uncertain: it is determined again. Shorter rises may
+/// be delayed deliveries.
 pub(super) const HOLE: f64 = 64.0;
 pub(super) const HOLE_LEAST_NS: f64 = 2e9;
-/// Samples in a row that are beside the grid alike, after which the phase is found again.
+/// After this many samples in a row that are off the grid by the same error, the phase is determined again.
 const BESIDE: u32 = 32;
-/// Errors that differ by less are alike, periods.
+/// Errors that differ by less are equal, periods.
 const ALIKE: f64 = 0.2;
 /// Stamps whose centroid is an end of the line that gives the period.
 const END: usize = 256;
-/// The same where losses are not told: they may lie among them.
+/// The same if losses are not resolved: they may lie among these stamps.
 const END_UNRESOLVED: usize = 16;
-/// Slack of the rounding where several samples have one stamp, periods.
+/// Slack of the rounding if several samples share one stamp, periods.
 const SLACK: f64 = 0.1;
-/// A period so near a whole number of ns is that number.
+/// A period this close to a whole number of ns is taken as that number.
 const WHOLE_NS: f64 = 1e-4;
 /// The least scale of errors, periods.
 const SCALE_LEAST: f64 = 0.02;
 
-/// A path's end.
+/// The end of a path.
 #[derive(Debug, Clone, Copy)]
 struct Path {
     level: i64,
     cost: f64,
-    /// Its place among the paths of the sample before.
+    /// Its index among the paths of the sample before.
     parent: u16,
 }
 
-/// A sample that has its position.
+/// A sample with its position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::recording) struct Placed {
-    /// Grid points without a sample before it, since the sample before.
+    /// The number of empty grid points between the sample before and this one.
     pub(in crate::recording) missing: u64,
-    /// The stamp's error in periods: positive where it is late.
+    /// The stamp's error in periods: positive if it is late.
     pub(in crate::recording) error: f64,
 }
 
@@ -81,20 +82,20 @@ pub(in crate::recording) struct Tracker {
     half_ns: f64,
     scale_ns: f64,
     period_ns: f64,
-    /// Stamps count from here.
+    /// The origin of the stamps.
     origin_ns: i64,
-    /// Index, level and time of the last grid point that is known.
+    /// Index, level and time of the last known grid point.
     base: (u64, i64, f64),
-    /// Stamps that the phase rests on.
+    /// The number of stamps that determined the phase.
     settled: u32,
-    /// Stamps in a row that are beside the grid alike, and the error of the last.
+    /// Stamps in a row that are off the grid by the same error, and the error of the last.
     beside: (u32, f64),
-    /// Up to this sample the phase behind a hole is not known.
+    /// Up to this sample the phase behind a hole is uncertain.
     loose_until: u64,
     /// Paths at the sample read last, increasing in level and decreasing in cost.
     paths: Vec<Path>,
     spare: Vec<Path>,
-    /// Stamps that wait, and the paths at each.
+    /// The waiting stamps, and the paths at each.
     waiting: VecDeque<f64>,
     trellis: VecDeque<Vec<Path>>,
     read: u64,
@@ -102,7 +103,7 @@ pub(in crate::recording) struct Tracker {
     level: i64,
     begun: bool,
     line: Line,
-    /// How often the phase had to be found again because stamps ran before their time.
+    /// How often the phase was determined again because stamps ran ahead of the grid.
     pub(in crate::recording) slips: u64,
     gain: f64,
     late_most: f64,
@@ -111,14 +112,14 @@ pub(in crate::recording) struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker of stamps of which none was seen yet.
+    /// A tracker that has seen no stamp yet.
     pub(in crate::recording) fn new(grid: &StampGrid) -> Self {
         Self::with_gain(grid, GAIN)
     }
 
-    /// The same with a loop of another gain.
+    /// The same with another gain of the loop.
     pub(super) fn with_gain(grid: &StampGrid, gain: f64) -> Self {
-        // Where several samples have one stamp the first one's place among them is a guess.
+        // If several samples share a stamp, the first one's place among them is a guess.
         let coarse = grid.rounding_ns as f64 > grid.period_ns;
         Self {
             grid: grid.clone(),
@@ -140,7 +141,7 @@ impl Tracker {
             begun: false,
             line: Line {
                 end: match grid.resolved {
-                    // The first stamp and the last one tell all.
+                    // The first and the last stamp determine the slope.
                     true if grid.is_loop => 1,
                     true => END,
                     false => END_UNRESOLVED,
@@ -192,7 +193,7 @@ impl Tracker {
         }
     }
 
-    /// Places all stamps that wait: none follows.
+    /// Places all waiting stamps: none follows.
     pub(in crate::recording) fn finish(&mut self) {
         let best = self.best().and_then(|best| self.paths.get(best).copied());
         self.settle(self.waiting.len());
@@ -206,14 +207,14 @@ impl Tracker {
 
     /// The period that the stamps placed so far have on average, ns.
     pub(in crate::recording) fn mean_period_ns(&self) -> Option<f64> {
-        // Of stamps that are late by as much, as many in batches are, none is near its point.
-        // A line of stamps that jump back and forth may fall, which is no period.
+        // Among stamps that are equally late, such as many in batches, none is near its point. The line of stamps that
+        // jump back and forth may fall, which is not a period.
         let slope = self.line.slope().filter(|slope| slope.is_finite() && *slope > 0.0).unwrap_or(self.period_ns);
         // Stamps are whole ns, and so are most periods.
         Some(if (slope - slope.round()).abs() < WHOLE_NS { slope.round() } else { slope })
     }
 
-    /// Begins with the grid point that the stamps behind the first one show: it may be late itself.
+    /// Begins with the grid point that the stamps behind the first one show: the first may itself be late.
     fn begin(&mut self) {
         self.base = (0, 0, self.grid.start_ns);
         let lowest = self.grid.first_late;
@@ -231,7 +232,7 @@ impl Tracker {
         (at_ns - base_ns) / self.period_ns - points as f64
     }
 
-    /// A stamp that is no farther from its point needs no other explanation.
+    /// A stamp within this distance of its point needs no other explanation.
     fn near(&self) -> f64 {
         let near = (self.half_ns + 2.0 * self.scale_ns) / self.period_ns;
         if self.grid.resolved { near.min(0.4) } else { 2.0 * near }
@@ -243,12 +244,12 @@ impl Tracker {
         (0.5 * beyond * beyond).min(most)
     }
 
-    /// How far a stamp may be from its point at no cost, ns: anywhere next to a point right behind a hole.
+    /// How far a stamp may be from its point at no cost, ns: by any distance right behind a hole.
     fn free_ns(&self, index: u64) -> f64 {
         if index < self.loose_until { self.half_ns.max(0.5 * self.period_ns) } else { self.half_ns }
     }
 
-    /// Goes on with all paths to the next stamp.
+    /// Extends all paths to the next stamp.
     fn extend(&mut self, index: u64, at_ns: f64) {
         // A stamp's error at level 0 is the level that it shows.
         let told = self.error(index, 0, at_ns).clamp(-LEVEL_MOST, LEVEL_MOST);
@@ -259,7 +260,7 @@ impl Tracker {
             self.loose_until = index + u64::from(BEGUN);
         }
         let near = if half > 1.0 { (told - half).ceil() } else { told.round() };
-        // Periods of no length make any level of it.
+        // A period of length zero gives an unbounded level.
         let near = near.clamp(-LEVEL_MOST, LEVEL_MOST) as i64;
         let mut levels: Vec<i64> = self.paths.iter().map(|path| path.level).collect();
         levels.extend((near - 1..=near + 1).filter(|level| *level >= lowest + self.rise_least));
@@ -273,7 +274,7 @@ impl Tracker {
             let ways = from.map(|(place, path)| (path.cost + loss(level - path.level), place));
             let Some((cost, place)) = ways.min_by(|one, other| one.0.total_cmp(&other.0)) else { continue };
             let cost = cost + self.cost(index, told - level as f64);
-            // A higher level is worth keeping only where it could not be reached later for less.
+            // A higher level is kept only if it could not be reached later at a lower cost.
             let dominated = next.iter().any(|path: &Path| path.cost + loss(level - path.level) <= cost);
             if !dominated {
                 next.push(Path { level, cost, parent: u16::try_from(place).unwrap_or(0) });
@@ -294,11 +295,11 @@ impl Tracker {
     }
 
     fn best(&self) -> Option<usize> {
-        // Of equals the lowest: nothing is missing that need not be.
+        // Of equals the lowest: no sample is assumed missing without need.
         (0..self.paths.len()).min_by(|one, other| self.paths[*one].cost.total_cmp(&self.paths[*other].cost))
     }
 
-    /// Of each waiting stamp the place of the path that ends at `end`.
+    /// For each waiting stamp the index of the path that ends at `end`.
     fn trace(&self, end: usize) -> Vec<usize> {
         let mut places = vec![0; self.trellis.len()];
         let mut at = end;
@@ -309,7 +310,7 @@ impl Tracker {
         places
     }
 
-    /// How many waiting stamps all paths agree on.
+    /// The number of waiting stamps on which all paths agree.
     fn common(&self) -> usize {
         let mut alive: Vec<usize> = (0..self.paths.len()).collect();
         for at in (0..self.trellis.len()).rev() {
@@ -323,7 +324,7 @@ impl Tracker {
         0
     }
 
-    /// Places so many of the waiting stamps: on them all paths agree.
+    /// Places this many of the waiting stamps: all paths agree on them.
     fn settle(&mut self, count: usize) {
         if count == 0 {
             return;
@@ -337,7 +338,7 @@ impl Tracker {
         }
     }
 
-    /// Places a loop's stamp by the one before: none is late, and a step of two periods is a loss.
+    /// Places a loop's stamp relative to the one before: none is late, and a step of two periods is a loss.
     fn step(&mut self, index: u64, at_ns: f64) {
         let (_, _, before_ns) = self.base;
         let beyond = if index == 0 { 0.0 } else { (at_ns - before_ns) / self.period_ns - 1.0 };
@@ -367,12 +368,12 @@ impl Tracker {
         HOLE.max(HOLE_LEAST_NS / self.period_ns)
     }
 
-    /// Errors beyond are delays, periods.
+    /// The error beyond which a stamp is delayed, periods.
     fn gate(&self, index: u64) -> f64 {
         ((self.free_ns(index) + 4.0 * self.scale_ns) / self.period_ns).max(0.1)
     }
 
-    /// Period and phase follow.
+    /// Adjusts period and phase.
     fn follow(&mut self, index: u64, level: i64, error: f64, rise: i64) {
         let gate = self.gate(index);
         if rise as f64 >= self.hole() {
@@ -381,7 +382,7 @@ impl Tracker {
         let (_, _, base_ns) = self.base;
         let points = index.wrapping_sub(self.base.0) as i64 + level - self.base.1;
         let mut at_ns = base_ns + points as f64 * self.period_ns;
-        // Behind a hole, or where the clock was set, all stamps are beside the grid alike.
+        // Behind a hole, or after the clock was set, all stamps are off the grid by the same error.
         let alike = error.abs() > gate && error < 1.0 && (error - self.beside.1).abs() <= gate.min(ALIKE);
         self.beside = if alike || error < -gate.max(0.75) { (self.beside.0 + 1, error) } else { (0, error) };
         if self.beside.0 >= BESIDE && self.grid.resolved {
@@ -401,19 +402,19 @@ impl Tracker {
     }
 }
 
-/// What a rise of the level costs, nats.
+/// The cost of a rise of the level, nats.
 fn loss(rise: i64) -> f64 {
     if rise > 0 { LOSS + (rise as f64).ln() } else { 0.0 }
 }
 
-/// The line from the first stamps to the last ones: its slope is the mean period, whatever the clock did in between.
+/// The line from the first stamps to the last ones. Its slope is the mean period, whatever the clock did in between.
 #[derive(Debug, Default)]
 struct Line {
     first: Vec<(f64, f64)>,
     last: VecDeque<(f64, f64)>,
-    /// Stamps at either end.
+    /// Stamps at each end.
     end: usize,
-    /// Many samples have one stamp: all of them are needed.
+    /// Many samples share one stamp: all of them are needed.
     coarse: bool,
     /// Sums: number, means, squares of points, products.
     fit: (f64, f64, f64, f64, f64),

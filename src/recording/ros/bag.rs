@@ -1,12 +1,12 @@
 //! The records of a ROS 1 bag, format 2.0, one after another.
 //!
-//! A bag is its magic line and records: a header of `name=value` fields and data, each behind its length. Messages lie in
-//! chunks, which may be compressed, behind the connection they belong to. The index at the end is not needed: a bag that
-//! was cut (`.bag.active`) is read as far as it goes.
+//! A bag is its magic line and records: a header of `name=value` fields and data, each behind its length. Messages lie
+//! in chunks, which may be compressed, behind the connection they belong to. The index at the end is not needed: a bag
+//! that was cut (`.bag.active`) is read up to the cut.
 //!
-//! Promises: any bytes are read without panic; memory is bounded by the limits below and by the bytes that are there,
-//! never by a length that a record claims; what cannot be read is an entry of its own ([`Entry::Damaged`]), behind which
-//! reading goes on at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
+//! Guarantees: any bytes are read without panic. Memory is bounded by the limits below and by the bytes present, never
+//! by a length that a record claims. Unreadable data becomes a separate entry ([`Entry::Damaged`]), behind which
+//! reading continues at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
 
 use super::super::detect::{read_error, refused};
 use super::super::error::RecordingError;
@@ -24,16 +24,16 @@ use std::rc::Rc;
 pub(in crate::recording) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Longest header of a record: its fields are a topic and some numbers.
 const HEADER_BYTES: u32 = 64 * 1024;
-/// Longest message or definition that is kept; longer ones are passed over. An IMU's message has some 600 bytes.
+/// Longest message or definition that is kept; longer ones are skipped. An IMU's message has some 600 bytes.
 const DATA_BYTES: u32 = 1024 * 1024;
-/// Most bytes that a chunk may have once decompressed. Recorders write chunks of 768 kB; one large image makes it longer.
+/// Maximum size of a decompressed chunk in bytes. Recorders write chunks of 768 kB; one large image makes it longer.
 const CHUNK_BYTES: u32 = 256 * 1024 * 1024;
 
 const OP_MESSAGE: u8 = 0x02;
 const OP_CHUNK: u8 = 0x05;
 const OP_CONNECTION: u8 = 0x07;
 
-/// Where records are read from.
+/// The place from which records are read.
 enum Place {
     File(Counting),
     Chunk(Chunk),
@@ -47,7 +47,7 @@ enum Chunk {
     Lz4(Box<Take<FrameDecoder<Take<Counting>>>>),
 }
 
-/// The file, and how far it was read.
+/// The file, and how much of it was read.
 struct Counting {
     bytes: Box<dyn BufRead>,
     at: u64,
@@ -70,7 +70,7 @@ impl Chunk {
         }
     }
 
-    /// The file behind the chunk.
+    /// Returns the file behind the chunk.
     fn leave(self) -> std::io::Result<Counting> {
         let mut rest = match self {
             Self::Plain(bytes) => bytes,
@@ -91,11 +91,11 @@ pub(super) struct BagReader {
     data: Vec<u8>,
 }
 
-/// Why the record at hand cannot be read.
+/// Why the current record cannot be read.
 enum Fault {
-    /// The reader is at its end, before a record: nothing is wrong.
+    /// The reader is at its end, before a record: this is no error.
     End,
-    /// What is wrong.
+    /// The description of the damage.
     Damaged(String),
 }
 
@@ -105,7 +105,7 @@ impl From<std::io::Error> for Fault {
     }
 }
 
-/// What a record's header says.
+/// The content of a record's header.
 struct Head {
     op: u8,
     connection: Option<u32>,
@@ -159,7 +159,7 @@ impl BagReader {
         }
     }
 
-    /// Leaves what cannot be read any further: a chunk for the file, the file for good.
+    /// Leaves unreadable data: returns from a chunk to the file, or ends the file for good.
     fn leave(&mut self) -> Result<(), String> {
         if let Place::Chunk(chunk) = std::mem::replace(&mut self.place, Place::End) {
             self.place = Place::File(chunk.leave().map_err(|error| error.to_string())?);
@@ -213,7 +213,7 @@ impl Messages for BagReader {
     }
 }
 
-/// What became of one record.
+/// The outcome of one record.
 enum Step {
     Passed,
     Chunk { compression: String, size: u32, data_bytes: u32 },
@@ -222,7 +222,7 @@ enum Step {
     TooLong(String),
 }
 
-/// Reads one record; of a chunk its head alone.
+/// Reads one record; only the header of a chunk.
 fn read_record(
     bytes: &mut (impl Read + ?Sized),
     header: &mut Vec<u8>,
@@ -261,7 +261,7 @@ fn read_record(
     Ok(Step::Message { connection: number, received_ns })
 }
 
-/// A length; `None` where nothing is left.
+/// Reads a length; `None` if nothing is left.
 fn read_length(bytes: &mut (impl Read + ?Sized)) -> Result<Option<u32>, Fault> {
     let mut length = [0; 4];
     let mut read = 0;
@@ -277,7 +277,7 @@ fn read_length(bytes: &mut (impl Read + ?Sized)) -> Result<Option<u32>, Fault> {
     Ok(Some(u32::from_le_bytes(length)))
 }
 
-/// Reads so many bytes; memory grows with those that are there.
+/// Reads `length` bytes; memory grows only with the bytes present.
 fn read_into(bytes: &mut (impl Read + ?Sized), buffer: &mut Vec<u8>, length: u32) -> Result<(), Fault> {
     buffer.clear();
     let read = bytes.take(u64::from(length)).read_to_end(buffer)?;
@@ -352,7 +352,7 @@ impl Head {
                 _ => {}
             }
         }
-        // Zeros would be records without end: every record tells its kind.
+        // Zeros would be endless records: every record must state its kind.
         if head.op == 0 {
             return Err(Fault::Damaged("a record without its kind".to_owned()));
         }

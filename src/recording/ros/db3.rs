@@ -1,12 +1,12 @@
 //! The messages of a ROS 2 bag in SQLite (`.db3`), one after another.
 //!
-//! Read in the order of recording, some hundred rows at a time. Bags of ROS 2 Iron and later hold the definitions of their
-//! messages; for older ones they are standard or given ([`super::definition`]).
+//! Messages are read in the order of recording, some hundred rows at a time. Bags of ROS 2 Iron and later hold the
+//! definitions of their messages; for older ones they are standard or given ([`super::definition`]).
 //!
-//! The file is not trusted: it is opened for reading alone, without what a schema may run; views and triggers have no rows of
-//! their own to be read by; a value longer than [`MESSAGE_BYTES`] is passed over, and so are rows that cannot be read, up to
-//! the next one that can. A statement ends when the reading is called
-//! off. Format: <https://github.com/ros2/rosbag2>, `rosbag2_storage_sqlite3`.
+//! The file is not trusted. It is opened read-only, without anything that a schema could execute; views and triggers
+//! have no rows of their own that could be read. A value longer than [`MESSAGE_BYTES`] is skipped, and so are
+//! unreadable rows, up to the next readable one. A statement ends when the reading is cancelled. Format:
+//! <https://github.com/ros2/rosbag2>, `rosbag2_storage_sqlite3`.
 
 use super::super::detect::refused;
 use super::super::error::RecordingError;
@@ -22,24 +22,24 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-/// How a file begins.
+/// The beginning of such a file.
 pub(in crate::recording) const MAGIC: &[u8] = b"SQLite format 3\0";
 /// Longest message that is kept.
 const MESSAGE_BYTES: i64 = 1024 * 1024;
 /// Messages read at a time.
 const ROWS: i64 = 512;
-/// Topics that are looked at.
+/// The maximum number of topics that are examined.
 const TOPICS_MAX: i64 = 4096;
-/// Holes behind which reading goes on.
+/// The maximum number of holes after which reading continues.
 const HOLES_MAX: u32 = 1000;
-/// Steps of SQLite's virtual machine after which it is asked whether the reading is still wanted.
+/// The number of steps of SQLite's virtual machine between checks whether the reading is still wanted.
 const ASK_STEPS: i32 = 100_000;
 
-/// A message as it was read.
+/// A message as read.
 struct Message {
     topic: i64,
     received_ns: i64,
-    /// `None`: too long.
+    /// `None` if it is too long.
     data: Option<Vec<u8>>,
 }
 
@@ -53,10 +53,10 @@ pub(super) struct Db3Reader {
     /// Topics by their ids, which need not fit a connection's number.
     numbers: HashMap<i64, u32>,
     last_row: i64,
-    /// The last row that there is, where that can be told.
+    /// The last existing row, if it can be determined.
     end_row: Option<i64>,
     holes: u32,
-    /// Why nothing more can be read behind the messages that wait.
+    /// The reason why nothing more can be read after the waiting messages.
     broken: Option<String>,
     ended: bool,
     current: Vec<u8>,
@@ -65,7 +65,7 @@ pub(super) struct Db3Reader {
 /// Checks that an SQLite file is a bag.
 ///
 /// # Errors
-/// [`RecordingError::NoBag`] with the tables that it has.
+/// [`RecordingError::NoBag`] with the tables that the file has.
 pub(in crate::recording) fn check(input: &Input) -> Result<(), RecordingError> {
     let database = open(input)?;
     let fault = |error| fault(input.path(), &error);
@@ -98,7 +98,7 @@ fn fault(path: &Path, error: &rusqlite::Error) -> RecordingError {
     RecordingError::Database { file: path.to_owned(), reason: format!("{error}{advice}") }
 }
 
-/// Opens it for reading alone.
+/// Opens the file read-only.
 fn open(input: &Input) -> Result<Database, RecordingError> {
     let path = input.path();
     let fault = |error| fault(path, &error);
@@ -118,15 +118,15 @@ fn open(input: &Input) -> Result<Database, RecordingError> {
     ] {
         database.set_db_config(setting, on).map_err(fault)?;
     }
-    // Otherwise SQLite reads a damaged page beyond its end, where each reading finds something else.
+    // Otherwise SQLite reads beyond the end of a damaged page and finds different data each time.
     database.pragma_update(None, "cell_size_check", true).map_err(fault)?;
-    // A message is cut off in SQL; a text (a definition) may be longer.
+    // A message is truncated in SQL; a text (a definition) may be longer.
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, 64 << 20).map_err(fault)?;
     Ok(database)
 }
 
-/// The log beside a bag with what its recorder, when it was killed, had not yet put into the bag itself; `None` where there is
-/// none, or the file is no database.
+/// The log beside a bag that contains what its recorder had not yet moved into the bag when it was killed; `None` if
+/// there is none, or the file is no database.
 #[must_use]
 pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
     let mut begin = Vec::new();
@@ -137,8 +137,8 @@ pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
     (begin == MAGIC && std::fs::metadata(&log).is_ok_and(|log| log.len() > 0)).then_some(log)
 }
 
-/// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads; where that cannot be (a
-/// folder that may only be read), the file counts as it is, if there is no log.
+/// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads. If that is
+/// impossible (a read-only folder), the file alone is used, provided that there is no log.
 fn open_file(path: &Path) -> rusqlite::Result<Database> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
     let mut text = String::new();
@@ -151,7 +151,7 @@ fn open_file(path: &Path) -> rusqlite::Result<Database> {
     let database = Database::open_with_flags(format!("file:{text}?mode=ro"), flags)?;
     let readable = database.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0));
     match readable {
-        // Never without a log that has something in it: messages would be missing without a word.
+        // Never without a log that has content: messages would be missing without notice.
         Err(rusqlite::Error::SqliteFailure(error, _))
             if error.code == rusqlite::ErrorCode::CannotOpen && unmerged_log(path).is_none() =>
         {
@@ -185,7 +185,7 @@ impl Db3Reader {
             current: Vec::new(),
         };
         reader.read_topics().map_err(|error| fault(input.path(), &error))?;
-        // In a damaged file it may not be there to be read.
+        // In a damaged file it may not be readable.
         let end_row = reader.database.query_row("SELECT max(rowid) FROM messages", [], |row| row.get(0));
         reader.end_row = end_row.unwrap_or_default();
         Ok(reader)
@@ -212,7 +212,7 @@ impl Db3Reader {
         Ok(())
     }
 
-    /// The definitions of message types, where the bag has them.
+    /// The definitions of message types, if the bag has them.
     fn definitions(&self) -> rusqlite::Result<HashMap<String, String>> {
         let sql = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg' LIMIT ?1";
         let mut statement = self.database.prepare(sql)?;
@@ -220,11 +220,11 @@ impl Db3Reader {
         rows.collect()
     }
 
-    /// Reads the next rows; whether they stood in their order, which in a damaged database they may not.
+    /// Reads the next rows; returns whether they were in order, which they may not be in a damaged database.
     fn fill(&mut self, wanted: &dyn Fn(u32) -> bool) -> rusqlite::Result<bool> {
         let filled = self.fill_from_cache(wanted);
         if filled.is_err() {
-            // SQLite checks a page once: what stays in its cache would pass the next time.
+            // SQLite checks a page once: a page that stays in its cache would pass the next time.
             self.database.pragma_query(None, "shrink_memory", |_| Ok(()))?;
         }
         filled
@@ -254,7 +254,7 @@ impl Db3Reader {
         Ok(true)
     }
 
-    /// Reads the next rows, where some cannot be read those behind them; answers what was passed over.
+    /// Reads the next rows or, if some cannot be read, those behind them; returns a description of what was skipped.
     fn read_on(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<String> {
         if self.broken.is_none() {
             self.broken = match self.fill(wanted) {
@@ -263,7 +263,7 @@ impl Db3Reader {
                 Err(error) => Some(error.to_string()),
             };
             if !self.messages.is_empty() {
-                // These come first.
+                // Those come first.
                 return None;
             }
         }
@@ -271,7 +271,7 @@ impl Db3Reader {
         let good = self.last_row.max(0);
         self.holes += 1;
         let found = if self.holes > HOLES_MAX { None } else { self.find_behind(good, wanted) };
-        // What was tried last may have found nothing.
+        // The last attempt may have found nothing.
         self.ended = found.is_none();
         Some(match found {
             Some(found) => format!("rows {} to {found} cannot be read and are passed over: {why}", good + 1),
@@ -279,8 +279,8 @@ impl Db3Reader {
         })
     }
 
-    /// Finds the first row behind this one from which on can be read, in steps that grow and then halve, and reads there;
-    /// answers the last row that was passed over. Each reading begins behind the last: it cannot go round.
+    /// Finds the first readable row behind this one, in steps that grow and then halve, and reads from there. Returns
+    /// the last row that was skipped. Each reading begins behind the last: it cannot loop.
     fn find_behind(&mut self, good: i64, wanted: &dyn Fn(u32) -> bool) -> Option<i64> {
         let last_start = self.end_row.unwrap_or(i64::MAX).saturating_sub(1);
         let (mut bad, mut step) = (good, 1_i64);
@@ -306,11 +306,11 @@ impl Db3Reader {
         self.begins(start, wanted).then_some(start)
     }
 
-    /// Whether rows can be read from behind this one on; then they are.
+    /// Whether rows can be read from behind this one on; if so, they are read.
     fn begins(&mut self, row: i64, wanted: &dyn Fn(u32) -> bool) -> bool {
         self.messages.clear();
         self.last_row = row;
-        // Rows before an error are rows.
+        // Rows before an error are valid.
         let _ = self.fill(wanted);
         !self.messages.is_empty()
     }

@@ -1,10 +1,11 @@
-//! Definitions: the text of a message's type → its [`Layout`]. Pure.
+//! Definitions: converts the text of a message's type to its [`Layout`]. Pure.
 //!
-//! A definition is the text of the message's type, then those of all types in it, each behind a line of `=` and
-//! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from what the user gave
-//! ([`MessageDefinition`]), then from the [standard ones](crate::ros_messages). Wanted are, wherever they stand: `sensor_msgs/Imu`,
-//! `MagneticField`, `Temperature`, `FluidPressure`, numbers that are named as a CSV's columns (`gyro_x_rad_s`), the stamps of
-//! headers, and strings (one may be the sensor's raw line). What stands in arrays is passed over.
+//! A definition is the text of the message's type, followed by those of all types in it, each behind a line of `=` and
+//! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the definitions that
+//! the user gave ([`MessageDefinition`]), then from the [standard ones](crate::ros_messages). The wanted types, at any
+//! depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`. Also wanted are numbers named as a
+//! CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The content
+//! of arrays is skipped.
 //!
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
@@ -18,14 +19,14 @@ use crate::units::GAUSS_PER_TESLA;
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// Types in types.
+/// The maximum nesting depth of types.
 const DEPTH_MAX: usize = 16;
-/// Fields of a type, all types in it counted.
+/// The maximum number of fields of a type, including those of all types in it.
 pub(super) const FIELDS_MAX: usize = 4000;
 /// Kilopascal in one pascal.
 const KPA_PER_PA: f64 = 1e-3;
 
-/// Reads the definition of `message_type`; what `text` lacks is looked up in `given`.
+/// Reads the definition of `message_type`; types that `text` lacks are looked up in `given`.
 pub(super) fn layout(
     message_type: &str,
     text: &str,
@@ -43,7 +44,7 @@ pub(super) fn layout(
     Ok(Layout { ops, encoding })
 }
 
-/// `package/Name` of `package/msg/Name`.
+/// Converts `package/msg/Name` to `package/Name`.
 pub(super) fn plain_name(name: &str) -> String {
     name.trim().replacen("/msg/", "/", 1)
 }
@@ -63,7 +64,7 @@ enum Repeat {
     Counted,
 }
 
-/// What a type's fields mean.
+/// The meaning of a type's fields.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Meaning {
     Unknown,
@@ -89,7 +90,7 @@ impl Meaning {
         }
     }
 
-    /// Of the type of the field `name`.
+    /// The meaning of the type of the field `name`.
     fn of_field(self, kind: &str, name: &str) -> Self {
         match (self, name) {
             (Self::Imu, "angular_velocity") => Self::Vector(Triad::Gyro),
@@ -100,7 +101,7 @@ impl Meaning {
         }
     }
 
-    /// The channel that the number `name` gives, and its unit.
+    /// The channel that the number `name` contains, and its unit.
     fn channel(self, name: &str) -> Option<(Channel, Unit)> {
         let of_ros = |channel: Channel| {
             let (name, factor) = match channel.triad() {
@@ -124,7 +125,7 @@ impl Meaning {
         }
     }
 
-    /// The triad whose covariance the array `name` is.
+    /// The triad whose covariance is in the array `name`.
     fn covariance(self, name: &str) -> Option<Triad> {
         match (self, name) {
             (Self::Imu, "angular_velocity_covariance") => Some(Triad::Gyro),
@@ -134,7 +135,7 @@ impl Meaning {
     }
 }
 
-/// Bytes of a built-in type; `None` for another one. `string` has no size of its own.
+/// Bytes of a built-in type; `None` for another one. `string` has no fixed size.
 fn size_of(kind: &str, encoding: Encoding) -> Option<usize> {
     Some(match kind {
         // In ROS 2 they are messages.
@@ -182,7 +183,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// The fields of the type `name`, of the definition, of what was given, or of the standard types.
+    /// The fields of the type `name`: from the definition, the given ones, or the standard types.
     fn fields(&mut self, name: &str) -> Result<Option<Rc<[Field]>>, MessageError> {
         if !self.known.contains_key(name) {
             let given = MessageDefinition::text_of(self.given, name);
@@ -192,12 +193,12 @@ impl Types<'_> {
         Ok(self.known.get(name).map(Rc::clone))
     }
 
-    /// The fields of a standard type of ROS 2; those of ROS 1 differ, and its bags bring them.
+    /// The fields of a standard type of ROS 2; those of ROS 1 differ, and its bags contain them.
     fn standard(&self, name: &str) -> Option<&'static str> {
         (self.encoding == Encoding::Cdr).then(|| ros_messages::fields_of(name)).flatten()
     }
 
-    /// The full name of the type that `kind` means inside a type of `package`, and its fields.
+    /// The full name of the type that `kind` denotes inside a type of `package`, and its fields.
     fn resolve(&mut self, kind: &str, package: &str) -> Result<(String, Rc<[Field]>), MessageError> {
         let kind = plain_name(kind);
         let names = if kind.contains('/') {
@@ -276,7 +277,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// A field that is a message of its own, or an array of them.
+    /// A field that is itself a message, or an array of messages.
     fn nested(
         &mut self,
         field: &Field,
@@ -310,7 +311,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// Adds bytes that are not wanted, values of `size` bytes each; where nothing is aligned, neighbours are one step.
+    /// Adds unwanted bytes, values of `size` bytes each; if nothing is aligned, neighbours are merged into one step.
     fn skip(&self, ops: &mut Vec<Op>, size: usize, bytes: usize) -> Result<(), MessageError> {
         let align = if self.encoding == Encoding::Cdr { size } else { 1 };
         match ops.last_mut() {
@@ -328,10 +329,10 @@ fn has(ops: &[Op], wanted: Channel) -> bool {
     ops.iter().any(|op| matches!(op, Op::Value { channel, .. } if *channel == wanted))
 }
 
-/// A line of a definition; `None` where it is empty, a comment or a constant.
+/// Parses a line of a definition; `None` if it is empty, a comment or a constant.
 pub(super) fn parse_field(line: &str, encoding: Encoding) -> Result<Option<Field>, MessageError> {
     let line = line.split('#').next().unwrap_or_default().trim();
-    // Bounds of ROS 2 change nothing in the bytes.
+    // Bounds of ROS 2 do not change the bytes.
     let unbounded = line.replace("<=", "≤");
     if unbounded.is_empty() || unbounded.contains('=') {
         return Ok(None);

@@ -1,34 +1,34 @@
-//! Definitions of messages that the user gives, for bags that do not bring them along. Pure.
+//! Definitions of messages that the user gives, for bags that lack them. Pure.
 //!
-//! In: a type's name (`Reading`, `own_msgs/Reading`, `own_msgs/msg/Reading`) and the text of its `.msg` file. A name without
-//! a package is that of a type in any package. Out: a [`MessageDefinition`] of which every line can be read.
+//! In: a type's name (`Reading`, `own_msgs/Reading`, `own_msgs/msg/Reading`) and the text of its `.msg` file. A name
+//! without a package stands for a type in any package. Out: a [`MessageDefinition`] of which every line is valid.
 
 use super::definition::parse_field;
 use super::layout::Encoding;
 
-/// Bytes of a definition's text at most.
+/// The maximum size of a definition's text in bytes.
 pub(in crate::recording) const TEXT_MAX: usize = 64 * 1024;
-/// Definitions at most.
+/// The maximum number of definitions.
 const COUNT_MAX: usize = 100;
 
-/// The definition of a message type that a recording does not bring along.
+/// The definition of a message type that a recording lacks.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MessageDefinition {
     name: String,
     text: String,
 }
 
-/// Why a definition cannot be taken.
+/// Why a definition is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DefinitionError {
-    /// The name is none of a type.
+    /// The name is no valid type name.
     #[error("message definition: {name:?} is no type's name, such as Reading or own_msgs/msg/Reading")]
     Name {
         /// The name.
         name: String,
     },
-    /// A line is no field.
+    /// A line is no valid field.
     #[error(
         "message definition of {name}: line {line} is no field of a .msg file ('float64 gyro_x_rad_s', say): {text:?}"
     )]
@@ -37,10 +37,10 @@ pub enum DefinitionError {
         name: String,
         /// The line's number.
         line: usize,
-        /// How it begins.
+        /// The beginning of the line.
         text: String,
     },
-    /// The text is too long to be one.
+    /// The text is too long to be a definition.
     #[error("message definition of {name}: {bytes} bytes are more than the {TEXT_MAX} that a .msg file may have")]
     Long {
         /// The type.
@@ -54,20 +54,20 @@ pub enum DefinitionError {
         /// The type.
         name: String,
     },
-    /// More than are taken.
+    /// There are too many definitions.
     #[error("{count} message definitions are more than {COUNT_MAX}")]
     Many {
-        /// How many.
+        /// The number of definitions.
         count: usize,
     },
 }
 
 impl MessageDefinition {
-    /// The definition of the type `name` by the text of its `.msg` file; further types may follow in it as in a bag's
-    /// definitions.
+    /// The definition of the type `name`, from the text of its `.msg` file; further types may follow in it as in a
+    /// bag's definitions.
     ///
     /// # Errors
-    /// [`DefinitionError`] where the name is none, or a line of the text no field.
+    /// [`DefinitionError`] if the name or a line of the text is invalid.
     pub fn new(name: &str, text: &str) -> Result<Self, DefinitionError> {
         let name = name.trim();
         if !is_type_name(name) {
@@ -93,7 +93,7 @@ impl MessageDefinition {
         Ok(Self { name: plain, text: kept })
     }
 
-    /// Definitions in a fixed order, of which no two are of one name.
+    /// Sorts the definitions; no two may have the same name.
     ///
     /// # Errors
     /// [`DefinitionError::Twice`] and [`DefinitionError::Many`].
@@ -114,13 +114,13 @@ impl MessageDefinition {
         &self.name
     }
 
-    /// The text of the type's `.msg` file without comments and empty lines, which change nothing.
+    /// The text of the type's `.msg` file without comments and empty lines, which have no effect.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The text of the type `package/Name` among these; one that was given with its package comes first.
+    /// The text of the type `package/Name` among these; a definition with its package takes precedence.
     pub(super) fn text_of<'a>(definitions: &'a [Self], name: &str) -> Option<&'a str> {
         let own = name.rsplit('/').next().unwrap_or_default();
         let find = |wanted: &str| definitions.iter().find(|definition| definition.name == wanted);

@@ -1,21 +1,21 @@
-//! Layouts: where the wanted values lie in a message's bytes, and reading them. Pure.
+//! Layouts: the positions of the wanted values in a message's bytes, and reading them. Pure.
 //!
-//! Wanted are the channels, the stamp of the first header that has one, and the first string that holds a raw `$VN…` line;
-//! the rest is passed over. A layout is made of a type's definition ([`super::definition`]) and read from bytes in one of two
-//! encodings. ROS 1: little-endian, nothing between values. CDR, as ROS 2 writes it: four bytes that tell the byte order,
-//! then values each at a multiple of its own size; strings end with a zero byte that counts.
+//! Wanted are the channels, the stamp of the first header that has one, and the first string that holds a raw `$VN…`
+//! line; the rest is skipped. A layout is made from a type's definition ([`super::definition`]) and read from bytes in
+//! one of two encodings. ROS 1: little-endian, without padding. CDR, as ROS 2 writes it: four bytes that state the byte
+//! order, then values each at a multiple of its own size; strings end with a zero byte that counts.
 //!
-//! Bytes are not trusted: what would take more steps than [`STEPS_MAX`], or lies beyond the message, is an error. Formats:
-//! <http://wiki.ros.org/roscpp/Overview/MessagesSerializationAndAdaptingTypes>; OMG DDSI-RTPS 2.5, clause 10.
+//! Bytes are not trusted: data that would take more steps than [`STEPS_MAX`], or lies beyond the message, is an error.
+//! Formats: <http://wiki.ros.org/roscpp/Overview/MessagesSerializationAndAdaptingTypes>; OMG DDSI-RTPS 2.5, clause 10.
 
 use crate::sample::{Channel, Triad};
 use crate::units::NANOS_PER_SECOND;
 
-/// Steps of reading one message.
+/// The maximum number of steps to read one message.
 const STEPS_MAX: u32 = 100_000;
-/// What CDR puts before the values: representation and options, two bytes each.
+/// The CDR header before the values: representation and options, two bytes each.
 const CDR_HEAD_BYTES: usize = 4;
-/// Bytes that may fill up a CDR message behind its last value.
+/// The maximum padding of a CDR message behind its last value, in bytes.
 const CDR_FILL_BYTES: usize = 7;
 
 /// Why a definition or a message cannot be read.
@@ -24,19 +24,19 @@ pub(in crate::recording) enum MessageError {
     /// A line of a definition.
     #[error("the definition's line {0:?} is no field")]
     Line(String),
-    /// A type that is not there.
+    /// A type that is not defined.
     #[error("there is no definition of the type {0:?}: give it with --message-definition FILE.msg")]
     Type(String),
-    /// Too many fields, or a type in itself.
+    /// Too many fields, or a type that contains itself.
     #[error("the definition has more than {} fields, or a type that contains itself", super::definition::FIELDS_MAX)]
     TooMuch,
     /// Neither of the encodings above.
     #[error("messages are encoded as {0:?}: ros1 and cdr are read")]
     Encoding(String),
-    /// Fewer bytes than the layout asks for.
+    /// Fewer bytes than the layout requires.
     #[error("the message ends too early")]
     Short,
-    /// More bytes than the layout asks for.
+    /// More bytes than the layout requires.
     #[error("{0} bytes are left behind the message's last field")]
     Long(usize),
     /// Too many steps.
@@ -44,7 +44,7 @@ pub(in crate::recording) enum MessageError {
     TooLong,
 }
 
-/// How a message's values are put in bytes.
+/// The encoding of a message's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) enum Encoding {
     Ros1,
@@ -52,7 +52,7 @@ pub(in crate::recording) enum Encoding {
 }
 
 impl Encoding {
-    /// Of its name in MCAP and ROS 2 bags.
+    /// The encoding with this name in MCAP and ROS 2 bags.
     pub(super) fn from_name(name: &str) -> Result<Self, MessageError> {
         match name {
             "ros1" => Ok(Self::Ros1),
@@ -69,7 +69,7 @@ pub(super) struct Unit {
     pub(super) factor: f64,
 }
 
-/// What a message says.
+/// The values of a message.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(in crate::recording) struct Values<'a> {
     /// The first stamp of a header that is not 0, ns since 1970.
@@ -83,17 +83,17 @@ pub(in crate::recording) struct Values<'a> {
 /// One step of reading. Alignments are those of CDR.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Op {
-    /// Bytes that are not wanted.
+    /// Unwanted bytes.
     Skip {
         align: usize,
         bytes: usize,
     },
-    /// A count, and as many elements of so many bytes.
+    /// A count, and as many elements of this many bytes.
     SkipCounted {
         align: usize,
         bytes: usize,
     },
-    /// So many elements (`None`: a count comes first) of variable length.
+    /// This many elements (`None`: a count comes first) of variable length.
     Repeat(Option<u32>, Vec<Op>),
     Stamp,
     Text,
@@ -102,11 +102,11 @@ pub(super) enum Op {
         wide: bool,
         unit: Unit,
     },
-    /// The first element of a covariance: −1 says that the triad's values are none.
+    /// The first element of a covariance: −1 states that the triad has no values.
     Covariance(Triad),
 }
 
-/// Where a type's values lie and which of them are wanted.
+/// The positions of a type's values, and which of them are wanted.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::recording) struct Layout {
     pub(super) ops: Vec<Op>,
@@ -114,7 +114,7 @@ pub(in crate::recording) struct Layout {
 }
 
 impl Layout {
-    /// The channels that a message of this type may have, and their units in it.
+    /// The channels that a message of this type may contain, and their units in it.
     pub(super) fn channels(&self) -> impl Iterator<Item = (Channel, Unit)> + '_ {
         self.ops.iter().filter_map(|op| match op {
             Op::Value { channel, unit, .. } => Some((*channel, *unit)),
@@ -147,11 +147,11 @@ pub(super) fn multiply(bytes: usize, times: u32) -> Result<usize, MessageError> 
     usize::try_from(times).ok().and_then(|times| times.checked_mul(bytes)).ok_or(MessageError::TooMuch)
 }
 
-/// A message's bytes, and how far they were read.
+/// A message's bytes, and the read position.
 struct Cursor<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Alignments count from here, and are at most so large: 1 where nothing is aligned.
+    /// The origin of alignments, and the largest alignment: 1 if nothing is aligned.
     origin: usize,
     align_max: usize,
     big_endian: bool,
@@ -168,7 +168,7 @@ impl<'a> Cursor<'a> {
         }
         let (Some(0), Some(representation)) = (bytes.first(), bytes.get(1)) else { return Err(MessageError::Short) };
         // 0 and 1 are CDR of XTypes' version 1, 6 and 7 plain CDR of version 2, which aligns to 4 at most; odd ones are
-        // little-endian. The others are for types that may grow, which ROS does not have.
+        // little-endian. The others are for extensible types, which ROS does not have.
         let align_max = match representation {
             0 | 1 => 8,
             6 | 7 => 4,
@@ -241,7 +241,7 @@ impl<'a> Cursor<'a> {
                         Some(count) => *count,
                         None => self.number()?,
                     };
-                    // What stands in arrays is not wanted, so that nothing in them is kept.
+                    // The content of arrays is unwanted, so nothing of it is kept.
                     let mut unwanted = Values::default();
                     for _ in 0..count {
                         self.step()?;

@@ -1,10 +1,11 @@
 //! The messages of an MCAP file, one after another.
 //!
-//! The crate `mcap` finds the file's records; what lies in a record or chunk is taken apart here, so that a chunk that is
-//! damaged costs itself alone and no claimed length takes memory (the crate's own parsing of texts reserves what they claim). The index at the end is not needed: a file that was cut is read as far
-//! as it goes. Messages of ROS 1 and ROS 2 with definitions in their schemas (`ros1msg`, `ros2msg`) are read.
+//! The crate `mcap` finds the file's records. The content of a record or chunk is parsed here, so that a damaged chunk
+//! costs only itself and no claimed length takes memory (the crate's own parsing of texts reserves what they claim).
+//! The index at the end is not needed: a file that was cut is read up to the cut. Messages of ROS 1 and ROS 2 with
+//! definitions in their schemas (`ros1msg`, `ros2msg`) are read.
 //!
-//! Promises: as [`super::bag`]. Format: <https://mcap.dev/spec>.
+//! Guarantees: as [`super::bag`]. Format: <https://mcap.dev/spec>.
 
 use super::super::detect::refused;
 use super::super::error::RecordingError;
@@ -20,21 +21,21 @@ use std::io::{BufRead, Read};
 use std::path::PathBuf;
 use std::rc::Rc;
 
-/// How a file begins.
+/// The beginning of such a file.
 pub(in crate::recording) const MAGIC: &[u8] = ::mcap::MAGIC;
-/// Most bytes that a chunk may have, compressed and decompressed. Recorders write chunks of about 1 MB.
+/// Maximum size of a chunk in bytes, compressed and decompressed. Recorders write chunks of about 1 MB.
 const CHUNK_BYTES: usize = 256 * 1024 * 1024;
 /// How far back a compressed chunk may refer: 32 MiB, which its decompression then holds in memory.
 const WINDOW_LOG_MAX: u32 = 25;
-/// Longest message that is kept; longer ones are passed over.
+/// Longest message that is kept; longer ones are skipped.
 const MESSAGE_BYTES: usize = 1024 * 1024;
-/// Read at a time.
+/// Bytes read at a time.
 const READ_BYTES: usize = 64 * 1024;
 /// Opcode and length of a record.
 const RECORD_HEAD_BYTES: usize = 9;
 /// Channel, sequence, time of logging and of publishing of a message.
 const MESSAGE_HEAD_BYTES: usize = 22;
-/// Types of messages that are remembered.
+/// The maximum number of message types that are kept.
 const SCHEMAS_MAX: usize = 1024;
 
 /// A message type.
@@ -45,7 +46,7 @@ struct Schema {
 }
 
 impl Schema {
-    /// With its number.
+    /// Parses a message type with its number.
     fn parse(data: &[u8]) -> Option<(u16, Self)> {
         let mut fields = Fields(data);
         Some((fields.u16()?, Self { name: fields.text()?, encoding: fields.text()?, text: fields.text()? }))
@@ -58,10 +59,10 @@ pub(super) struct McapReader {
     meter: Rc<Meter>,
     bytes: Box<dyn BufRead>,
     file: LinearReader,
-    /// How far the file was read.
+    /// The read position in the file.
     at: u64,
     ended: bool,
-    /// Records that are there to be taken apart, decompressed.
+    /// Decompressed records to be parsed.
     records: Vec<u8>,
     next: usize,
     schemas: HashMap<u16, Schema>,
@@ -87,8 +88,8 @@ impl McapReader {
         })
     }
 
-    /// Reads the file's next record into `records`: a chunk decompressed, another one as it is. What is wrong otherwise; the
-    /// file may go on behind it.
+    /// Reads the file's next record into `records`: a chunk decompressed, any other record as it is. An error describes
+    /// the damage; the file may continue behind it.
     fn fill(&mut self) -> Result<(), String> {
         self.records.clear();
         self.next = 0;
@@ -103,7 +104,7 @@ impl McapReader {
                     return Err(error.to_string());
                 }
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    // What is asked for is what the file claims: memory grows with the bytes that are there.
+                    // The requested length is what the file claims: memory grows with the bytes present.
                     let wanted = wanted.clamp(1, READ_BYTES);
                     let read = self.bytes.read(self.file.insert(wanted)).map_err(|error| {
                         self.ended = true;
@@ -135,7 +136,7 @@ impl McapReader {
                 self.ended = true;
                 Ok(())
             }
-            // Zeros would be records without end.
+            // Zeros would be endless records.
             (0, _) => {
                 self.ended = true;
                 Err("a record without its kind".to_owned())
@@ -160,7 +161,7 @@ impl McapReader {
     }
 }
 
-/// What is left of a record's fields, little endian; a text or block has its length (4 or 8 bytes) before it.
+/// The rest of a record's fields, little endian; a text or block has its length (4 or 8 bytes) before it.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
@@ -188,7 +189,7 @@ impl<'a> Fields<'a> {
 struct Chunk<'a> {
     /// Bytes of its records.
     size: u64,
-    /// Of its records; 0: unknown.
+    /// The checksum of its records; 0: unknown.
     crc32: u32,
     compression: String,
     compressed: &'a [u8],
@@ -204,7 +205,7 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// Appends what a chunk's content is.
+/// Appends the decompressed content of a chunk.
 fn decompress(chunk: &Chunk<'_>, meter: &Rc<Meter>, out: &mut Vec<u8>) -> Result<(), String> {
     if chunk.size > CHUNK_BYTES as u64 {
         return Err(format!("a chunk of {} bytes: at most {CHUNK_BYTES} are read", chunk.size));
@@ -237,7 +238,7 @@ fn decompress(chunk: &Chunk<'_>, meter: &Rc<Meter>, out: &mut Vec<u8>) -> Result
     Ok(())
 }
 
-/// What becomes of a record; a message is where it lies.
+/// The outcome of a record; a message is given by its place.
 enum Found {
     Passed,
     Connection(Connection),
@@ -246,7 +247,7 @@ enum Found {
 }
 
 impl McapReader {
-    /// Takes the next record of `records` apart.
+    /// Parses the next record of `records`.
     fn take_apart(&mut self, wanted: &dyn Fn(u32) -> bool) -> Found {
         let begin = self.next;
         let head = self.records.get(begin..begin + RECORD_HEAD_BYTES);

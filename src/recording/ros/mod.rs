@@ -1,8 +1,8 @@
 //! Recordings of ROS: bags of ROS 1 (`.bag`), of ROS 2 (`.db3`), and MCAP files.
 //!
-//! A file of each kind is read as [`Entry`]s: connections, which tell a topic's type, and the messages of those that are
-//! wanted ([`Messages`]). What a message says is read by its type's [layout](layout). [`topics`] finds the topic that is the
-//! recording and those that go with it; [`rows`] turns its messages into rows.
+//! A file of each kind is read as [`Entry`]s: connections, which state a topic's type, and the messages of those that
+//! are wanted ([`Messages`]). A message is read by its type's [layout](layout). [`topics`] finds the topic that is the
+//! recording and the topics that belong to it; [`rows`] converts its messages to rows.
 
 mod bag;
 mod db3;
@@ -37,29 +37,29 @@ enum Entry<'a> {
     Connection(Connection),
     /// A message of a wanted connection, its time of reception in ns since 1970, and its bytes.
     Message { connection: u32, received_ns: i64, data: &'a [u8] },
-    /// Something that cannot be read, and at which byte of the file it begins.
+    /// Damaged data, and the byte of the file at which it begins.
     Damaged { at: u64, what: String },
 }
 
-/// Where messages come from.
+/// A source of messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Connection {
     number: u32,
     topic: String,
     /// Name of the message's type.
     message_type: String,
-    /// Text of its definition and those of the types in it; empty where the file lacks it.
+    /// Text of its definition and those of the types in it; empty if the file lacks it.
     definition: String,
-    /// How messages are put in bytes, or why they cannot be read.
+    /// The encoding of its messages, or why they cannot be read.
     encoding: Result<Encoding, MessageError>,
 }
 
 /// A file's entries, one after another.
 trait Messages {
-    /// The next entry; `None` at the end. Messages of connections that are not wanted are passed over.
+    /// The next entry; `None` at the end. Messages of unwanted connections are skipped.
     fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>>;
 
-    /// Whether the file was read as far as it goes: a reading that was called off looks like a damaged one.
+    /// Checks whether the file was read as far as possible: a cancelled reading looks like a damaged file.
     ///
     /// # Errors
     /// [`RecordingError::Unwanted`] and [`RecordingError::Expands`].

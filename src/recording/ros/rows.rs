@@ -1,9 +1,9 @@
 //! The messages of a file's topics as rows: one message of the recording's topic, one row.
 //!
-//! Where there is a raw line it decides, by its checksum, and nothing else in the message is believed: the driver took its
-//! numbers from that line. Otherwise the values are those of the message and of the messages of other topics that bear its
-//! stamp, in the units of ROS: tesla and pascal are converted. An orientation is not read: it is a quaternion in a frame that
-//! the message does not tell.
+//! If there is a raw line, its checksum decides, and the other values of the message are ignored: the driver took its
+//! numbers from that line. Otherwise the values are those of the message and of the messages of other topics with its
+//! stamp, in the units of ROS: tesla and pascal are converted. An orientation is not read: it is a quaternion in a
+//! frame that the message does not state.
 
 use super::super::error::RecordingError;
 use super::super::info::Decimals;
@@ -18,19 +18,19 @@ use crate::protocol::Decoder;
 use crate::sample::{Channel, ChannelSet, DiscardCause, Sample};
 use std::collections::VecDeque;
 
-/// What a row's stamps are called.
+/// The names of a row's stamps.
 pub(in crate::recording) const STAMP_NAMES: [&str; 2] = ["time of reception", "stamp in the message's header"];
 
-/// A row whose companions may still come.
+/// A row whose companions may still arrive.
 struct Waiting {
     row: Row,
-    /// The stamp that companions bear.
+    /// The stamp of its companions.
     stamp_ns: Option<i64>,
-    /// How many of them are not there yet.
+    /// The number of companions still missing.
     lacks: usize,
 }
 
-/// A companion whose row has not come yet.
+/// A companion whose row has not arrived yet.
 struct Early {
     stamp_ns: i64,
     beside: usize,
@@ -64,13 +64,13 @@ impl RosRows {
         })
     }
 
-    /// Reads the next entry of the file into the rows that wait.
+    /// Reads the next entry of the file into the waiting rows.
     fn read_entry(&mut self) -> Result<(), RecordingError> {
         let layouts = &self.topics.layouts;
         let Some(entry) = self.reader.next_entry(&|number| layouts.contains_key(&number)) else {
             self.reader.check()?;
             self.ended = true;
-            // What came for rows that never did.
+            // Companions whose rows never arrived.
             while let Some(early) = self.early.pop_front() {
                 self.push(alone(&self.topics, &early, self.messages));
             }
@@ -135,7 +135,7 @@ impl RosRows {
         self.waiting.push_back(Waiting { row, stamp_ns: None, lacks: 0 });
     }
 
-    /// Gives a companion to its row, or keeps it until that comes.
+    /// Adds a companion to its row, or keeps it until the row arrives.
     fn companion(&mut self, companion: Early) {
         let channels = self.topics.beside[companion.beside].channels;
         let row = self.waiting.iter_mut().rev().find(|row| row.stamp_ns == Some(companion.stamp_ns));
@@ -152,7 +152,7 @@ impl RosRows {
         }
     }
 
-    /// Gives the last row the companions that came before it.
+    /// Adds the companions that arrived before it to the last row.
     fn join_early(&mut self) {
         let Some(row) = self.waiting.back_mut() else { return };
         let topics = &self.topics;
@@ -205,7 +205,7 @@ impl Rows for RosRows {
     }
 }
 
-/// A message with a raw line; a row that follows where a good line stands behind a spliced one.
+/// Rows of a message with a raw line; a second row follows if a good line stands behind a spliced one.
 fn from_line(
     number: u64,
     stamps: RowStamps,
@@ -236,7 +236,7 @@ fn from_line(
     }
 }
 
-/// A message with numbers.
+/// The row of a message with numbers.
 fn from_values(number: u64, stamps: RowStamps, values: &Values<'_>) -> Row {
     let mut sample = Sample::at(0, 0);
     for channel in Channel::ALL {

@@ -1,4 +1,4 @@
-//! Recordings of ROS 2 as their readers see them, made here with every value known.
+//! Recordings of ROS 2 as their readers see them, generated here with every value known.
 
 use super::definition::layout;
 use super::layout::{Encoding, MessageError};
@@ -106,7 +106,7 @@ fn a_field_that_lacks_messages_or_has_too_many_is_joined_where_it_belongs() {
     let mut messages = Vec::new();
     for index in 0..200 {
         messages.push(message(0, index, imu(index)));
-        // Every tenth is missing; one comes under a stamp of its own.
+        // Every tenth is missing; one has a separate stamp.
         if index % 10 != 0 {
             messages.push(message(1, index, mag(index)));
         }
@@ -138,7 +138,7 @@ fn a_field_under_stamps_of_its_own_is_named_and_left_alone() {
     assert!(loaded.info.ignored_columns[0].starts_with("topic /imu/mag"), "{:?}", loaded.info.ignored_columns);
 }
 
-/// A driver's own message: what the real recordings of the VN-100 hold.
+/// A driver's own message, as in the real recordings of the VN-100.
 fn driver(index: usize, raw: &str) -> Vec<u8> {
     Cdr::little_endian()
         .header(stamp_ns(index))
@@ -204,7 +204,7 @@ fn a_file_that_was_cut_is_read_as_far_as_it_goes() {
     let cut = load(whole[..whole.len() / 2].to_vec(), Options::default()).unwrap();
     assert!((50..350).contains(&cut.samples) && cut.samples.is_multiple_of(50), "{}", cut.samples);
     assert_eq!(cut.info.rejected[&DiscardCause::Malformed], 1, "the end is told");
-    // A chunk that is damaged costs itself alone.
+    // A damaged chunk costs only itself.
     let chunk = whole.windows(4).position(|window| window == [0x28, 0xB5, 0x2F, 0xFD]).unwrap();
     let mut damaged = whole;
     damaged[chunk + 40] ^= 0xFF;
@@ -266,7 +266,7 @@ fn a_hole_in_a_database_costs_its_own_rows_and_is_said() {
     assert!(loaded.info.first_rejected[0].text.contains("was not read"), "{:?}", loaded.info.first_rejected);
 }
 
-/// The row's bytes lie beyond the page, in memory that differs from reading to reading.
+/// The row's bytes lie beyond the page, in memory that differs from one reading to the next.
 #[test]
 fn a_damaged_page_is_the_same_at_every_reading() {
     let messages: Vec<_> = (0..2000).map(|index| message(0, index, imu(index))).collect();
@@ -309,7 +309,7 @@ fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
     assert!(loaded.info.channels.contains(Channel::MagX), "the field goes with the samples, however many came first");
     let ignored = &loaded.info.ignored_columns;
     assert!(ignored.iter().any(|said| said.contains("144 more connections")), "{ignored:?}");
-    // What is text alone might be raw lines: of those as many are looked at as leave room for others.
+    // Topics that have only text might hold raw lines: only so many of them are examined that there is room for others.
     let mut topics: Vec<Topic<'_>> =
         names[..300].iter().map(|name| (name.as_str(), "std_msgs/msg/String", None)).collect();
     topics.push(IMU);
@@ -356,7 +356,7 @@ fn a_bag_on_disk_is_read_whatever_its_path_and_beside_its_log() {
     let messages: Vec<_> = (0..40).map(|index| message(0, index, imu(index))).collect();
     std::fs::write(&path, db3(&[IMU], &messages)).unwrap();
     assert_eq!(Recording::open(&path, Options::default()).unwrap().info().samples, 40);
-    // A recorder that was killed leaves what it wrote last in the log.
+    // A recorder that was killed leaves its last data in the log.
     let database = rusqlite::Connection::open(&path).unwrap();
     database.pragma_update(None, "journal_mode", "wal").unwrap();
     database
@@ -395,7 +395,7 @@ fn definitions_are_bounded() {
     assert_eq!(of("own/T t\n"), Err(MessageError::TooMuch));
     assert_eq!(of("float64 x\nwstring y\n"), Err(MessageError::Type("wstring".to_owned())));
     assert!(matches!(of("float64\n"), Err(MessageError::Line(_))));
-    // In ROS 1 nothing follows a name.
+    // In ROS 1 nothing may follow a name.
     assert!(matches!(layout("own/T", "float64 x 3\n", Encoding::Ros1, &[]), Err(MessageError::Line(_))));
     let bounded = of("float64[<=3] a\nuint8[4] b\nown/U[2] c\n===\nMSG: own/msg/U\nint8 a\nint32 b\n").unwrap();
     // 2 numbers, 4 bytes, then each of the pairs a byte and an aligned number.
@@ -406,7 +406,7 @@ fn definitions_are_bounded() {
 }
 
 proptest! {
-    /// Where each value lies follows from what stands before it, whatever that is.
+    /// The position of each value follows from what precedes it, whatever that is.
     #[test]
     fn a_value_is_found_behind_any_fields(fields in prop::collection::vec(0_usize..6, 0..12), value in -1e3..1e3_f64) {
         let (mut text, mut cdr) = (String::new(), Cdr::little_endian());

@@ -1,9 +1,9 @@
-//! Topics: which of a file's topics is the recording, and which go with it.
+//! Topics: determines which of a file's topics is the recording, and which topics belong to it.
 //!
-//! The recording is the topic whose messages hold the sensor's raw lines, else the one that `vn100d export` writes for it (values
-//! as they were recorded, beside standard messages of the same samples), else the one with the most channels, else the one
-//! with the most messages. Topics that give further channels under the same stamps (drivers send a magnetic field and a
-//! temperature on their own) go with it; the others are named.
+//! The recording is the topic whose messages hold the sensor's raw lines. Without one it is the topic that `vn100d
+//! export` writes for it (values as they were recorded, beside standard messages of the same samples), else the one
+//! with the most channels, else the one with the most messages. Topics that contain further channels under the same
+//! stamps belong to it (drivers send a magnetic field and a temperature separately). The others are reported by name.
 
 use super::definition;
 use super::given::MessageDefinition;
@@ -16,19 +16,20 @@ use crate::recording::input::Input;
 use crate::sample::{Channel, ChannelSet};
 use std::collections::{HashMap, HashSet, VecDeque};
 
-/// Connections that are looked at, of those that could be read, and of others; a bag has one per topic and publisher.
+/// Connections that are examined, of readable ones and of others; a bag has one per topic and publisher.
 const CONNECTIONS_MAX: usize = 256;
-/// Connections of which nothing but text is known to come; what of it is a raw line is only seen in their messages.
+/// Connections that are only known to contain text; whether it contains raw lines is only seen in their messages.
 const TEXTS_MAX: usize = 192;
-/// Connections whose numbers are remembered.
+/// Connections whose numbers are kept.
 const KNOWN_MAX: usize = 65_536;
-/// Other topics that are named.
+/// Other topics that are reported.
 const NAMED_MAX: usize = 20;
 /// Topics whose stamps are compared.
 const COMPARED_MAX: usize = 12;
-/// How far apart, in messages, messages of one stamp may lie.
+/// The maximum distance, in messages, between messages of one stamp.
 pub(super) const APART_MAX: usize = 64;
-/// Share of a topic's messages that have the stamp of one of the recording's for it to go with it.
+/// The share of a topic's messages that must have the stamp of one of the recording's messages for the topic to belong
+/// to it.
 const SHARE_MIN: f64 = 0.9;
 
 /// One topic.
@@ -46,30 +47,30 @@ impl Topic {
     }
 }
 
-/// Which topic a connection belongs to.
+/// The topic that a connection belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
     /// The recording.
     Main,
-    /// One of those beside it.
+    /// One of the accompanying topics.
     Beside(usize),
 }
 
 /// The topics that are read.
 #[derive(Debug, Clone)]
 pub(in crate::recording) struct Topics {
-    /// What kind of file it is.
+    /// The kind of file.
     pub(super) kind: Kind,
-    /// What their messages are read by, under the numbers of their connections.
+    /// The layouts of their messages, by the numbers of their connections.
     pub(super) layouts: HashMap<u32, (Role, Layout)>,
     /// The recording.
     pub(super) main: Topic,
     /// Whether its messages hold raw lines.
     pub(super) raw: bool,
-    /// What goes with it.
+    /// The accompanying topics.
     pub(super) beside: Vec<Topic>,
     conversions: Vec<Conversion>,
-    /// What else is in the file.
+    /// The other topics of the file.
     others: Vec<String>,
 }
 
@@ -80,17 +81,17 @@ struct Candidate {
     raw: u64,
     /// Units that are not the channels' own.
     conversions: Vec<Conversion>,
-    /// Why it is not read.
+    /// The reason why it is not read.
     refused: Option<String>,
-    /// The last stamps, and how many messages had one of each other candidate's.
+    /// The last stamps, and the number of messages that share a stamp with each other candidate.
     stamps: VecDeque<i64>,
     shared: Vec<u64>,
 }
 
-/// What `vn100d export` calls the messages that have everything as it was recorded.
+/// The name that `vn100d export` gives to messages with all values as they were recorded.
 const OWN_TYPE: &str = "vn100d_msgs/msg/Sample";
 
-/// Why a topic is not read that could be.
+/// The reason why a readable topic is not read.
 const NO_DATA: &str = "no IMU data";
 
 impl Candidate {
@@ -123,7 +124,7 @@ impl Candidate {
         }
     }
 
-    /// Whether its messages have numbers that are taken.
+    /// Whether its messages have numbers that are used.
     fn has_values(&self) -> bool {
         self.refused.is_none() && !self.topic.channels.is_empty()
     }
@@ -148,24 +149,24 @@ fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Lay
     definition::layout(&connection.message_type, &connection.definition, encoding, given)
 }
 
-/// What a first pass over a file finds.
+/// The result of a first pass over a file.
 #[derive(Default)]
 struct Search {
     candidates: Vec<Candidate>,
     connections: HashMap<u32, (usize, Layout)>,
     known: HashSet<u32>,
-    /// Connections that were not looked at.
+    /// Connections that were not examined.
     passed_over: u64,
     /// Candidates that cannot be read.
     refused: usize,
-    /// Connections that have text alone.
+    /// Connections that have only text.
     texts: usize,
     /// Candidates whose stamps are compared.
     compared: Vec<usize>,
 }
 
 impl Search {
-    /// Reads the file's entries; the first damage.
+    /// Reads the file's entries; returns the first damage.
     fn pass(
         &mut self,
         kind: Kind,
@@ -202,7 +203,7 @@ impl Search {
             Some(index) => index,
             None => {
                 let candidate = Candidate::new(connection, &layout);
-                // Cameras and the like are many: they take no place of what can be read.
+                // Cameras and the like are numerous: they must not displace readable topics.
                 if candidate.refused.is_some() && self.refused >= CONNECTIONS_MAX {
                     self.passed_over += 1;
                     return;
@@ -232,7 +233,7 @@ impl Search {
         let Some((index, layout)) = self.connections.get(&connection) else { return };
         let index = *index;
         self.candidates[index].messages += 1;
-        // Where one topic is the only one, nothing is to be compared.
+        // If there is only one topic, nothing is to be compared.
         if !layout.has_text() && self.candidates.len() < 2 {
             return;
         }
@@ -254,7 +255,7 @@ impl Search {
 }
 
 impl Candidate {
-    /// Counts a message that has the stamp of one of another candidate's.
+    /// Counts a message that shares a stamp with another candidate.
     fn share(&mut self, other: usize) {
         if self.shared.len() <= other {
             self.shared.resize(other + 1, 0);
@@ -264,10 +265,10 @@ impl Candidate {
 }
 
 impl Topics {
-    /// Looks through the whole file for them.
+    /// Searches the whole file for the topics.
     ///
     /// # Errors
-    /// [`RecordingError::NoTopic`] with what is there, or what reading says.
+    /// [`RecordingError::NoTopic`] with the topics present, or the error of reading.
     pub(in crate::recording) fn find(
         kind: Kind,
         input: &Input,
@@ -276,7 +277,7 @@ impl Topics {
         let mut search = Search::default();
         let damage = search.pass(kind, input, given)?;
         if damage.is_some() {
-            // What was damaged may have told the type of what followed; it is told again at the end.
+            // The damaged part may have stated the type of what followed; it is stated again at the end.
             for candidate in &mut search.candidates {
                 (candidate.messages, candidate.raw) = (0, 0);
                 (candidate.stamps, candidate.shared) = (VecDeque::new(), Vec::new());
@@ -291,7 +292,7 @@ impl Topics {
             let topic = &candidate.topic;
             (candidate.raw > 0, topic.message_type == OWN_TYPE, topic.channels.iter().count(), candidate.messages)
         };
-        // Of equals the first.
+        // Of equals the first is taken.
         let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
         let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
             let names: Vec<_> = candidates.iter().take(NAMED_MAX).map(Candidate::describe).chain(passed_over).collect();
@@ -333,7 +334,7 @@ impl Topics {
         Ok(Self { kind, layouts: layouts.collect(), main, raw, beside, conversions, others })
     }
 
-    /// What of the file is not read.
+    /// The parts of the file that are not read.
     pub(in crate::recording) fn ignored(&self) -> Vec<String> {
         let mut ignored = self.others.clone();
         if !self.raw && self.main.channels.contains(Channel::GyroX) && !self.main.channels.contains(Channel::Yaw) {
@@ -342,7 +343,7 @@ impl Topics {
         ignored
     }
 
-    /// Channels that come in other units than their own.
+    /// Channels in other units than their own.
     pub(in crate::recording) fn conversions(&self) -> Vec<Conversion> {
         self.conversions.clone()
     }

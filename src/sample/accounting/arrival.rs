@@ -1,12 +1,12 @@
-//! Arrival: samples that carry no time: losses and other rates from when they arrive. Pure.
+//! Arrival: detects losses and other rates of samples without time from their arrivals. Pure.
 //!
-//! A message is late by its latency and never early, so that a schedule of the earliest arrivals tells what each sample means:
-//! one in time is taken at once. One that is late or early may follow a loss, stand before a burst, or be the first of
-//! another rate: from it on samples are held until their arrivals have been steady at one rate or the other ([`STEADY_NS`],
-//! [`RATE_NS`]). While that is open, [`Accountant::take_doubt`] reports the doubt to the session, which asks the sensor; its registers decide
-//! ([`Accountant::rate_known`]). A sensor that numbers its messages by a clock of its own, not by its rate
-//! ([`Timebase::SyncCounter`]), is judged by its arrivals as well: the steps of such a count look like losses or repetitions
-//! where the rate is another one.
+//! A message is late by its latency and never early. So a schedule of the earliest arrivals determines each sample's
+//! meaning: one in time is taken at once. One that is late or early may follow a loss, precede a burst, or be the first
+//! of another rate. From it on samples are held until their arrivals have been steady at one rate or the other
+//! ([`STEADY_NS`], [`RATE_NS`]). While that is open, [`Accountant::take_doubt`] reports the doubt to the session, which
+//! queries the sensor; its registers decide ([`Accountant::rate_known`]). A sensor that numbers its messages by a
+//! separate clock, not by its rate ([`Timebase::SyncCounter`]), is judged by its arrivals as well: the steps of such a
+//! count look like losses or repetitions if the rate differs.
 
 use super::{Accountant, DRIFT, Observation, RateDoubt, host_elapsed_ns};
 use crate::sample::{GapCause, Record, Sample, Timebase};
@@ -14,20 +14,20 @@ use crate::units::period_ns;
 
 /// The share of a period by which the stream must be late.
 const LATE_PERIODS: f64 = 0.75;
-/// Lateness below this says nothing by itself, ns: an FTDI adapter's latency timer is 16 ms at worst.
+/// Lateness below this has no meaning by itself, ns: an FTDI adapter's latency timer is 16 ms at worst.
 const HOST_JITTER_NS: f64 = 20e6;
-/// Held samples whose earliest arrivals keep the rate for so long are of that rate, ns; at least [`STEADY_MIN`] of them.
-/// Neighbouring rates of register 7 differ by a fifth: by 80 ms within this time.
+/// Held samples whose earliest arrivals keep the rate for this long are of that rate, ns; at least [`STEADY_MIN`] of
+/// them. Neighbouring rates of register 7 differ by a fifth: by 80 ms within this time.
 const STEADY_NS: f64 = 0.4e9;
 const STEADY_MIN: usize = 4;
-/// So long they must keep another rate to be of it, ns; at least [`RATE_MIN`] of them: random losses do not arrive evenly. The
-/// second time is for a sensor whose registers say that the rate is as before.
+/// Samples must keep another rate for this long to be of it, ns; at least [`RATE_MIN`] of them: random losses do not
+/// arrive evenly. The second time is for a sensor whose registers state that the rate is unchanged.
 const RATE_NS: f64 = 2e9;
 const RATE_CONFIRMED_NS: f64 = 3.5e9;
 const RATE_MIN: usize = 8;
-/// Of the arrivals that are held against another rate so many may be late by more than the jitter.
+/// The share of the arrivals compared with another rate that may be late by more than the jitter.
 const RATE_LATE: f64 = 0.1;
-/// Rates that differ by less are one, and a measured rate is that of the sensor's which is so near.
+/// Rates that differ by less are equal, and a measured rate this close to one of the sensor's is that rate.
 const RATE_NEAR: f64 = 0.04;
 /// Samples that are held for longer put the rate in doubt, ns.
 const DOUBT_NS: u64 = 600_000_000;
@@ -42,23 +42,23 @@ const RESET_SILENCE_NS: f64 = 0.5e9;
 /// The expected arrival of the next sample, for streams without device time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Arrival {
-    /// Earliest plausible arrival of the sample to come, of the first one that is held where any are, ns of the host's
+    /// Earliest plausible arrival of the next sample, or of the first held one if any are held, ns of the host's
     /// monotonic clock.
     pub(super) next_mono_ns: f64,
-    /// Samples of which it is open what they mean.
+    /// Samples whose meaning is undecided.
     pub(super) held: Vec<Sample>,
-    /// By how much the stream has run ahead of the schedule lately, ns.
+    /// By how much the stream recently ran ahead of the schedule, ns.
     early_ns: f64,
-    /// What the host did when the first of them came.
+    /// The host's trouble when the first of them arrived.
     host_trouble: Option<GapCause>,
-    /// The doubt was told.
+    /// Whether the doubt was reported.
     told: bool,
-    /// The sensor's registers say that the rate is as before.
+    /// Whether the sensor's registers state that the rate is unchanged.
     confirmed: bool,
 }
 
 impl Accountant {
-    /// How late a host may read for reasons of its own, ns.
+    /// The host's own lateness in reading, ns.
     fn jitter_ns(&self) -> f64 {
         self.host_jitter_ns.max(HOST_JITTER_NS)
     }
@@ -80,7 +80,7 @@ impl Accountant {
         }
         if self.arrival.held.is_empty() {
             let late_ns = arrived - self.arrival.next_mono_ns;
-            // A rejected frame explains one missing sample; without it lateness must exceed what a host does by itself.
+            // A rejected frame explains one missing sample; without it lateness must exceed the host's own.
             let jitter_ns = if self.suspicion.is_some() { 0.0 } else { self.jitter_ns() };
             let early_ns = (self.arrival.early_ns - late_ns.min(0.0) - 2.0 * DRIFT * period).max(0.0);
             if late_ns < (LATE_PERIODS * period).max(jitter_ns) && early_ns < self.jitter_ns() {
@@ -93,7 +93,8 @@ impl Accountant {
         self.hold(sample, out);
     }
 
-    /// With a count of the sensor's: a step of one is the next sample. Any other is a loss, a repetition, or another rate.
+    /// Handles samples with the sensor's count: a step of one is the next sample. Any other step is a loss, a
+    /// repetition, or another rate.
     pub(super) fn observe_counted(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
         if self.arrival.held.is_empty() {
             let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
@@ -132,7 +133,8 @@ impl Accountant {
         }
     }
 
-    /// Where the last held samples begin that span this time and are so many; `None` where those that are held do not.
+    /// The index of the last held samples that span this time and are at least this many; `None` if the held ones do
+    /// not.
     fn tail(&self, span_ns: f64, least: usize) -> Option<usize> {
         let held = &self.arrival.held;
         let span_ns = span_ns.max(16.0 * self.host_jitter_ns) as u64;
@@ -141,7 +143,7 @@ impl Accountant {
         Some(from.min(held.len().checked_sub(least)?))
     }
 
-    /// The last held samples keep the rate: the earliest arrivals of the four quarters of their time agree.
+    /// Whether the last held samples keep the rate: the earliest arrivals of the four quarters of their time agree.
     fn is_steady(&self) -> bool {
         let period = period_ns(self.rate_hz);
         let Some(from) = self.tail(STEADY_NS, STEADY_MIN) else { return false };
@@ -178,12 +180,12 @@ impl Accountant {
         (most - late_ns[0] <= self.tolerance_ns()).then_some(rate_hz)
     }
 
-    /// How far arrivals at one rate may stand apart from their schedule, ns.
+    /// The maximum deviation of arrivals at one rate from their schedule, ns.
     fn tolerance_ns(&self) -> f64 {
         1.25 * self.jitter_ns()
     }
 
-    /// The registers of the sensor say this rate: what is held is of it.
+    /// Takes the rate that the sensor's registers state: held samples belong to it.
     pub fn rate_known(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         if self.arrival.held.is_empty() {
             return;
@@ -195,7 +197,8 @@ impl Accountant {
         }
     }
 
-    /// The rate is as before: what is missing before a held sample is the least lateness from it on.
+    /// Releases the held samples at the unchanged rate: the number missing before a held sample is the least lateness
+    /// from it on.
     pub(super) fn release(&mut self, out: &mut Vec<Record>) {
         let steady = self.tail(STEADY_NS / 4.0, STEADY_MIN).unwrap_or(0);
         let Arrival { next_mono_ns, held, host_trouble, .. } = std::mem::take(&mut self.arrival);
@@ -228,8 +231,8 @@ impl Accountant {
         self.arrival.next_mono_ns += counted as f64 * period + steady_ns.min(0.0);
     }
 
-    /// The first held sample of another rate: where fewest samples have to be missing before it at the old rate and after it
-    /// at the new one.
+    /// The first held sample of another rate: the one with the fewest missing samples before it at the old rate and
+    /// after it at the new one.
     fn first_of(&self, rate_hz: f64) -> usize {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
         let Arrival { held, next_mono_ns, .. } = &self.arrival;
@@ -242,7 +245,7 @@ impl Accountant {
         for index in (0..held.len()).rev() {
             let off_ns = late_ns[index] - line_ns;
             least_ns = least_ns.min(off_ns);
-            // What was read late comes at once.
+            // Samples that were read late come at once.
             let at_once = late_ns.get(index + 1).is_some_and(|next| next - late_ns[index] + period < BURST_NS);
             most_ns = if at_once { most_ns } else { most_ns.max(off_ns) };
             let old_ns = match index.checked_sub(1).map(|before| old_late_ns[before]) {
@@ -250,7 +253,7 @@ impl Accountant {
                 late_ns => late_ns.unwrap_or(0.0),
             };
             let new_ns = (most_ns - self.tolerance_ns()).max(0.0) + (-least_ns - self.tolerance_ns()).max(0.0);
-            // Where both are alike, the straighter line.
+            // If both are equal, the straighter line is taken.
             let missing = old_ns / old_period + (new_ns + 0.05 * (most_ns - least_ns)) / period;
             if missing <= fewest {
                 (first, fewest) = (index, missing);
@@ -259,7 +262,7 @@ impl Accountant {
         first
     }
 
-    /// The held samples are of this rate, from the first one on that can be.
+    /// Assigns the held samples to this rate, from the first possible one on.
     fn adopt_arrivals(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
         let held = self.arrival.held.split_off(self.first_of(rate_hz));
@@ -271,7 +274,8 @@ impl Accountant {
             _ => self.arrival.next_mono_ns - old_period,
         };
         self.timebase = Timebase::Arrival;
-        // Some samples tell better than the first one by itself when it was due: those that come at once, and some more.
+        // Several samples show better than the first one by itself when it was due: those that come at once, and some
+        // more.
         let apart = |pair: &[Sample]| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64 >= BURST_NS;
         let at_once = held.windows(2).position(apart).unwrap_or(0);
         let late_ns = residuals_ns(&held[..held.len().min(at_once + 2 * STEADY_MIN)], period);
@@ -299,7 +303,7 @@ impl Accountant {
     }
 }
 
-/// By how much each sample arrives later than this many periods after the first, ns.
+/// The lateness of each sample relative to this many periods after the first, ns.
 fn residuals_ns(samples: &[Sample], period: f64) -> Vec<f64> {
     let first_ns = samples.first().map_or(0, |sample| sample.host_mono_ns);
     let late =

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 const START_NS: u64 = 1_000_000_000;
 
-/// What a made-up line delivers: when each sample arrives and the sensor's count, where it has one.
+/// The data of a simulated line: when each sample arrives and the sensor's count, if it has one.
 #[derive(Default)]
 struct Line {
     arrivals: Vec<(u64, Option<u32>)>,
@@ -15,13 +15,13 @@ struct Line {
 }
 
 impl Line {
-    /// Sends for a while at a rate; of the samples those are lost for which `lost` says so.
+    /// Sends for a while at a rate; the samples for which `lost` returns `true` are lost.
     fn send(&mut self, rate_hz: f64, seconds: f64, mut lost: impl FnMut(u64) -> bool, latency_ns: impl Fn(u64) -> u64) {
         for index in 0..(seconds * rate_hz).round() as u64 {
             let arrived = START_NS + self.at_ns as u64 + latency_ns(index);
             // The line keeps the order.
             let arrived = self.arrivals.last().map_or(arrived, |(last, _)| arrived.max(*last));
-            // SyncOut counts 800 Hz / 20, whatever the messages do.
+            // SyncOut counts 800 Hz / 20, whatever the rate of the messages.
             let count = (self.at_ns / 25e6).round() as u32;
             if lost(index) {
                 self.lost += 1;
@@ -40,7 +40,7 @@ impl Line {
         self.observed_with(rate_hz, timebase, |_| None)
     }
 
-    /// The same with a sensor whose registers can be read on doubt: what rate they hold at this time.
+    /// The same with a sensor whose registers can be read on doubt: the rate they hold at this time.
     fn observed_with(
         &self,
         rate_hz: f64,
@@ -123,7 +123,7 @@ fn a_rate_that_changes_without_time_is_a_new_segment_and_no_loss() {
     }
 }
 
-/// A sensor that boots for 1.25 s and then sends what its flash says.
+/// A sensor that boots for 1.25 s and then sends the output in its flash.
 #[test]
 fn a_reset_to_another_rate_is_one_gap_by_the_hosts_clock() {
     for (from_hz, to_hz) in PAIRS {
@@ -178,7 +178,7 @@ fn a_loss_that_shows_while_the_host_is_to_blame_is_the_hosts() {
     assert_eq!(told, [(100, 40, GapCause::HostStall)]);
 }
 
-/// What the registers say decides before the arrivals do.
+/// The registers decide before the arrivals do.
 #[test]
 fn registers_that_were_read_again_decide_about_what_is_held() {
     for (told_hz, missing) in [(50.0, true), (25.0, false)] {
@@ -218,7 +218,7 @@ proptest! {
         prop_assert_eq!(accountant.missing(), line.lost);
     }
 
-    /// A rate that changes on a line that loses some and delivers late; the sensor answers, or it only sends.
+    /// A rate that changes on a line that loses some samples and delivers late; the sensor answers, or it only sends.
     #[test]
     fn a_changed_rate_is_found_among_losses_and_bursts(pair in 0_usize..9, every in 40_u64..200, burst in 0_u64..300, at in 0_u64..50, answers in any::<bool>()) {
         let (from_hz, to_hz) = PAIRS[pair];

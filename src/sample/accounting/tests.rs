@@ -1,4 +1,4 @@
-//! Streams with losses, bursts, resets and other rates, against what was sent.
+//! Streams with losses, bursts, resets and other rates, compared with what was sent.
 
 use super::*;
 use crate::sample::Channel;
@@ -109,7 +109,8 @@ fn steps_that_are_no_whole_number_of_periods_are_another_rate_and_no_loss() {
     assert_eq!((accountant.rate_hz(), accountant.received(), accountant.missing()), (80.0, 24, 0));
 }
 
-/// 200 Hz, told to be 40 Hz, and still 200 Hz, with one lost in between: what is missing follows from the ticks alone.
+/// 200 Hz, announced as 40 Hz, and still 200 Hz, with one lost in between: the missing samples follow from the ticks
+/// alone.
 #[test]
 fn a_rate_that_was_told_and_never_came_hides_no_loss() {
     let (mut accountant, mut out) = (Accountant::new(200.0, Timebase::Device), Vec::new());
@@ -229,7 +230,7 @@ fn a_serial_count_that_stands_still_is_not_believed() {
     assert_eq!(last.timebase, Timebase::Arrival);
 }
 
-/// D1, D5: what the host did to itself, and what civil time does not change.
+/// D1, D5: the host's own trouble is a cause, and a change of civil time is not.
 #[test]
 fn a_host_that_slept_is_the_cause_and_a_stepped_clock_is_none() {
     let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
@@ -269,7 +270,7 @@ fn a_sensor_that_lost_power_while_unplugged_is_measured_by_the_host() {
     let mut out = Vec::new();
     accountant.observe(sample(0, true, 0), &mut out);
     accountant.interrupt(GapCause::Unplugged, &mut out);
-    // An hour later the clock is only 10 s ahead of where it was: it began again.
+    // An hour later the clock is only 10 s ahead of its earlier value: it restarted.
     let mut back = sample(144_000, true, 0);
     back.device_time_ns = Some(15_000_000_000);
     assert_eq!(accountant.observe(back, &mut out), Observation::AfterReset);

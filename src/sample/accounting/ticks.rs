@@ -1,4 +1,5 @@
-//! Ticks: samples that carry the sensor's own time or count: gaps, other rates and resets from their steps. Pure.
+//! Ticks: detects gaps, other rates and resets from the steps of samples that carry the sensor's own time or count.
+//! Pure.
 
 use super::arrival::Arrival;
 use super::{Accountant, DRIFT, Observation, Position, REORDER_WINDOW_NS, host_elapsed_ns, is_one_boot};
@@ -9,23 +10,24 @@ use crate::units::{IMU_RATE_HZ, period_ns};
 /// one length within [`RATE_SAME`].
 const RATE_ODD: f64 = 0.2;
 const RATE_SAME: f64 = 0.01;
-/// So many steps of one length in succession, over so many ns, are another rate: nothing loses every other sample so
-/// regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
+/// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
+/// so regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
 const RATE_STEPS_MIN: usize = 12;
 const RATE_TRIAL_NS: f64 = 1e8;
-/// No loss makes a step that is no whole number of periods. So many of one length in succession are another rate although
-/// the stream was interrupted before it was tried for long; one or two may be a tick that is wrong.
+/// No loss makes a step that is no whole number of periods. This many of one length in succession are another rate even
+/// if the stream was interrupted before it was tried for long; one or two may be a wrong tick.
 const RATE_STEPS_UNEVEN: usize = 3;
-/// A longer step is no rate, ns: register 7's lowest is 1 Hz.
+/// A longer step is not a rate, ns: register 7's lowest is 1 Hz.
 const RATE_STEP_MAX_NS: f64 = 1.5e9;
 /// After an interruption, device and host must agree on its length within this share (and [`EPOCH_SLACK_NS`]);
 /// otherwise the sensor was without power in between and its clock started again.
 const EPOCH_SHARE: f64 = 1e-3;
 const EPOCH_SLACK_NS: f64 = 2e9;
 
-/// After so long without a sample that came earlier than the quickest before, it is known how early one can come, ns.
+/// After this long without a sample that came earlier than the quickest before, the earliest possible arrival is known,
+/// ns.
 const LINE_NS: f64 = 1e9;
-/// A sample that comes earlier by more than this is no matter of jitter, ns.
+/// A sample that comes earlier by more than this is not explained by jitter, ns.
 const EARLY_NS: f64 = 1e7;
 
 /// Samples in succession that do not come at the rate.
@@ -37,8 +39,8 @@ pub(super) struct Trial {
 }
 
 impl Accountant {
-    /// How far the sensor's tick of the later instant is ahead of the earlier one's, ns: its clock in ns, or its count of
-    /// messages. Both wrap, at 2^64 and 2^32: what is less than half of that ahead is ahead.
+    /// By how much the sensor's tick of the later instant is ahead of the earlier one's, ns: its clock in ns, or its
+    /// count of messages. Both wrap, at 2^64 and 2^32: a difference below half of that is ahead.
     pub(super) fn ahead_ns(
         &self,
         earlier: (Option<u64>, Option<u32>),
@@ -51,8 +53,8 @@ impl Accountant {
         Some(later.0?.wrapping_sub(earlier.0?) as i64)
     }
 
-    /// With the sensor's ticks: a step that is no period is the first of another rate, or a gap. The samples are held until
-    /// the following steps tell.
+    /// Handles samples with the sensor's ticks: a step that is no period is the first of another rate, or a gap. The
+    /// samples are held until the following steps decide.
     pub(super) fn observe_ticks(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
         let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
         let earlier = match (self.trial.held.last(), self.last) {
@@ -88,8 +90,8 @@ impl Accountant {
         Observation::Taken
     }
 
-    /// What was held are losses, not another rate: unless several steps were no whole number of periods (shorter than one,
-    /// or two and a half), which no loss makes.
+    /// Treats the held samples as losses, not as another rate, unless several steps were no whole number of periods
+    /// (shorter than one, or two and a half), which no loss makes.
     pub(super) fn end_trial(&mut self, out: &mut Vec<Record>) {
         let periods = self.trial.step_ns / period_ns(self.rate_hz);
         let uneven = (periods - periods.round().max(1.0)).abs() > RATE_ODD;
@@ -117,7 +119,7 @@ impl Accountant {
         }
     }
 
-    /// The steps are of one length: it is the period of another rate, from the first held sample on.
+    /// Adopts another rate: the steps have one length, which is its period, from the first held sample on.
     pub(super) fn adopt_rate(&mut self, out: &mut Vec<Record>) -> Observation {
         let held = std::mem::take(&mut self.trial.held);
         let old_period = period_ns(self.rate_hz);
@@ -127,7 +129,8 @@ impl Accountant {
         let from_hz = std::mem::replace(&mut self.rate_hz, to_hz);
         self.open = None;
         if to_hz == self.last_rate_hz {
-            // Another rate was told and never came: steps of one period, from the last sample on, tell what is missing.
+            // Another rate was announced and never came: steps of one period, from the last sample on, show the missing
+            // samples.
             self.observe_held(held, out);
             return Observation::RateChanged { from_hz, to_hz };
         }
@@ -157,7 +160,7 @@ impl Accountant {
         let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
         let tick = (sample.device_time_ns, sample.sync_count);
         let Some(ahead_ns) = self.ahead_ns((last.device_time_ns, last.sync_count), tick) else {
-            // The times before came from the host: only it can tell the distance.
+            // The times before came from the host: only the host can determine the distance.
             self.gap_by_host(&last, &sample, host_ns, GapCause::FormatChange, out);
             self.take(sample, out);
             return Observation::Taken;
@@ -166,7 +169,8 @@ impl Accountant {
         if ahead_ns <= 0 {
             let back = ahead_ns.unsigned_abs();
             self.backward += 1;
-            // A counter that stands while messages come was never switched on: their arrival has to do.
+            // A counter that does not advance while messages arrive was never switched on: their arrival is used
+            // instead.
             if self.timebase == Timebase::SyncCounter && back == 0 && host_ns > 2.5 * period {
                 self.timebase = Timebase::Arrival;
                 self.open = None;
@@ -174,20 +178,21 @@ impl Accountant {
                 self.observe_arrival(sample, out);
                 return Observation::Taken;
             }
-            // A clock that stands back but runs on steadily was reset shortly after an earlier reset.
+            // A clock that went back but runs on steadily was reset shortly after an earlier reset.
             if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
                 return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
             }
             return self.new_epoch(&last, sample, host_ns, out);
         }
         let step_ns = ahead_ns as f64;
-        // A clock that started again is behind; one that is ahead of the host's says that the host's stood or was stepped.
+        // A restarted clock is behind; one that is ahead of the host's shows that the host's stood still or was
+        // stepped.
         if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
             return self.new_epoch(&last, sample, host_ns, out);
         }
-        // No sample comes before its time: where the host's monotonic clock has not gone on as far, the sensor's was set.
+        // No sample comes before its time: if the host's monotonic clock has not advanced as far, the sensor's was set.
         if is_one_boot(&last, &sample) {
-            // What was read late may be followed at once by what came much later.
+            // A sample that was read late may be followed at once by a much later one.
             let late_ns = self.late_ns + host_ns - step_ns;
             let early_ns = -late_ns - self.host_jitter_ns;
             let undisturbed = self.interrupted.is_none() && self.host_trouble.is_none();
@@ -235,7 +240,7 @@ impl Accountant {
         if matches!(self.interrupted, Some(GapCause::FormatChange | GapCause::Silent | GapCause::Checksum)) {
             self.interrupted = Some(GapCause::SensorReset);
         }
-        // Whatever a host's stepped clock says, the sensor has run at least as long as its own clock shows.
+        // Whatever the host's stepped clock shows, the sensor has run at least as long as its own clock shows.
         let host_ns =
             if is_one_boot(last, &sample) { host_ns } else { host_ns.max(sample.device_time_ns.unwrap_or(0) as f64) };
         self.gap_by_host(last, &sample, host_ns, GapCause::SensorReset, out);

@@ -6,16 +6,16 @@ use crate::sample::{Channel, Triad};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What a model has that cannot be simulated.
+/// The part of a model that cannot be simulated.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{path}: found {found}; expected {expected}")]
 #[expect(clippy::exhaustive_structs, reason = "one sentence's parts")]
 pub struct Fault {
     /// The place inside the model, such as `channels.gyro_x.N`.
     pub path: String,
-    /// What stood there.
+    /// The value that was found.
     pub found: String,
-    /// What may stand there.
+    /// The values that are allowed.
     pub expected: String,
 }
 

@@ -1,15 +1,15 @@
 //! Sensor models: the file format of docs/formats.md. JSON text in, checked parameters out, and back.
 //!
-//! Refused with the file, the path inside it, what was found and what is allowed: unknown keys, channels and effects,
-//! parameters outside their ranges, tones from half the rate up, rates that do not divide one another, effects that
-//! channels share and disagree about. Nothing is ignored silently. The lists in the messages, and the JSON Schema
+//! Refused with the file, the path inside it, the value found and the values allowed: unknown keys, channels and
+//! effects, parameters outside their ranges, tones from half the rate up, rates that do not divide one another, effects
+//! that channels share and disagree about. No input is ignored silently. The lists in the messages, and the JSON Schema
 //! ([`schema`], committed as `docs/sensor-model.schema.json`), come from [`crate::effects::registry`].
 //!
 //! A key that stands twice is refused: one of the two would be ignored.
 //!
-//! `provenance` (top level) may hold anything and is written back. `uncertainty` (per channel) has entries for N, B, K and bias,
-//! and a list `effects` beside the channel's effects: an object of the parameters of each whose uncertainty is known. An entry
-//! is `{"ci95": [low, high]}` or `{"upper_limit95": limit}`, in the parameter's unit.
+//! `provenance` (top level) may hold any value and is written back. `uncertainty` (per channel) has entries for N, B, K and bias,
+//! and a list `effects` beside the channel's effects: an object of the parameters of each whose uncertainty is known. An entry is
+//! `{"ci95": [low, high]}` or `{"upper_limit95": limit}`, in the parameter's unit.
 
 mod check;
 mod place;
@@ -43,28 +43,28 @@ const EFFECTS: &str = "effects";
 /// The triads that may carry effects.
 const TRIADS: [Triad; 4] = [Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gyro];
 
-/// Why a sensor model was refused.
+/// The reason why a sensor model was refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {
     /// The text is not JSON.
     #[error("{file} is not JSON: {source}")]
     Syntax {
-        /// Where the text came from.
+        /// The source of the text.
         file: String,
-        /// What the parser found, with line and column.
+        /// The error of the parser, with line and column.
         source: serde_json::Error,
     },
-    /// Something in it is not allowed.
+    /// A value in it is not allowed.
     #[error("{file}: {path}: found {found}; expected {expected}")]
     Content {
-        /// Where the text came from.
+        /// The source of the text.
         file: String,
         /// The place inside it, such as `channels.gyro_x.N`.
         path: String,
-        /// What stood there.
+        /// The value that was found.
         found: String,
-        /// What may stand there.
+        /// The values that are allowed.
         expected: String,
     },
 }
@@ -81,11 +81,11 @@ pub struct ChannelModel {
     pub k: f64,
     /// A constant, U.
     pub bias: Option<f64>,
-    /// Further error sources. Their order matters only among several of one kind: each has a random stream of its own, the
-    /// first, the second…
+    /// Further error sources. Their order matters only among several of one kind: each has a separate random stream, the first,
+    /// the second…
     pub effects: Vec<Arc<dyn Effect>>,
-    /// What is known about the parameters' accuracy: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`, and under
-    /// `effects` a list of objects, one for each of `effects`, such as `[{"tau_s": {"ci95": […]}}]`. Read and written by
+    /// The accuracy of the parameters: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`, and under `effects` a list
+    /// of objects, one for each of `effects`, such as `[{"tau_s": {"ci95": […]}}]`. Read and written by
     /// [`ChannelModel::interval`], [`ChannelModel::effect_interval`], [`ChannelModel::push_effect`] and their neighbours.
     pub uncertainty: Option<Map<String, Value>>,
 }
@@ -94,11 +94,12 @@ pub struct ChannelModel {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write models out")]
 pub struct TriadModel {
-    /// How its axes answer a motion.
+    /// The response of its axes to a motion.
     pub effects: Vec<Arc<dyn TriadEffect>>,
 }
 
-/// How a sensor makes its output of its own samples: the mean of the last `filter_window` of them, every n-th sent.
+/// How a sensor computes its output from its own samples: the mean of the last `filter_window` of them, every n-th
+/// sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_structs, reason = "the documented two keys")]
 pub struct Sampling {
@@ -121,7 +122,7 @@ impl Sampling {
     }
 }
 
-/// A sensor: what the simulator runs on.
+/// A sensor: the simulator's input.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[expect(clippy::exhaustive_structs, reason = "callers write models out")]
 pub struct SensorModel {
@@ -133,10 +134,9 @@ pub struct SensorModel {
     pub channels: BTreeMap<Channel, ChannelModel>,
     /// Effects on triads.
     pub triads: BTreeMap<Triad, TriadModel>,
-    /// Where it is given, N, B and K are the sensor's own, before its boxcar and decimation; else they are what is seen at
-    /// `rate_hz`.
+    /// If it is given, N, B and K are the sensor's own, before its boxcar and decimation; else they are those seen at `rate_hz`.
     pub sampling: Option<Sampling>,
-    /// Where the model comes from, in any form.
+    /// The source of the model, in any form.
     pub provenance: Option<Map<String, Value>>,
 }
 
@@ -323,7 +323,7 @@ mod tests {
             (of.effect_interval(1, "frequency_hz"), of.effect_interval(1, "amplitude")),
             (Some([6.9, 7.1]), None)
         );
-        // Whoever pushes an effect by itself does not make a file that cannot be read.
+        // A caller that pushes an effect directly does not make a file that cannot be read.
         of.effects.push(tone(9.0));
         assert_eq!(of.remove_effect(0), Some(tone(3.0)));
         assert_eq!(of.effect_interval(0, "frequency_hz"), Some([6.9, 7.1]));

@@ -13,7 +13,7 @@ pub(super) fn inside(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// What stands there, as far as a sentence can hold it.
+/// The value at the place, as far as a sentence can hold it.
 fn shown(value: &Value) -> String {
     const MOST: usize = 60;
     let text = value.to_string();

@@ -32,7 +32,7 @@ impl SensorModel {
     }
 
     /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages. Keys that stood twice
-    /// cannot be told any more.
+    /// can no longer be detected.
     ///
     /// # Errors
     /// [`ModelError`] with the place and what is allowed there.

@@ -18,7 +18,7 @@ impl Pool<'_> {
     }
 }
 
-/// Any number of a range; what a table cannot say (limits in order, jitter below a period) is kept too.
+/// Any number of a range; relations that a table cannot express (limits in order, jitter below a period) hold too.
 fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
     let unit = pool.unit();
     match (name, range) {
@@ -127,7 +127,7 @@ proptest! {
         let again = SensorModel::from_json(&text, "any.json").unwrap();
         prop_assert_eq!(&again, &model);
         prop_assert_eq!(serde_json::to_string_pretty(&again).unwrap(), text);
-        // Nothing of what was given is lost.
+        // No given value is lost.
         for (name, channel) in value["channels"].as_object().unwrap() {
             let written = serde_json::to_value(&model.channels[&Channel::from_name(name).unwrap()]).unwrap();
             for (effect, kept) in channel["effects"].as_array().unwrap().iter().zip(written["effects"].as_array().unwrap_or(&Vec::new())) {

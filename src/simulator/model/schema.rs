@@ -9,9 +9,9 @@ use serde_json::{Map, Value, json};
 
 /// The schema (draft 2020-12) of `docs/sensor-model.schema.json`.
 ///
-/// It says what a table of ranges can say; frequencies from half the rate up, rates that do not divide one another, limits
-/// in the wrong order, channels that disagree about a shared effect, keys that stand twice and uncertainties of what is not
-/// there are refused by the reader alone.
+/// It expresses what a table of ranges can express. The reader alone refuses these: frequencies from half the rate up, rates that
+/// do not divide one another, limits in the wrong order, channels that disagree about a shared effect, keys that stand twice, and
+/// uncertainties of absent parameters.
 #[must_use]
 pub fn schema() -> Value {
     let object = |properties: Map<String, Value>, required: &[&str]| json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false});

@@ -1,5 +1,5 @@
-//! What is known about the accuracy of a channel's parameters: entries for N, B, K and bias, and for the parameters of its
-//! effects, in a list beside the list of effects.
+//! The accuracy of a channel's parameters: entries for N, B, K and bias, and for the parameters of its effects, in a list beside
+//! the list of effects.
 //!
 //! ```json
 //! { "N": { "ci95": [1.1e-4, 1.3e-4] }, "K": { "upper_limit95": 3e-7 },
@@ -20,35 +20,35 @@ const INTERVAL: &str = "ci95";
 const LIMIT: &str = "upper_limit95";
 
 impl ChannelModel {
-    /// The 95 % interval of N, B, K or `bias`, from low to high, in the parameter's unit; None where none is stated.
+    /// The 95 % interval of N, B, K or `bias`, from low to high, in the parameter's unit; None if none is stated.
     #[must_use]
     pub fn interval(&self, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(parameter)?)
     }
 
-    /// The 95 % upper limit of N, B or K where the data does not support it; None where none is stated.
+    /// The 95 % upper limit of N, B or K if the data does not support it; None if none is stated.
     #[must_use]
     pub fn upper_limit(&self, parameter: &str) -> Option<f64> {
         self.uncertainty.as_ref()?.get(parameter)?.get(LIMIT)?.as_f64()
     }
 
     /// The 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], from low to high, in the
-    /// parameter's unit; None where none is stated.
+    /// parameter's unit; None if none is stated.
     #[must_use]
     pub fn effect_interval(&self, index: usize, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(EFFECTS)?.get(index)?.get(parameter)?)
     }
 
-    /// States the 95 % interval of N, B, K or `bias`, in the parameter's unit. One that is no interval of finite numbers states
-    /// nothing: a file could not hold it.
+    /// States the 95 % interval of N, B, K or `bias`, in the parameter's unit. A pair that is not an interval of finite numbers
+    /// is ignored: a file could not hold it.
     pub fn set_interval(&mut self, parameter: &str, ci95: [f64; 2]) {
         if sound(ci95) {
             self.uncertainty.get_or_insert_default().insert(parameter.to_owned(), json!({ INTERVAL: ci95 }));
         }
     }
 
-    /// States the 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], in the parameter's unit.
-    /// One that is no interval of finite numbers, or of an effect that is not there, states nothing.
+    /// States the 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], in the parameter's unit. A
+    /// pair that is not an interval of finite numbers is ignored, and so is one for an absent effect.
     pub fn set_effect_interval(&mut self, index: usize, parameter: &str, ci95: [f64; 2]) {
         if !sound(ci95) || index >= self.effects.len() {
             return;
@@ -69,7 +69,7 @@ impl ChannelModel {
         }
     }
 
-    /// Takes the effect at `index` out, with what is stated about it; None where there is none.
+    /// Removes the effect at `index`, with its stated uncertainties; None if there is none.
     pub fn remove_effect(&mut self, index: usize) -> Option<Arc<dyn Effect>> {
         if index >= self.effects.len() {
             return None;
@@ -81,7 +81,8 @@ impl ChannelModel {
         Some(self.effects.remove(index))
     }
 
-    /// What is written: the list of the effects' entries is as long as that of the effects, whoever added or took away any.
+    /// The uncertainty as written: the list of the effects' entries is as long as that of the effects, after any additions and
+    /// removals.
     pub(super) fn written_uncertainty(&self) -> Option<Map<String, Value>> {
         let mut known = self.uncertainty.clone()?;
         match known.get_mut(EFFECTS) {

@@ -26,7 +26,7 @@ pub(super) fn parse(text: &str) -> Result<Result<Value, Twice>, serde_json::Erro
     Ok(twice.into_inner().map_or(Ok(value), Err))
 }
 
-/// A value to come, where it stands, and where a key is noted that stands twice.
+/// A value to come, its place, and the record of a key that stands twice.
 struct Node<'a> {
     path: String,
     twice: &'a RefCell<Option<Twice>>,

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// The sensor's time from one sample to the next.
 const PERIOD_NS: u64 = 25_000_000;
 
-/// A capture as what was sent makes it. Its samples' values follow from their numbers.
+/// A capture that contains what was sent. Its samples' values follow from their numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Capture {
     pub(super) samples: u64,
@@ -32,7 +32,7 @@ impl Capture {
         }
     }
 
-    /// The records that come next: a gap of that many before them, or none, then samples, then duplicates.
+    /// The records that come next: a gap of `missing` samples or none, then samples, then duplicates.
     pub(super) fn next(&self, missing: u64, samples: u64, duplicates: u64) -> Vec<Record> {
         let mut records = Vec::new();
         let mut number = self.segments.len() as u32;
@@ -75,7 +75,7 @@ impl Capture {
     }
 }
 
-/// What one can read: the captures that are shown, and the jobs over them with their state and their checkpoint.
+/// What a reader sees: the visible captures, and the jobs over them with their state and their checkpoint.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Content {
     pub(super) captures: BTreeMap<i64, Capture>,
@@ -83,7 +83,7 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// What a start makes of it: nobody works on a job any more.
+    /// The content after a start: no job is being worked on.
     pub(super) fn after_start(mut self) -> Self {
         self.jobs.values_mut().filter(|job| job.1 == JobState::Running).for_each(|job| job.1 = JobState::Queued);
         self
@@ -94,7 +94,7 @@ impl Content {
     }
 }
 
-/// What is on the disk.
+/// The files on the disk.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Files {
     pub(super) database: Vec<u8>,
@@ -102,26 +102,26 @@ pub(super) struct Files {
     pub(super) lock: Vec<u8>,
 }
 
-/// SQLite's log begins with a header of so many bytes, which is synced before what follows it.
+/// Bytes of the header of SQLite's log, which is synced before what follows it.
 const HEADER: usize = 32;
 const PAGE: usize = 4096;
 
-/// An instant at which the power may go between two states of the disk.
+/// An instant between two states of the disk at which the power may fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Instant {
-    /// The log starts again, and only half of its header is written.
+    /// The log restarts, and only half of its header is written.
     Header,
     /// The log is being written, and not yet synced.
     Log,
     /// The log is synced and is being copied into the file.
     Copy,
-    /// Everything is done.
+    /// The step is complete.
     Done,
 }
 
 impl Files {
-    /// At which instants between `self`, which is synced, and `after` the power may go. With `one`, no more than one
-    /// transaction lies between them: only then it is known in which order log and file were written.
+    /// The instants between `self`, which is synced, and `after` at which the power may fail. With `one`, no more than
+    /// one transaction lies between them: only then is the order known in which log and file were written.
     pub(super) fn instants(&self, after: &Self, one: bool) -> Vec<Instant> {
         let mut instants = vec![Instant::Done];
         let (file, log) = (self.database != after.database, self.log != after.log);
@@ -138,8 +138,8 @@ impl Files {
         instants
     }
 
-    /// What a power loss at that instant leaves: of the pages that were not synced any mix of before, after, halves and
-    /// garbage.
+    /// The remains of a power loss at that instant. The pages that were not synced are any mix of before, after, halves
+    /// and garbage.
     pub(super) fn lost(&self, after: &Self, at: Instant, random: &mut impl RngExt) -> Self {
         match at {
             Instant::Header => {
@@ -160,7 +160,7 @@ impl Files {
 }
 
 fn mixed(before: &[u8], after: &[u8], random: &mut impl RngExt) -> Vec<u8> {
-    // The writes came in order up to some byte, or the pages reached the disk in any order.
+    // Either the writes came in order up to some byte, or the pages reached the disk in any order.
     let kind = random.random_range(0..6_u32).saturating_sub(2);
     let same = before.iter().zip(after).take_while(|(old, new)| old == new).count();
     let cut = random.random_range(same..=after.len());

@@ -1,11 +1,11 @@
-//! Cells: the rows on a page of a database, every index and length checked before it is believed.
+//! Cells: the rows on a page of a database. Every index and length is checked before it is used.
 //!
 //! # Source
 //! "Database File Format", sqlite.org/fileformat2.html: b-tree pages (1.6), the record format (2.1).
 
 use super::image::{Image, u32_at};
 
-/// Longest chain of overflow pages that is followed: registers and results stay far below.
+/// The longest chain of overflow pages that is followed; registers and results stay far below.
 const OVERFLOW_MAX: usize = 4096;
 
 /// A stored value.
@@ -47,7 +47,7 @@ pub(super) enum Kind {
     IndexInterior,
 }
 
-/// What a b-tree page holds.
+/// The content of a b-tree page.
 #[derive(Debug)]
 pub(super) struct Page {
     pub(super) kind: Kind,
@@ -59,7 +59,7 @@ pub(super) struct Page {
     pub(super) damaged: u64,
 }
 
-/// Reads a page; `None` where it is no b-tree page.
+/// Reads a page; `None` if it is no b-tree page.
 pub(super) fn parse(image: &Image, number: u32) -> Option<Page> {
     let bytes = image.page(number)?;
     let at = if number == 1 { 100 } else { 0 };
@@ -88,7 +88,7 @@ pub(super) fn parse(image: &Image, number: u32) -> Option<Page> {
     Some(page)
 }
 
-/// One cell: a row, none (in an interior table page), or `None` where it makes no sense.
+/// Reads one cell: a row, no row (in an interior table page), or `None` if it is invalid.
 #[expect(clippy::option_option, reason = "outer: whether it can be read; inner: whether it holds a row")]
 fn read_cell(
     image: &Image,

@@ -1,8 +1,10 @@
-//! Image: the pages of a database file as its last commit left them, log included, read without SQLite and without a write.
+//! Image: the pages of a database file as its last commit left them, including the log, read without SQLite and without
+//! a write.
 //!
 //! # Source
 //! "Database File Format", sqlite.org/fileformat2.html: the header (1.3), the write-ahead log (4). In the log a frame's
-//! checksum goes on from the one before; taken from that frame's header, not computed, a damaged frame is left out alone.
+//! checksum continues from the one before. It is taken from that frame's header, not computed, so that only the damaged
+//! frame is skipped.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,19 +14,19 @@ use std::path::Path;
 
 const LOG_HEADER: usize = 32;
 const FRAME_HEADER: usize = 24;
-/// Where the header is damaged: SQLite's default, which this program never changes.
+/// The page size if the header is damaged: SQLite's default, which this program never changes.
 const PAGE_SIZE: usize = 4096;
 
-/// A database file and what its log has newer.
+/// A database file and the newer pages in its log.
 #[derive(Debug)]
 pub(super) struct Image {
     file: File,
     log: Option<File>,
-    /// Pages whose newest committed version is in the log, and where.
+    /// Pages whose newest committed version is in the log, and its offset there.
     newer: BTreeMap<u32, u64>,
     pub(super) page_size: usize,
     pub(super) pages: u32,
-    /// Frames of the log that are not what was written.
+    /// Frames of the log that fail their checksum.
     pub(super) damaged_frames: u64,
 }
 
@@ -52,7 +54,7 @@ impl Image {
         Ok(image)
     }
 
-    /// Notes where the log has newer pages, up to the last whole commit.
+    /// Records where the log has newer pages, up to the last complete commit.
     fn take_log(&mut self, log: File) -> io::Result<()> {
         let length = log.metadata()?.len();
         let mut header = [0; LOG_HEADER];
@@ -78,7 +80,7 @@ impl Image {
         let mut at = LOG_HEADER as u64;
         while at + frame.len() as u64 <= length {
             log.read_exact_at(&mut frame, at)?;
-            // Frames of an earlier turn of the log follow its end.
+            // Frames of an earlier cycle of the log follow its end.
             if [u32_at(&frame, 8), u32_at(&frame, 12)] != salts {
                 break;
             }
@@ -102,7 +104,7 @@ impl Image {
         Ok(())
     }
 
-    /// A page, counted from 1; `None` where it cannot be read.
+    /// A page, counted from 1; `None` if it cannot be read.
     pub(super) fn page(&self, number: u32) -> Option<Vec<u8>> {
         if number == 0 {
             return None;
@@ -123,7 +125,7 @@ pub(super) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     bytes.get(at..at + 4).and_then(|four| four.try_into().ok()).map_or(0, u32::from_be_bytes)
 }
 
-/// The log's checksum (fileformat2, 4.2): over pairs of 32-bit words in the byte order that the header tells.
+/// The log's checksum (fileformat2, 4.2): over pairs of 32-bit words in the byte order that the header states.
 fn checksum(bytes: &[u8], seed: [u32; 2], big_endian: bool) -> [u32; 2] {
     let [mut s0, mut s1] = seed;
     for pair in bytes.chunks_exact(8) {

@@ -1,10 +1,10 @@
-//! Recover: a new database with everything that is intact in a damaged one, which is only read.
+//! Recovery: a new database with everything that is intact in a damaged one, which is only read.
 //!
-//! The pages are read without SQLite, so that a damaged page costs what stood on it and nothing else. A batch is taken where
-//! all its rows are there and give its checksum; samples of no batch (written by older versions, or the batch's own row is
-//! lost) are taken as they are and counted apart. What is lost becomes a gap (cause `source`), so that the accounting of the
-//! new database is right; samples are numbered anew, because `seq` has no holes. Jobs and results are not taken along: they
-//! can be computed again.
+//! The pages are read without SQLite, so that a damaged page costs only its own content. A batch is taken if all its
+//! rows are present and match its checksum. Samples of no batch (written by older versions, or the batch's own row is
+//! lost) are taken as they are and counted separately. Lost samples become a gap (cause `source`), so that the
+//! accounting of the new database is right. Samples are renumbered, because `seq` has no holes. Jobs and results are
+//! not copied: they can be computed again.
 
 mod cells;
 mod image;
@@ -30,14 +30,14 @@ use std::path::{Path, PathBuf};
 
 /// Records written in one transaction.
 const STEP: usize = 4000;
-/// Samples of no batch that are looked at together.
+/// Samples of no batch that are examined together.
 const PIECE: i64 = 4096;
-/// So many contested places of a batch are tried both ways.
+/// The number of contested places of a batch for which both versions are tried.
 const CONTESTED: usize = 8;
 /// Lost batches that are listed for each capture.
 const LISTED: usize = 1000;
 
-/// What became of one capture.
+/// The outcome for one capture.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
 pub struct RecoveredCapture {
     /// Its id, before and after.
@@ -46,7 +46,7 @@ pub struct RecoveredCapture {
     pub name: String,
     /// Samples in the new database.
     pub samples: u64,
-    /// Of these, samples that no checksum vouches for.
+    /// Of these, samples that no checksum covers.
     pub without_checksum: u64,
     /// Samples that are lost.
     pub samples_lost: u64,
@@ -56,9 +56,9 @@ pub struct RecoveredCapture {
     pub batches_lost: u64,
     /// First and last `seq`, in the damaged database, of batches that are lost; the first thousand.
     pub lost: Vec<(i64, i64)>,
-    /// Gaps taken; those that stand for lost samples are not among them.
+    /// Gaps taken, without those that stand for lost samples.
     pub gaps: u64,
-    /// Gaps lost, as far as the capture's own count tells.
+    /// Gaps lost, as far as the capture's own count shows.
     pub gaps_lost: u64,
     /// Events taken.
     pub events: u64,
@@ -66,7 +66,7 @@ pub struct RecoveredCapture {
     pub segments_lost: u64,
 }
 
-/// What a recovery came to.
+/// The outcome of a recovery.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecoverReport {
     /// The damaged database.
@@ -81,7 +81,7 @@ pub struct RecoverReport {
     pub damaged_rows: u64,
     /// Frames of the log that are not what was written.
     pub damaged_frames: u64,
-    /// What a check of the damaged database finds, also where no row was lost by it.
+    /// The findings of a check of the damaged database, also if no row was lost.
     pub findings: Vec<Finding>,
 }
 
@@ -100,8 +100,8 @@ impl RecoverReport {
 /// Salvages the database at `path` into a new one at `out`.
 ///
 /// # Errors
-/// [`StoreError::NoDatabase`], [`StoreError::Locked`] where a daemon writes it, [`StoreError::Exists`], or why the new
-/// database cannot be written.
+/// [`StoreError::NoDatabase`], [`StoreError::Locked`] if a daemon writes it, [`StoreError::Exists`], or the reason why
+/// the new database cannot be written.
 pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, StoreError> {
     if !path.is_file() {
         return Err(StoreError::NoDatabase { path: path.to_owned() });
@@ -121,7 +121,7 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
         damaged_pages: salvage.damaged_pages,
         damaged_rows: salvage.damaged_rows,
         damaged_frames: salvage.image.damaged_frames,
-        // Another schema than this one's is no damage.
+        // A schema version other than this program's is no damage.
         findings: check(path).map_or_else(|_| Vec::new(), |report| report.findings),
     };
     let mut ids: std::collections::BTreeSet<i64> = salvage.captures.keys().copied().collect();
@@ -139,7 +139,7 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
     Ok(report)
 }
 
-/// One capture on its way into the new database.
+/// One capture that is being copied into the new database.
 struct Rebuilt<'a> {
     connection: &'a mut Connection,
     salvage: &'a mut Salvage,
@@ -155,7 +155,7 @@ struct Rebuilt<'a> {
     segment: Option<(i64, Segment)>,
     next_seq: u64,
     segments: u32,
-    /// From which old `seq` on the new one is how much less.
+    /// By how much the new `seq` is less than the old one, from which old `seq` on.
     shifts: Vec<(i64, i64)>,
 }
 
@@ -256,7 +256,7 @@ impl<'a> Rebuilt<'a> {
         Ok(())
     }
 
-    /// Samples that no batch vouches for.
+    /// Copies samples that no batch covers.
     fn uncovered(&mut self, from: i64, to: i64) -> Result<(), StoreError> {
         let mut at = from;
         while at < to {
@@ -315,8 +315,8 @@ impl<'a> Rebuilt<'a> {
         self.push(record)
     }
 
-    /// What is lost between the last sample and this one: counted by the sensor's clock where it spans the hole, else by
-    /// the numbers.
+    /// The samples lost between the last sample and this one: counted by the sensor's clock if it spans the hole, else
+    /// by the numbers.
     fn lost_before(&self, row: &StoredRow, segment: &Segment, known: u64) -> Option<Gap> {
         let last = self.last.as_ref()?;
         let (_, before) = self.segment.as_ref()?;
@@ -327,7 +327,7 @@ impl<'a> Rebuilt<'a> {
             let periods = (to - from) as f64 * segment.rate_hz / NANOS_PER_SECOND as f64;
             (periods.round() as u64).saturating_sub(1 + known)
         });
-        // Within a segment nothing is missing, whatever the clock's rounding.
+        // Within a segment no sample is missing, regardless of the clock's rounding.
         let contiguous = by_number == 0 && before.number == self.segments && self.segment.as_ref()?.0 == row.segment_id;
         let missing = by_clock.unwrap_or(by_number);
         (missing > 0 && !contiguous).then(|| Gap {
@@ -341,7 +341,7 @@ impl<'a> Rebuilt<'a> {
         })
     }
 
-    /// Samples lost before the first that is there.
+    /// The samples lost before the first one present.
     fn leading_gap(&self, row: &StoredRow) -> Gap {
         let started = self.integer(8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
         Gap {
@@ -355,7 +355,7 @@ impl<'a> Rebuilt<'a> {
         }
     }
 
-    /// The segment of a sample as its row says; made up where that is lost.
+    /// The segment that a sample's row names; a new one is made up if it is lost.
     fn segment_of(&mut self, row: &StoredRow) -> Segment {
         let id = self.report.id;
         if let Some(found) = self.salvage.segments.get(&id).and_then(|segments| segments.get(&row.segment_id)) {
@@ -376,7 +376,7 @@ impl<'a> Rebuilt<'a> {
         let channels = Channel::ALL.into_iter().zip(row.values).filter(|(_, value)| value.is_some());
         Segment {
             number: 0,
-            // Not to be joined to what stands before: nothing tells that the sensor's clock ran on.
+            // It must not be joined to what precedes it: nothing shows that the sensor's clock ran on.
             epoch: like.as_ref().map_or(1, |segment| segment.epoch + 1),
             first_seq: 0,
             rate_hz: like.map_or_else(|| self.rate_after(row), |segment| segment.rate_hz),
@@ -436,7 +436,7 @@ impl<'a> Rebuilt<'a> {
         let trailing: Vec<Gap> = self.next_gap.take().into_iter().chain(self.gaps.by_ref()).collect();
         if let Some((last, (_, segment))) = self.last.zip(self.segment.clone()) {
             let lost = (self.end - 1 - last.seq).max(0) as u64;
-            // A capture that goes on measures again what it lacks since its last sample.
+            // A capture that continues measures again what it lacks since its last sample.
             let lost = Gap {
                 before_seq: self.next_seq,
                 from_utc_ns: last.host_utc_ns,
@@ -510,13 +510,13 @@ impl<'a> Rebuilt<'a> {
     }
 }
 
-/// The batch's rows, where they are all there and give its checksum; of rows that claim the same place each is tried.
+/// The batch's rows, if all are present and match its checksum. If several rows claim the same place, each is tried.
 fn intact(batch: &BatchRow, rows: &BTreeMap<i64, Vec<StoredRow>>) -> Option<Vec<StoredRow>> {
     if rows.len() as i64 != batch.count {
         return None;
     }
     let contested = rows.values().filter(|versions| versions.len() > 1).count();
-    // The bits of `choice` say for each contested place whether its first or its last version is taken.
+    // Each bit of `choice` selects the first or the last version for one contested place.
     for choice in 0..1_u32 << contested.min(CONTESTED) {
         let mut bit = 0;
         let mut run = Run::new(batch.first_seq);

@@ -1,7 +1,7 @@
-//! Salvage: what the pages of a damaged database still hold, table by table.
+//! Salvage: reads what the pages of a damaged database still hold, table by table.
 //!
-//! A page's table is known from the tree it hangs in; where the way to it is destroyed, from what its rows look like. Rows
-//! of small tables are kept, of samples only where they lie.
+//! The table of a page is known from the tree that contains it, or from the form of its rows if the path to it is
+//! destroyed. Rows of small tables are kept; of samples only the places are kept.
 
 use super::super::batch::{BatchRow, StoredRow};
 use super::cells::{Kind, Page, Value, parse};
@@ -9,13 +9,13 @@ use super::image::{Image, u32_at};
 use crate::sample::{Channel, DiscardCause, GapCause};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Pages whose rows are kept at hand.
+/// Pages whose rows are cached.
 const CACHED: usize = 64;
 
 /// A row by its row id and columns.
 pub(super) type Row = Vec<Value>;
 
-/// Where samples of one capture lie.
+/// The places of the samples of one capture.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     /// First and last `seq` on a leaf page, and the page; sorted.
@@ -24,7 +24,7 @@ pub(super) struct Places {
     single: BTreeMap<i64, u32>,
 }
 
-/// Everything that was found.
+/// Everything that was found in the file.
 #[derive(Debug)]
 pub(super) struct Salvage {
     pub(super) image: Image,
@@ -71,7 +71,7 @@ impl Salvage {
             match parse(&salvage.image, number) {
                 Some(page) => salvage.take(number, page, owner),
                 None if owner.is_some_and(|owner| owner != "index") => salvage.damaged_pages += 1,
-                // An overflow page, or one that is so damaged that nothing tells.
+                // An overflow page, or one so damaged that its type cannot be determined.
                 None => {}
             }
         }
@@ -110,7 +110,7 @@ impl Salvage {
         owners
     }
 
-    /// Visits the pages of a tree; `visit` answers whether a page is new.
+    /// Visits the pages of a tree; `visit` returns whether a page is new.
     fn walk(&self, root: u32, visit: &mut impl FnMut(u32) -> bool) {
         let mut todo = vec![root];
         while let Some(number) = todo.pop() {
@@ -123,7 +123,7 @@ impl Salvage {
         }
     }
 
-    /// Pages that are free: what stands there was deleted (fileformat2, 1.5).
+    /// Free pages: their content was deleted (fileformat2, 1.5).
     fn free_pages(&self) -> BTreeSet<u32> {
         let mut free = BTreeSet::new();
         let mut trunk = self.image.page(1).map_or(0, |page| u32_at(&page, 32));
@@ -186,11 +186,11 @@ impl Salvage {
         }
     }
 
-    /// The samples of `first..end` that can be read, by `seq`; several versions where a damaged row claims another's place.
+    /// The readable samples of `first..end`, by `seq`; several versions if a damaged row claims another's place.
     pub(super) fn samples(&mut self, capture: i64, first: i64, end: i64) -> BTreeMap<i64, Vec<StoredRow>> {
         let mut pages = BTreeSet::new();
         if let Some(places) = self.places.get(&capture) {
-            // Leaves do not overlap but for stale ones: those that begin before `first` may reach into the range.
+            // Leaves do not overlap, except stale ones: those that begin before `first` may reach into the range.
             let from = places.leaves.partition_point(|leaf| leaf.0 < first);
             let before = places.leaves[..from].iter().rev().take(8).filter(|leaf| leaf.1 >= first);
             pages.extend(before.map(|leaf| leaf.2));
@@ -222,7 +222,7 @@ impl Salvage {
         })
     }
 
-    /// `seq` after the last sample that lies anywhere.
+    /// The `seq` after the last sample found.
     pub(super) fn end_of(&self, capture: i64) -> i64 {
         let Some(places) = self.places.get(&capture) else { return 0 };
         let leaf = places.leaves.iter().map(|leaf| leaf.1 + 1).max().unwrap_or(0);
@@ -255,7 +255,7 @@ fn batch_of(row: &[Value]) -> Option<BatchRow> {
     let integers: Vec<i64> = row.iter().map(Value::integer).collect::<Option<_>>()?;
     let [capture_id, first_seq, count, _, crc] = integers[..] else { return None };
     let crc = u32::try_from(crc).ok()?;
-    // A batch is a commit's or an import's step: never this large.
+    // A batch is a commit's or an import's step and never this large.
     ((1..1_000_000).contains(&count) && first_seq >= 0).then_some(BatchRow { capture_id, first_seq, count, crc })
 }
 

@@ -1,5 +1,5 @@
-//! Failures of the writer: what an error says of the disk or the file, and what the writer does about it: it waits and tries
-//! again, closes the connection that is in doubt, or ends the writing of a damaged database.
+//! Failures of the writer: what an error reveals about the disk or the file, and the reaction to it. The writer waits
+//! and tries again, closes the connection that is in doubt, or ends the writing of a damaged database.
 
 use super::super::damage::Damage;
 use super::super::progress::{IO_FAILURES, locked};
@@ -12,12 +12,12 @@ use tokio::time::Instant;
 
 /// First and longest delay before a failed commit is tried again.
 pub(super) const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(1));
-/// The same after an I/O error: with the third the process ends, so that a disk which recovers has some seconds.
+/// The same after an I/O error: the third error ends the process, so that a disk which recovers has some seconds.
 const RETRY_IO: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 /// Less free space than this explains an error that does not name its cause.
 const NO_SPACE_BYTES: u64 = 1 << 20;
 
-/// A storage error, apart from its typed origin.
+/// A storage error, without its typed origin.
 #[derive(Debug, Clone)]
 pub(in crate::store) struct Failure {
     pub(in crate::store) state: StorageState,
@@ -39,7 +39,7 @@ impl Failure {
     }
 }
 
-/// Whether the error says something about the disk rather than about what was asked.
+/// Whether the error concerns the disk rather than the request.
 pub(in crate::store) fn concerns_storage(error: &StoreError) -> bool {
     use rusqlite::ErrorCode as Code;
     matches!(error, StoreError::Sqlite(error) if matches!(
@@ -50,8 +50,8 @@ pub(in crate::store) fn concerns_storage(error: &StoreError) -> bool {
         || error.is_damage()
 }
 
-/// Whether the disk only failed to give what was asked: nothing was written, and what was is in no doubt. In the middle of
-/// a statement SQLite says of a read's EIO that the database is damaged instead.
+/// Whether the disk only failed to read: nothing was written, and earlier writes are not in doubt. In the middle of a
+/// statement SQLite instead reports a read's EIO as a damaged database.
 pub(super) fn only_reading_failed(error: &StoreError) -> bool {
     use rusqlite::ffi::{SQLITE_IOERR_CORRUPTFS, SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ};
     const READING: [i32; 3] = [SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ, SQLITE_IOERR_CORRUPTFS];
@@ -59,7 +59,7 @@ pub(super) fn only_reading_failed(error: &StoreError) -> bool {
 }
 
 impl Writer {
-    /// A reader met damage: that counts also while the disk refuses, but not of a file that is gone.
+    /// A reader found damage. This also counts while the disk refuses writes, but not for a file that is gone.
     pub(in crate::store) fn take_report(&mut self, failure: Failure) {
         if self.damage.is_none() && !self.file.is_lost(&self.path) {
             self.fail(failure);
@@ -123,19 +123,19 @@ impl Writer {
         progress.error = Some(failure.text);
     }
 
-    /// Closes the connection after an error that leaves it in doubt: the next one who needs it opens and checks the file.
+    /// Closes the connection after an error that leaves it in doubt; its next user opens and checks the file.
     pub(super) fn close_after(&mut self, state: StorageState) {
         if let Some(connection) = self.connection.take() {
-            // Should the file be replaced before it is opened again, they go on in the other one.
+            // If the file is replaced before it is reopened, the captures continue in the replacement.
             self.lost.note(&connection);
             self.file.close(&self.path, connection);
         }
         self.suspect |= state == StorageState::StorageError;
     }
 
-    /// Remembers damage for the next start. SQLite calls a page that cannot be read corrupt too (`SQLITE_IOERR_CORRUPTFS`
-    /// becomes `SQLITE_CORRUPT`): where not even the mark can be written it is the disk that has gone, and it may come back
-    /// whole.
+    /// Records damage for the next start. SQLite also reports a page that cannot be read as corrupt
+    /// (`SQLITE_IOERR_CORRUPTFS` becomes `SQLITE_CORRUPT`). If not even the mark can be written, the disk has gone, and
+    /// it may come back intact.
     fn mark_damaged(&self, damage: &Damage) -> std::io::Result<()> {
         match damage {
             Damage::Met(report) => self.lock.mark_damaged(&self.identity, report),
@@ -143,10 +143,10 @@ impl Writer {
         }
     }
 
-    /// The database is damaged: from now on nothing is written to it, by this process or the next.
+    /// Ends the writing of a damaged database, by this process and the next.
     fn give_up(&mut self, damage: Damage) {
         if let Some(connection) = self.connection.take() {
-            // Closing would copy the log into the file: both stay as they are, for whoever salvages them.
+            // Closing would copy the log into the file. Both stay as they are for a later recovery.
             if let Err(error) = schema::keep_log(&connection, true) {
                 tracing::warn!(message = "The log may be copied into the damaged file.", %error);
             }
@@ -162,7 +162,7 @@ impl Writer {
         progress.damaged = true;
     }
 
-    /// What an I/O error comes from, as the system says it of a small write beside the database.
+    /// Determines the cause of an I/O error with a small write beside the database.
     fn cause(&self) -> StorageState {
         let full = || lock::free_bytes(&self.path).is_ok_and(|free| free < NO_SPACE_BYTES);
         match self.remember().map(|error| error.kind()) {
@@ -173,7 +173,7 @@ impl Writer {
         }
     }
 
-    /// How the thread ends where the database is damaged.
+    /// How the thread ends if the database is damaged.
     pub(super) fn stop_damaged(&mut self) -> Result<(), StoreError> {
         let records = self.batch.len() + self.records.len();
         if records > 0 {

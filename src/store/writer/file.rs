@@ -1,4 +1,5 @@
-//! What the writer asks of the database file itself: which one it is, how far it has come, whether it is sound and durable.
+//! The writer's queries about the database file itself: its identity, its last batch, and whether it is sound and
+//! durable.
 
 use super::super::insert::Inserted;
 use super::super::{StoreError, schema};
@@ -15,7 +16,7 @@ pub(super) fn last_batch(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.query_row("SELECT batch FROM writer", [], |row| row.get(0))?)
 }
 
-/// What a batch that turned out to be there has left in the captures.
+/// The effect on the captures of a batch that turned out to be on disk.
 pub(super) fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> Result<Inserted, StoreError> {
     let mut inserted = Inserted::default();
     let captures: std::collections::BTreeSet<i64> = batch.iter().map(|(id, _)| *id).collect();
@@ -32,8 +33,8 @@ pub(super) fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> 
     Ok(inserted)
 }
 
-/// Makes what is committed durable without trusting an fsync that has failed before: the log's pages are copied into the
-/// file, which is synced. Where a reader prevents that the log is written over itself, byte by byte the same, which makes
+/// Makes committed data durable without trusting an fsync that has failed before. The log's pages are copied into the
+/// file, which is synced. If a reader prevents that, the log is written over itself, byte by byte the same, which makes
 /// its pages dirty again, and synced.
 pub(super) fn make_durable(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     let (log, copied): (i64, i64) =
@@ -71,7 +72,7 @@ pub(in crate::store) fn one_line(report: &str) -> String {
     report.trim_start_matches("*** in database main ***").trim().replace('\n', "; ")
 }
 
-/// SQLite's quick check; one that takes longer than `limit` is given up and taken as passed.
+/// Runs SQLite's quick check; a check that takes longer than `limit` is abandoned and counts as passed.
 pub(in crate::store) fn quick_check(connection: &Connection, limit: Duration) -> Result<(), StoreError> {
     let until = std::time::Instant::now() + limit;
     connection.progress_handler(100_000, Some(move || std::time::Instant::now() > until))?;

@@ -1,4 +1,4 @@
-//! For tests: the writer without its thread, and failures that the disk did not have.
+//! For tests: the writer without its thread, and simulated failures of the disk.
 
 use super::super::progress::locked;
 use super::{Failure, Writer};
@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 impl Writer {
-    /// Writes the records and behaves as if the commit had reported an error.
+    /// Writes the records and behaves as if the commit had returned an error.
     pub(in crate::store) fn pretend_failed_commit(&mut self, records: Vec<(i64, Record)>) {
         self.batch = records;
         self.write_batch().unwrap();
@@ -29,7 +29,7 @@ impl Writer {
         self.lock.file = std::fs::File::open(lock).unwrap();
     }
 
-    /// Commits the records at the first attempt that succeeds; answers how many failed.
+    /// Commits the records at the first attempt that succeeds; returns how many failed.
     pub(in crate::store) fn write_now(&mut self, records: impl IntoIterator<Item = (i64, Record)>) -> usize {
         self.batch.extend(records);
         for failed in 0..5 {
@@ -41,13 +41,13 @@ impl Writer {
         panic!("{:?}", locked(&self.progress));
     }
 
-    /// Tries a step of correcting civil times; answers when the next one is due.
+    /// Tries a step of correcting civil times; returns when the next one is due.
     pub(in crate::store) fn correct_now(&mut self) -> Option<Duration> {
         self.correct_times();
         self.correcting.map(|at| at - Instant::now())
     }
 
-    /// Looks whether the path still names the open file.
+    /// Checks whether the path still names the open file.
     pub(in crate::store) fn check_now(&mut self) {
         self.check_file();
     }

@@ -3,7 +3,8 @@
 use realfft::RealFftPlanner;
 use std::f64::consts::PI;
 
-/// Squares of a course's orthonormal DCT-II coefficients 1 to n − 1, in the square of its unit. The mean, which nobody compares, is left out.
+/// Squares of a course's orthonormal DCT-II coefficients 1 to n − 1, in the square of its unit. The mean, which is not compared,
+/// is left out.
 ///
 /// # Source
 /// J. Makhoul, IEEE Trans. ASSP 28 (1980) 27: the DCT-II of n samples is the Fourier transform of the 2n samples that are
@@ -40,7 +41,8 @@ pub(super) fn step(into: &mut [f64], at: f64, size: f64) {
     into[from..].iter_mut().for_each(|value| *value += size);
 }
 
-/// Density of white noise of variance 1 per sample with flicker of level `b` and a walk of steps `k`, both in its standard deviation.
+/// Density of white noise of variance 1 per sample with flicker of level `b` and a walk of steps `k`, both in its
+/// standard deviation.
 ///
 /// # Source
 /// B²/(2πf), (K/2πf)², per sample; a walk's 1/(4 sin² πf) is exact in the DCT-II.

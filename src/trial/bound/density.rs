@@ -1,10 +1,10 @@
-//! Additive noise with a density of its own: Whittle's likelihood.
+//! Additive noise with a separate density: Whittle's likelihood.
 
 use std::f64::consts::{PI, TAU};
 
 /// Points of the integral over the whole band, evenly spread in the logarithm of the frequency, and about a peak.
 const POINTS: usize = 160;
-/// Halvings of what is between two bounds.
+/// Halvings of the interval between two bounds.
 const HALVINGS: usize = 30;
 
 /// Frequencies in cycles per sample from half the first coefficient of `samples` to ½, denser about a peak's middle and width.
@@ -14,7 +14,7 @@ pub(super) fn frequencies(samples: usize, peak: Option<(f64, f64)>) -> Vec<f64> 
     let mut found: Vec<f64> =
         (0..=POINTS).map(|point| from * (0.5 / from).powf(point as f64 / POINTS as f64)).collect();
     if let Some((middle, width)) = peak {
-        // Quantiles of Cauchy's law: as many points where a resonance has as much power.
+        // Quantiles of Cauchy's law: equal numbers of points for equal parts of a resonance's power.
         let about = (1..POINTS).map(|point| middle + 0.5 * width * (PI * (point as f64 / POINTS as f64 - 0.5)).tan());
         found.extend(about.filter(|cycles| (from..0.5).contains(cycles)));
         found.sort_by(f64::total_cmp);
@@ -35,7 +35,7 @@ fn integral(frequencies: &[f64], values: impl Fn(usize) -> f64) -> f64 {
         .sum()
 }
 
-/// Nats that noise of density `added` on top of `base` is worth where the white part's size has to be fitted, since no model has it
+/// Nats that noise of density `added` on top of `base` is worth if the white part's size has to be fitted, since no model has it
 /// right: n ∫₀^½ (ρ − 1 − ln ρ) df with ρ = (S₀ + A)/(S₀ + ν), least over ν ≥ 0. One value per frequency, per sample.
 ///
 /// # Source
@@ -58,9 +58,9 @@ pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f
     samples as f64 * integral(frequencies, divergence)
 }
 
-/// Nats that noise common to several channels is worth by what it makes them share: n ∫₀^½ [Σ ln(1 + aᵢ²/Sᵢ) − ln(1 + Σ aᵢ²/Sᵢ)] df,
-/// −½ ln det of the correlations of every coefficient. `ratios`: per channel aᵢ²/Sᵢ, one per frequency. What it adds to each
-/// channel by itself is worth nothing: the model's N is not that well known.
+/// Nats that noise common to several channels is worth through the correlation between them: n ∫₀^½ [Σ ln(1 + aᵢ²/Sᵢ) − ln(1 + Σ
+/// aᵢ²/Sᵢ)] df, −½ ln det of the correlations of every coefficient. `ratios`: per channel aᵢ²/Sᵢ, one per frequency. The noise
+/// that it adds to each channel by itself is worth 0 nats: the model's N is not that well known.
 ///
 /// # Source
 /// T. W. Anderson, *An Introduction to Multivariate Statistical Analysis* (2003), section 9.2: tests of independence; the

@@ -1,12 +1,12 @@
-//! Bounds: the size below which no test names an effect in 90 % of cases, however it looks.
+//! Bounds: the size below which no test, of any form, names an effect in 90 % of cases.
 //!
-//! An oracle knows which effect it may be, on which channels, and all of its parameters but whether it is there; of the noise it
-//! knows B and K, and fits N, which no model has right. By Neyman and Pearson's lemma nothing is found more often than by
-//! the likelihood ratio of the two. Where an effect is spread thin over many samples their logarithm is about normal under
-//! either, with means ∓G and variance 2G, G nats being expected of an effect that is there: it is found with probability
-//! Φ(√(2G) − z), where noise alone passes z as often as the diagnosis lets it name one kind on one channel of two
-//! ([`LEVEL`]). The bound is the size at which the mean over drawn devices, frequencies, times and channels is 0.9: those that
-//! the trial's cases are drawn from, at the study's length.
+//! An oracle knows which effect may be present, on which channels, and all of its parameters, but not whether it is present. It
+//! knows B and K of the noise, and fits N, which no model has right. By Neyman and Pearson's lemma, no test finds the effect more
+//! often than the likelihood ratio of the two hypotheses. If an effect is spread thin over many samples, the logarithm of that
+//! ratio is about normal under either hypothesis, with means ∓G and variance 2G; G is the expected gain in nats of an effect that
+//! is present. The effect is found with probability Φ(√(2G) − z). Noise alone passes z as often as the diagnosis may name one
+//! kind on one channel of two ([`LEVEL`]). The bound is the size at which the mean over drawn devices, frequencies, times and
+//! channels is 0.9: those that the trial's cases are drawn from, at the study's length.
 //!
 //! | kind | G, with σ = 1, S the density of noise, white, flicker and walk |
 //! |---|---|
@@ -18,11 +18,11 @@
 //! | bursts | ½ Σ L (s² − ln(1 + s²)), L the samples within |
 //! | heavy_tails | ½ I n/ν², I = 24/4² |
 //!
-//! The diagnosis knows none of that beforehand: it has to try frequencies, times and kinds, and pays for each. So the bound is what
-//! nobody can be better than, not what could be reached.
+//! The diagnosis does not know these parameters beforehand: it has to try frequencies, times and kinds, and pays for each. The
+//! bound is therefore a limit that no diagnosis can pass, not one that can be reached.
 //!
-//! Source: J. Neyman and E. S. Pearson, Phil. Trans. R. Soc. A 231 (1933) 289; L. Le Cam, Univ. Calif. Publ. Statist. 3 (1960) 37:
-//! local asymptotic normality.
+//! Source: J. Neyman and E. S. Pearson, Phil. Trans. R. Soc. A 231 (1933) 289; L. Le Cam, Univ. Calif. Publ. Statist. 3
+//! (1960) 37: local asymptotic normality.
 
 mod course;
 mod density;
@@ -39,20 +39,20 @@ use std::f64::consts::SQRT_2;
 
 /// Share of the cases that a bound finds.
 const FOUND: f64 = 0.9;
-/// Channels that are looked at in the study's cases.
+/// Channels that are examined in the study's cases.
 const CHANNELS: f64 = 2.0;
 /// Drawn devices per kind, and the seed of their draws: none of a trial's, whose purposes are other words.
 const DRAWS: u64 = 24;
 const SEED: u64 = 0;
-/// Halvings of what is between two sizes.
+/// Halvings of the interval between two sizes.
 const HALVINGS: usize = 32;
 /// Sizes that are tried lie so far to either side of the limit.
 const WIDE: f64 = 1e3;
 /// Fisher's information of 1/ν at 0 per sample: Student's t with its variance kept is φ (1 + He₄/(4ν) + …), and He₄ has variance
-/// 4! (Abramowitz and Stegun 26.7.5 gives the expansion). He₄ has nothing to do with the variance, which is fitted.
+/// 4! (Abramowitz and Stegun 26.7.5 gives the expansion). He₄ is orthogonal to the variance, which is fitted.
 const TAILS: f64 = 24.0 / 16.0;
 
-/// How seldom noise alone may be named as one kind on one channel.
+/// The probability with which noise alone may be named as one kind on one channel.
 #[must_use]
 pub fn level() -> f64 {
     Options::default().level / (CHANNELS * Kind::LIBRARY.len() as f64)
@@ -65,7 +65,7 @@ pub fn power(nats: f64) -> f64 {
     0.5 * erfc((threshold - (2.0 * nats.max(0.0)).sqrt()) / SQRT_2)
 }
 
-/// A bound, or why it has none.
+/// A bound, or the reason why there is none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::exhaustive_enums, reason = "its two answers")]
 pub enum Bound {
@@ -75,7 +75,7 @@ pub enum Bound {
     Meaningless(&'static str),
 }
 
-/// What an effect on the channels of one drawn device is worth as a function of its size over that drawn.
+/// The worth of an effect on the channels of one drawn device, as a function of its size over the size drawn.
 type Nats = Box<dyn Fn(f64) -> f64>;
 
 /// The bound of a kind of the library.
@@ -113,7 +113,7 @@ fn meaningless(kind: Kind) -> Option<&'static str> {
     })
 }
 
-/// One drawn device at the study's length: the drawn size over the limit, and what its effect is worth.
+/// One drawn device at the study's length: the drawn size over the limit, and the worth of its effect.
 fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
     let of = |purpose: &str| Draw::device(SEED, device, &format!("bound {purpose}"));
     let mut setting = Setting::draw(&[kind], &mut of("setting"));
@@ -272,7 +272,7 @@ fn common(parts: &[On]) -> Nats {
     })
 }
 
-/// What grows as the square of the size.
+/// The gain of effects whose gain grows as the square of the size.
 fn quadratic(nats: f64) -> Nats {
     Box::new(move |times| nats * times * times)
 }
@@ -282,7 +282,7 @@ fn louder(more: f64) -> f64 {
     more - more.ln_1p()
 }
 
-/// Nats of a record whose parts, given by share and log variance, differ, where the mean variance has to be fitted.
+/// Nats of a record whose parts, given by share and log variance, differ, if the mean variance has to be fitted.
 fn loudness(parts: &[(f64, f64)]) -> f64 {
     let middle: f64 = parts.iter().map(|(share, log)| share * log).sum();
     let mean: f64 = parts.iter().map(|(share, log)| share * (log - middle).exp()).sum();

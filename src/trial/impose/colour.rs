@@ -1,4 +1,4 @@
-//! Additive noise with a spectrum or a law of its own.
+//! Additive noise with a separate spectrum or law.
 
 use super::{Act, Made, Making, object};
 use crate::trial::columns::Columns;

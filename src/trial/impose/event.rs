@@ -8,7 +8,7 @@ use crate::trial::limit::{ABOVE, LEAST, LOUDEST, burst_limit};
 use serde_json::Value;
 use std::f64::consts::TAU;
 
-/// Typical sizes of spikes in σ, and the part of the cases with a single one.
+/// Typical sizes of spikes in σ, and the part of the cases with a single spike.
 const TYPICAL: [f64; 2] = [6.0, 2_000.0];
 const ALONE: f64 = 0.15;
 /// The size from which on a single one counts, σ: its least is 0.6 of that.
@@ -105,13 +105,14 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     };
     match making.kind {
         Kind::Spikes => {
-            // A single one is as sure as many where it stands far out.
+            // A single spike is as sure as many if it stands far out.
             let alone = making.device.chance(ALONE) && making.role.sense.is_in_sensor();
             let size = if alone { 1.0 / making.samples() } else { making.size() };
             let probability = size;
             let typical = making.device.log_uniform(TYPICAL[0], TYPICAL[1]);
             if alone {
-                // Among the noise of hundreds of thousands of samples one of a few standard deviations is nothing.
+                // Among the noise of hundreds of thousands of samples, one spike of a few standard deviations is not
+                // visible.
                 making.over = if typical > FAR { ABOVE } else { LEAST };
             }
             let sizes: Vec<f64> = whites.iter().map(|white| typical * white).collect();
@@ -126,7 +127,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             let lengths = [0.5 * rate_hz, longest * rate_hz];
             let mut intervals = stretches(&mut making.events, samples, count, lengths);
             if let Some((begin, length)) = intervals.last_mut().filter(|_| making.events.chance(TO_THE_END)) {
-                // In the second half: one that goes on through the whole record is N.
+                // In the second half: a burst that goes on through the whole record would be N.
                 *begin = (*begin + samples) / 2;
                 *length = samples - *begin;
             }

@@ -7,10 +7,11 @@ use crate::trial::kind::Kind;
 use crate::trial::limit::{ABOVE, CORNER};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Noise that comes after the filter, in units of the white part's standard deviation: no real filter is the last thing.
+/// Noise that comes after the filter, in units of the white part's standard deviation: in practice, a filter is never the last
+/// stage.
 const BEHIND: f64 = 0.03;
 
-/// What becomes of a channel.
+/// The change of a channel.
 #[derive(Debug, Clone, Copy)]
 enum Filter {
     /// Butterworth's: corner in cycles per sample, order 1 or 2.
@@ -24,7 +25,7 @@ enum Filter {
 #[derive(Debug)]
 struct Filtered {
     filter: Filter,
-    /// Standard deviation of what comes behind, U, per channel.
+    /// Standard deviation of the noise behind the filter, U, per channel.
     behind: Vec<f64>,
 }
 
@@ -43,7 +44,7 @@ impl Filter {
     fn apply(self, values: &mut [f64]) {
         let Some(first) = values.first().copied() else { return };
         match self {
-            // The bilinear transform, warped so that the corner is where it was asked.
+            // The bilinear transform, warped so that the corner is at the requested frequency.
             Self::Butterworth(corner, order) => {
                 let k = (PI * corner).tan();
                 let [b0, b1, b2, a1, a2] = if order == 1 {
@@ -82,7 +83,7 @@ impl Filter {
 pub(super) fn draw(making: &mut Making<'_>) -> Made {
     let whites: Vec<f64> = making.at.iter().map(|at| making.white(*at)).collect();
     let rate_hz = making.setting.rate_hz;
-    // A narrower one leaves nothing of another effect.
+    // A narrower filter would remove every other effect.
     let alone = making.role.of == 1;
     let (filter, behind, size, entry) = match making.kind {
         Kind::LowPass => {

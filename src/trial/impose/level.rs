@@ -1,4 +1,4 @@
-//! What shifts the level.
+//! Effects that shift the level.
 
 use super::{Act, Made, Making, object};
 use crate::trial::columns::Columns;

@@ -1,4 +1,4 @@
-//! Lines and what wanders like one.
+//! Lines and wandering lines.
 
 use super::{Act, Made, Making, object};
 use crate::trial::columns::Columns;

@@ -1,4 +1,4 @@
-//! What shapes the white part alone: its size over time or temperature, its law.
+//! Effects on the white part alone: its size over time or temperature, its law.
 
 use super::{Act, Made, Making, object, soft_window};
 use crate::trial::columns::Columns;
@@ -8,7 +8,7 @@ use crate::trial::limit::LOUDEST;
 use serde_json::{Value, json};
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
-/// Points of a profile as it is told.
+/// Points of a profile as it is stated.
 const POINTS: usize = 49;
 /// Part of an interval over which it sets in, and fades.
 const SOFT: f64 = 0.01;
@@ -67,7 +67,7 @@ impl Act for Loudness {
 }
 
 impl Gain {
-    /// The factor at a part of the record, for what depends on the time alone.
+    /// The factor at a part of the record, for factors that depend on the time alone.
     fn factor(self, part: f64) -> f64 {
         match self {
             Self::Interval(from, to, log) if (from..to).contains(&part) => {

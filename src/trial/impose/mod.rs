@@ -1,8 +1,8 @@
 //! Imposing: a kind of effect is drawn for a setting, and acts on columns of samples, made or recorded.
 //!
-//! The forms are on purpose not those that a diagnosis fits: sizes of spikes are evenly spread, resonances are AR(2), filters
-//! are Butterworth's with a little noise behind them, steps take some samples to rise, bursts have soft ends, a variance goes
-//! as a sine or a triangle. Frequencies, times and sizes lie wherever the draw puts them.
+//! The forms differ on purpose from those that a diagnosis fits. Sizes of spikes are evenly spread. Resonances are AR(2). Filters
+//! are Butterworth's with a little noise behind them. Steps take some samples to rise, and bursts have soft ends. A variance goes
+//! as a sine or a triangle. Frequencies, times and sizes are drawn without restriction to a grid.
 //!
 //! | file | kinds |
 //! |---|---|
@@ -36,7 +36,7 @@ use crate::sample::{Channel, Triad};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
-/// Why an effect cannot be imposed on samples.
+/// The reason why an effect cannot be imposed on samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImposeError {
@@ -77,13 +77,13 @@ pub enum ImposeError {
 /// Samples below which no effect is drawn: events and bursts would not fit.
 pub const SAMPLES_MIN: usize = 10_000;
 
-/// What an effect does to columns.
+/// The action of an effect on columns.
 trait Act: std::fmt::Debug + Send + Sync {
     /// Acts on the columns `at`, in the order in which they were drawn.
     fn act(&self, on: &mut Columns, at: &[usize], draw: &mut Draw);
 }
 
-/// What an effect is drawn for.
+/// The role for which an effect is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Role {
@@ -98,7 +98,7 @@ impl Role {
     pub const ALONE: Self = Self { sense: Sense::Missing, of: 1 };
 }
 
-/// What a kind's draw starts from.
+/// The inputs of a kind's draw.
 struct Making<'a> {
     kind: Kind,
     role: Role,
@@ -107,7 +107,7 @@ struct Making<'a> {
     at: &'a [usize],
     /// Size over the 90 % limit.
     over: f64,
-    /// For what belongs to the device.
+    /// The draws for the properties of the device.
     device: Draw,
     /// For times of events.
     events: Draw,
@@ -153,7 +153,7 @@ struct Made {
     act: Box<dyn Act>,
 }
 
-/// An effect with its size and all that belongs to it, ready to act.
+/// An effect with its size and parameters, ready to act.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Effect {
@@ -171,7 +171,7 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Draws an effect for a role: `device` decides what belongs to the device, `events` when things happen.
+    /// Draws an effect for a role: `device` determines the properties of the device, `events` the times of events.
     ///
     /// # Errors
     /// [`ImposeError`]: the setting has not what the kind takes.
@@ -218,7 +218,7 @@ impl Effect {
             _ => outside::draw(&mut making),
         };
         let over_limit = match kind {
-            // The filter's own size says how far it is from none.
+            // The filter's own size states how far it is from no filter.
             Kind::LowPass => made.size,
             Kind::MovingAverage => limit::ABOVE * made.size / 2.0,
             outside if outside.effect().is_none() => limit::ABOVE,
@@ -250,8 +250,8 @@ impl Effect {
     }
 }
 
-/// The channels that a kind acts on: some at random, or what it cannot act on less than; none that has something like it of
-/// itself.
+/// The channels that a kind acts on: some at random, or as few as the kind requires; never a channel with a similar effect of the
+/// recording.
 fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>, ImposeError> {
     let free: Vec<usize> =
         (0..setting.parts.len()).filter(|at| setting.is_free(setting.parts[*at].channel, kind)).collect();

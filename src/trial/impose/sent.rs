@@ -1,4 +1,4 @@
-//! What happens to samples on their way out: limits, steps, repeats, stamps.
+//! Effects on samples on their way out: limits, steps, repeats, stamps.
 
 use super::{Act, Made, Making, object};
 use crate::trial::class::Sense;
@@ -81,7 +81,7 @@ impl Act for Stamps {
         if self.1 == 0.0 {
             return;
         }
-        // The first and the last are there: what is lost outside them is not known to be missing.
+        // The first and the last sample are present: samples lost outside them are not known to be missing.
         let places = draw.events(self.1, samples - 1);
         on.lose(places);
     }

@@ -1,4 +1,4 @@
-//! What channels share.
+//! Effects that channels share.
 
 use super::{Act, Made, Making, object};
 use crate::trial::columns::Columns;
@@ -35,7 +35,7 @@ impl Act for Crosstalk {
     }
 }
 
-/// Where the first column is loud, the others are: its course over so many samples multiplies their white parts.
+/// The other columns are loud while the first column is: its course over so many samples multiplies their white parts.
 #[derive(Debug)]
 struct Product(f64, f64);
 
@@ -67,7 +67,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         let entry = object([("log_gain", size.into()), ("samples", over.into())]);
         return Made { size, parameters: vec![entry; making.at.len()], act: Box::new(Product(size, over)) };
     }
-    // delayed_crosstalk: the gain is in units of the two channels' noise, which may have different units of their own.
+    // delayed_crosstalk: the gain is in units of the two channels' noise, which may have different units.
     let (delay, size) = (making.device.whole(3, 50), making.device.log_uniform(0.1, 0.5));
     let source = making.white(0);
     let gains: Vec<f64> = making.at.iter().map(|at| size * making.white(*at) / source).collect();

@@ -1,4 +1,4 @@
-//! Imposers do what they say: statistics of what each adds to samples.
+//! Imposers have the stated properties: statistics of what each adds to samples.
 
 use super::*;
 use crate::trial::columns::Column;
@@ -42,7 +42,7 @@ fn white() -> Columns {
     Columns { rate_hz: RATE, columns, temperature_c, missing: Vec::new(), time_s }
 }
 
-/// The effect, the columns with it, and what it changed on its first channel.
+/// The effect, the columns with it, and the change on its first channel.
 fn imposed(kind: Kind, seed: u64) -> (Effect, Columns, Vec<f64>) {
     let before = white();
     let draws = |purpose| Draw::device(seed, 5, purpose);

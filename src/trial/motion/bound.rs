@@ -1,9 +1,9 @@
-//! The bound: how large an effect has to be that anybody finds it.
+//! The bound: the least size of an effect at which a test can find it.
 //!
-//! For an effect of p numbers β the information that a record has, everything else unknown, is
-//! J = X_gᵀX_g − X_gᵀX_r(X_rᵀX_r)⁺X_rᵀX_g with whitened columns, r all other effects of the triad and its delay: the inverse of
-//! the Cramér–Rao bound. Twice the nats that it gains are χ² of p degrees of freedom about ½βᵀJβ·2; the size at which nine of
-//! ten such are above a price follows. Columns are averaged to at most 8192 values, since motions are slow.
+//! For an effect of p numbers β, the information of a record with all other parameters unknown is J = X_gᵀX_g −
+//! X_gᵀX_r(X_rᵀX_r)⁺X_rᵀX_g with whitened columns. J is the inverse of the Cramér–Rao bound; r stands for all other effects of
+//! the triad and its delay. Twice the nats that it gains are χ² of p degrees of freedom about ½βᵀJβ·2. The bound is the size at
+//! which nine of ten such gains are above a price. Columns are averaged to at most 8192 values, since motions are slow.
 
 use super::course::FINE;
 use super::impose::{Imposed, shown};
@@ -35,7 +35,8 @@ pub fn needed(numbers: usize) -> f64 {
     needed
 }
 
-/// The information of one effect's numbers, everything else of its triad unknown. `nbk`: the triad's true N, B, K per axis.
+/// The information of one effect's numbers, with all other parameters of its triad unknown. `nbk`: the triad's true N, B, K per
+/// axis.
 #[must_use]
 pub fn information(
     kind: Kind,

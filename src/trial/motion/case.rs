@@ -20,7 +20,7 @@ const TRIADS: [Triad; 2] = [Triad::Gyro, Triad::Accel];
 const VN_100: [f64; 2] = [6.1e-5, 1.37e-3];
 /// Samples of a case, at least.
 pub const SAMPLES_MIN: usize = 6000;
-/// Part of the cases whose reference has a clock of its own.
+/// Part of the cases whose reference has a separate clock.
 const OWN_CLOCK: f64 = 0.3;
 /// Part of the samples beyond a limit at 1 of its size, and a cutoff there in parts of the rate.
 const CUT_OFF: f64 = 1e-3;
@@ -45,7 +45,7 @@ pub struct TrueEffect {
     pub limit: f64,
 }
 
-/// What a case has.
+/// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Key {
@@ -55,7 +55,7 @@ pub struct Key {
     pub rate_hz: f64,
     /// Samples per channel.
     pub samples: usize,
-    /// Whether its reference is on a clock of its own, at twice the rate, and begins and ends within the record.
+    /// Whether its reference is on a separate clock, at twice the rate, and begins and ends within the record.
     pub own_clock: bool,
     /// Its effects.
     pub effects: Vec<TrueEffect>,
@@ -269,10 +269,10 @@ impl Case {
         (recording, rows)
     }
 
-    /// The model that the diagnosis is told, with the effects where it is the truth's.
+    /// The model that the diagnosis receives, with the effects if it is the truth's.
     ///
     /// # Errors
-    /// [`ModelError`], for what no model can say.
+    /// [`ModelError`], for effects that no model can state.
     pub fn model(&self, with_effects: bool) -> Result<SensorModel, ModelError> {
         let mut channels = Map::new();
         let mut triads = Map::new();
@@ -349,7 +349,7 @@ fn entry(effect: &Imposed) -> Value {
 /// parcel ([`crate::trial::parcel`]), its length before it, and the reference's rows behind it.
 ///
 /// # Errors
-/// What the parcel says.
+/// The errors of the parcel's writer.
 pub fn pack(case: &Case, model: &SensorModel) -> Result<Vec<u8>, crate::trial::parcel::ParcelError> {
     let (recording, rows) = case.record();
     let parcel = crate::trial::parcel::pack(&recording, model, false)?;
@@ -362,7 +362,7 @@ pub fn pack(case: &Case, model: &SensorModel) -> Result<Vec<u8>, crate::trial::p
     Ok(bytes)
 }
 
-/// Why a case with a motion cannot be read.
+/// The reason why a case with a motion cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaseError {

@@ -1,4 +1,4 @@
-//! Courses: the motion of a sealed case, on a grid finer than the record's. Code of its own.
+//! Courses: the motion of a sealed case, on a grid finer than the record's. The code is separate from the library's.
 //!
 //! Either a table that drives one rate after the other about random axes, or a hand that turns the sensor from rest to rest;
 //! attitude follows by rotating about each step's rate. Gravity is 9.80665 m/s² down; a third of the courses are shaken besides.
@@ -12,7 +12,7 @@ pub const FINE: usize = 4;
 const GRAVITY: f64 = 9.806_65;
 type Vector = [f64; 3];
 
-/// What a course is like.
+/// The properties of a course.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct Shape {

@@ -1,14 +1,14 @@
-//! What a device shows of a motion, with effects of every kind. Code of its own, apart from the simulator's.
+//! The response of a device to a motion, with effects of every kind. The code is separate from the simulator's.
 //!
-//! In the order of docs/formats.md: it is late, its axes mix, its scale factor is wrong, its level is wrong; then comes the noise,
-//! the bandwidth and the limit. Each stage acts on what the one before gives.
+//! In the order of docs/formats.md: it is late, its axes mix, its scale factor is wrong, its level is wrong; then comes the
+//! noise, the bandwidth and the limit. Each stage acts on the output of the one before.
 
 use super::course::FINE;
 use super::kind::Kind;
 use crate::sample::Triad;
 use crate::simulator::Motion;
 
-/// Full scale that nonlinearities are told of: ±2000 °/s and ±16 g.
+/// Full scale to which nonlinearities refer: ±2000 °/s and ±16 g.
 pub const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
 /// Half width of a play, in parts of the largest input.
 const PLAY: f64 = 0.15;
@@ -41,7 +41,7 @@ impl Imposed {
     }
 }
 
-/// What a triad feels at an instant of the fine grid, `back` of its instants ago, along the cubic between them.
+/// The input of a triad at an instant of the fine grid, `back` of its instants ago, along the cubic between them.
 fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
     let last = course.len() - 1;
     let place = (instant as f64 - back).clamp(0.0, last as f64);
@@ -64,7 +64,7 @@ fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
     sum
 }
 
-/// What a triad shows of a course at each sample, before noise; `warmth_c` is the temperature about its mean.
+/// The output of a triad for a course at each sample, before noise; `warmth_c` is the temperature about its mean.
 #[must_use]
 pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed], warmth_c: &[f64]) -> [Vec<f64>; 3] {
     let own: Vec<&Imposed> = effects.iter().filter(|effect| effect.triad == triad).collect();
@@ -134,7 +134,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
     axes
 }
 
-/// Bandwidth and limit, on what is shown with its noise.
+/// Bandwidth and limit, on the output with its noise.
 pub fn behind(values: &mut [f64], triad: Triad, rate_hz: f64, effects: &[Imposed]) {
     for effect in effects.iter().filter(|effect| effect.triad == triad) {
         match effect.kind {
@@ -148,7 +148,7 @@ pub fn behind(values: &mut [f64], triad: Triad, rate_hz: f64, effects: &[Imposed
     }
 }
 
-/// First order, by the bilinear transform with its cutoff where it is asked for.
+/// First order, by the bilinear transform with its cutoff at the requested frequency.
 fn low_pass(values: &mut [f64], cutoff_hz: f64, rate_hz: f64) {
     let warped = (std::f64::consts::PI * cutoff_hz / rate_hz).tan();
     let (gain, back) = (warped / (1.0 + warped), (1.0 - warped) / (1.0 + warped));
@@ -172,7 +172,7 @@ mod tests {
     use crate::effects::triad::{Drive, ScaleFactorNonlinearity};
     use crate::effects::{LowPass, Stream, StreamId, TriadEffect};
 
-    /// This code and the library's are two: they have to be the same physics.
+    /// This code and the library's are independent: they have to describe the same physics.
     #[test]
     fn effects_are_the_documented_ones() {
         let motion = Motion { gyro_rad_s: [1.0, -2.0, 0.5], accel_m_s2: [3.0, 1.0, -9.0], temperature_c: None };

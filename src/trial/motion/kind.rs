@@ -1,10 +1,10 @@
-//! Kinds: what a sealed case with a motion may lack.
+//! Kinds: the effects that a sealed case with a motion may lack.
 
 use crate::sample::Triad;
 use crate::trial::draw::Draw;
 use serde::{Deserialize, Serialize};
 
-/// What a case lacks.
+/// An effect that a case lacks in its model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(clippy::exhaustive_enums, reason = "the kinds of the trial")]
@@ -44,7 +44,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Those of the library.
+    /// The kinds of the library.
     pub const LIBRARY: [Self; 11] = [
         Self::Bias,
         Self::ScaleFactor,
@@ -58,7 +58,7 @@ impl Kind {
         Self::LowPass,
         Self::TemperatureBias,
     ];
-    /// Those outside it.
+    /// The kinds outside it.
     pub const OUTSIDE: [Self; 5] = [Self::Hysteresis, Self::Creep, Self::DeadBand, Self::LeverArm, Self::WarmScale];
 
     /// Its name.
@@ -116,7 +116,7 @@ impl Kind {
         matches!(self, Self::LowPass | Self::TemperatureBias)
     }
 
-    /// The unit of its numbers on a triad; of those outside the library, of what is drawn for them.
+    /// The unit of its numbers on a triad; for those outside the library, of the numbers that are drawn for them.
     #[must_use]
     pub fn unit(self, triad: Triad) -> &'static str {
         let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
@@ -136,7 +136,7 @@ impl Kind {
         }
     }
 
-    /// How many numbers it has that a regression finds; None where its size is another.
+    /// How many numbers it has that a regression finds; None if its size is another.
     #[must_use]
     pub fn numbers(self) -> Option<usize> {
         match self {
@@ -154,14 +154,14 @@ impl std::fmt::Display for Kind {
     }
 }
 
-/// One effect of a case: what, and on which triad.
+/// One effect of a case: its kind and its triad.
 pub type Wish = (Kind, Triad);
 
 /// Words that choose classes of cases, beside the kinds' names.
 pub const CLASSES: [&str; 4] = ["none", "single", "pair", "outside"];
 
-/// The effects of every case: of `cases`, a fifth have none, half one of the library, a fifth two, a tenth one outside it; of
-/// the classes and kinds that `words` choose, all where there is no word. Each kind comes as often as the others of its class.
+/// The effects of every case: of `cases`, a fifth have none, half one of the library, a fifth two, a tenth one outside it; of the
+/// classes and kinds that `words` choose, all if there is no word. Each kind comes as often as the others of its class.
 ///
 /// # Errors
 /// The word that names no class and no kind.
@@ -240,8 +240,8 @@ fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
     [of(0), of(1)].concat()
 }
 
-/// Whether two can be told apart by anybody: not the same on one triad, not two delays of one sensor's clock, and nothing beside
-/// a filter or a limit that would hide it.
+/// Whether two effects can be separated: not two of the same kind on one triad, not two delays of one sensor's clock, and no
+/// effect beside a filter or a limit that would hide it.
 fn goes_with(one: Wish, other: Wish) -> bool {
     let alone = |kind: Kind| matches!(kind, Kind::Saturation | Kind::LowPass);
     let late = |kind: Kind| matches!(kind, Kind::Latency | Kind::LowPass);

@@ -1,11 +1,12 @@
 //! Blind check of the diagnosis with a known motion: sealed cases, keys, scores.
 //!
-//! In: a sealed seed; diagnoses in the documented form, whoever made them. Out: recordings with references and models that lack
-//! something ([`case`]), keys, scores ([`score`]). A device goes through a motion of its own ([`course`]); what it shows of it is
-//! made by code apart from the simulator's ([`impose`]), the noise by the trial's own ground.
+//! In: a sealed seed; diagnoses in the documented form, from any program. Out: recordings with references and models that lack an
+//! effect ([`case`]), keys, scores ([`score`]). Each device goes through a separate motion ([`course`]). Code apart from the
+//! simulator's makes its response ([`impose`]), and the trial's own ground makes the noise.
 //!
-//! Sizes are told in limits: the size at which a test that knows the noise, and neither of the other effects nor the clock,
-//! finds the effect in nine of ten records at the price that the diagnosis asks ([`bound`], from the Cramér–Rao bound).
+//! Sizes are multiples of a limit. The limit is the size at which a test finds the effect in nine of ten records at the price
+//! that the diagnosis asks ([`bound`], from the Cramér–Rao bound). That test knows the noise, and knows neither the other effects
+//! nor the clock.
 
 pub mod bound;
 pub mod case;

@@ -1,4 +1,4 @@
-//! Scores: diagnoses of sealed cases with a motion held against their keys.
+//! Scores: diagnoses of sealed cases with a motion compared with their keys.
 
 use super::case::{Key, TrueEffect};
 use super::impose::full_scale;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 /// From this size over the bound's on an effect has to be right.
 const CLEAR: f64 = 3.0;
-/// Part of what the true effects close that has to be closed.
+/// The share of the true effects' closed part that has to be closed.
 const NEARLY: f64 = 0.9;
 
 /// A cause of a diagnosis, as far as it is judged.
@@ -21,7 +21,7 @@ const NEARLY: f64 = 0.9;
 pub struct Told {
     /// Its effect.
     pub effect: String,
-    /// Its triad: told, or that of all its channels.
+    /// Its triad: as stated, or that of all its channels.
     pub triad: Option<String>,
     /// Whether it is one that the case has.
     pub right: bool,
@@ -41,7 +41,7 @@ pub struct Judgement {
     pub over_limit: Vec<f64>,
     /// The limits, in the units of the numbers.
     pub limits: Vec<f64>,
-    /// The verdict, or why there was none.
+    /// The verdict, or the reason why there was none.
     pub verdict: String,
     /// The causes in their order.
     pub causes: Vec<Told>,
@@ -49,15 +49,15 @@ pub struct Judgement {
     pub right_first: bool,
     /// Of each effect whether it was named.
     pub named: Vec<bool>,
-    /// Of each parameter of what was named with an interval: whether that holds the truth.
+    /// For each named parameter with an interval: whether the interval holds the truth.
     pub held: Vec<bool>,
-    /// What was closed.
+    /// The part of the gap that was closed.
     pub closed: Option<f64>,
-    /// What the true effects close.
+    /// The part that the true effects close.
     pub closed_by_truth: Option<f64>,
 }
 
-/// Judges a diagnosis: its JSON, or why there is none.
+/// Judges a diagnosis: its JSON, or the reason why there is none.
 #[must_use]
 pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f64>) -> Judgement {
     let nothing = Value::Null;
@@ -122,7 +122,7 @@ fn is(of: &TrueEffect, cause: &Value) -> bool {
     called(cause) == wanted && triad_of(cause).as_deref() == Some(of.triad.as_str())
 }
 
-/// Whether each told interval of a triad's parameters holds the truth.
+/// Whether each stated interval of a triad's parameters holds the truth.
 fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
     if of.kind.on_channels() {
         return on_channels(of, cause);
@@ -185,7 +185,7 @@ pub struct OfKind {
     pub spurious: Rate,
     /// Intervals that hold.
     pub held: Rate,
-    /// Median of what is closed, from [`CLEAR`] on.
+    /// Median of the closed part, from [`CLEAR`] on.
     pub closed: Option<f64>,
     /// The size over the bound's at which half and nine of ten are right.
     pub size_50: Option<Limit>,
@@ -200,7 +200,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// What a trial came to.
+/// The summary of a trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Score {
@@ -220,7 +220,7 @@ pub struct Score {
     pub misses: Vec<Judgement>,
 }
 
-/// What the rates mean, in the order in which they are shown.
+/// The meanings of the rates, in the order in which they are shown.
 pub const RATES: [(&str, &str); 11] = [
     ("right_first_clear", "right effect and triad first, from 3 times the limit on"),
     ("right_first", "right effect and triad first, all sizes"),
@@ -258,7 +258,7 @@ impl Score {
             })
         };
         let both = single().chain(pairs());
-        // Where nothing was named nothing is closed.
+        // If no cause was named, the closed part is 0.
         let closing = both.clone().filter(clear).filter_map(|of| Some((of.closed.unwrap_or(0.0), of.closed_by_truth?)));
         let rates = BTreeMap::from([
             ("right_first_clear", Rate::of(single().filter(clear).map(|of| of.right_first))),

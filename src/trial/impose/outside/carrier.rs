@@ -1,11 +1,11 @@
-//! Lines and bands that are not the same all the time.
+//! Lines and bands that vary over time.
 
 use super::{Drawn, events, on_and_off};
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
 use std::f64::consts::TAU;
 
-/// A line whose frequency (cycles per sample) and amplitude (σ) are given sample by sample, from a phase of chance on.
+/// A line whose frequency (cycles per sample) and amplitude (σ) are given sample by sample, from a random phase on.
 fn line(draw: &mut Draw, mut at: impl FnMut(usize, &mut Draw) -> (f64, f64)) -> impl FnMut(usize) -> f64 {
     let mut turns = draw.uniform(0.0, 1.0);
     let mut draw = draw.split();

@@ -1,4 +1,4 @@
-//! What becomes of samples on their way out, as no effect of the library does.
+//! Changes of samples on their way out that no effect of the library makes.
 
 use super::{Drawn, on_and_off};
 use crate::trial::draw::Draw;
@@ -25,7 +25,7 @@ fn biquad(values: &mut [f64], [b0, b1, b2, a1, a2]: [f64; 5]) {
 
 pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
     match kind {
-        // Means of neighbours stand between what was measured, now and then.
+        // Means of neighbours stand between the measured samples, now and then.
         Kind::NeighbourMeans => {
             let size = device.log_uniform(0.02, 0.4);
             Drawn::new(size, "share", move |column, _, draw| {
@@ -66,7 +66,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
                 }
             })
         }
-        // Steps are four times as large where the value is far from the middle.
+        // Steps are four times as large if the value is far from the middle.
         Kind::RangeSwitch => {
             let size = device.uniform(0.3, 1.0);
             Drawn::new(size, "step", move |column, _, _| {
@@ -118,7 +118,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
                 biquad(&mut column.values, [ends, middle, ends, middle, (1.0 - alpha) * norm]);
             })
         }
-        // Coupled by a capacitor: what is slow is taken out.
+        // Coupled by a capacitor: slow components are removed.
         Kind::HighPass => {
             let size = device.log_uniform(0.01, 0.1);
             Drawn::new(size, "corner", move |column, _, _| {

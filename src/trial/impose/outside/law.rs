@@ -1,4 +1,4 @@
-//! Noise whose law is none of the library's.
+//! Noise with a law that is not in the library.
 
 use super::{Drawn, events};
 use crate::trial::draw::Draw;
@@ -39,7 +39,7 @@ pub(super) fn draw(kind: Kind, device: &mut Draw) -> Option<Drawn> {
                 });
             })
         }
-        // What is above the middle is louder than what is below.
+        // Values above the middle are louder than those below.
         Kind::AsymmetricGain => {
             let size = device.log_uniform(0.08, 0.4);
             Drawn::new(size, "gain", move |column, _, _| {

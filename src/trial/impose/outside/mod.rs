@@ -1,7 +1,8 @@
-//! Kinds outside the library that act on each of their channels by itself: a size, what a key says of it, and a function of the column.
+//! Kinds outside the library that act on each of their channels separately: a size, a statement for the key, and a function of
+//! the column.
 //!
-//! Sizes are in units of the white part's standard deviation. They are drawn so that whoever looks at the record long enough sees
-//! that something is there; there is no limit of them.
+//! Sizes are in units of the white part's standard deviation. They are drawn so that the effect is visible to a reader who
+//! examines the record long enough; there is no limit for them.
 
 mod carrier;
 mod chain;
@@ -13,10 +14,10 @@ use crate::trial::columns::{Column, Columns};
 use crate::trial::draw::Draw;
 use crate::trial::kind::Kind;
 
-/// A change of one column; with it the true temperature at every sample, °C, empty where none is known.
+/// A change of one column; with it the true temperature at every sample, °C, empty if it is not known.
 type Change = Box<dyn Fn(&mut Column, &[f64], &mut Draw) + Send + Sync>;
 
-/// The same change on every column, with draws of its own on each.
+/// The same change on every column, with separate draws on each.
 struct Each(Change);
 
 impl std::fmt::Debug for Each {
@@ -79,7 +80,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     Made { size: drawn.size, parameters: vec![entry; count], act: Box::new(Each(drawn.change)) }
 }
 
-/// A square wave of chance: in which of `samples` something is on, for `on` samples on average, and then off for `off`.
+/// A random square wave: marks which of `samples` are on, for `on` samples on average, and then off for `off`.
 fn on_and_off(samples: usize, on: f64, off: f64, draw: &mut Draw) -> Vec<bool> {
     let mut is_on = draw.chance(on / (on + off));
     let mut made = Vec::with_capacity(samples);

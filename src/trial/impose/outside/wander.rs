@@ -1,4 +1,4 @@
-//! Levels that wander as no effect of the library does.
+//! Levels that wander in ways that no effect of the library has.
 
 use super::{Drawn, events, on_and_off};
 use crate::trial::draw::Draw;
@@ -66,7 +66,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // It drifts and is set to zero, at times of chance.
+        // It drifts and is set to zero, at random times.
         Kind::AutoZero => {
             let (size, apart) = (device.log_uniform(1.0, 5.0), device.log_uniform(300.0, 4_000.0));
             Drawn::new(size, "drift_between_resets", move |column, _, draw| {
