@@ -19,7 +19,7 @@ const SLOW: std::time::Duration = std::time::Duration::from_secs(10);
 
 /// Samples of a record of a motion, and at most of one at rest.
 const MOVED_SAMPLES: usize = 2000;
-const STILL_SAMPLES: usize = 5000;
+const STILL_SAMPLES: usize = 10_000;
 
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap())
