@@ -247,7 +247,9 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
     let still = plan(seed, count, &Wanted::from_words(std::iter::empty()).unwrap());
     let moved = motion::plan(seed, count, std::iter::empty()).unwrap();
     let plans = Plans { still, moved };
-    let from = (number("VN100D_ODD_FROM", 0) as usize).min(count);
+    // The first takes minutes: each push leaves it out.
+    let first = u64::from(std::env::var_os("VN100D_ODD").is_none());
+    let from = (number("VN100D_ODD_FROM", first) as usize).min(count);
     let (next, past, slowest) = (AtomicUsize::new(from), AtomicUsize::new(0), AtomicU64::new(0));
     let failed = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
