@@ -174,10 +174,10 @@ pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, 
     })
 }
 
-/// How long a refusal waits: who asks again at once would otherwise cost the machine as much as who is served.
+/// The delay of a refusal. A client that repeats a refused request at once would otherwise cost as much as one that is served.
 const REFUSAL_PAUSE: Duration = Duration::from_secs(1);
 
-/// Answers 429 after a pause.
+/// Delays each 429 by [`REFUSAL_PAUSE`].
 pub(super) async fn slow_refusals(request: Request, next: Next) -> Response {
     let response = next.run(request).await;
     if response.status() == StatusCode::TOO_MANY_REQUESTS {

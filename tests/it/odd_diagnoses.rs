@@ -3,7 +3,7 @@
 //! Each is a case of the trial whose values, gaps, stamps or model were spoilt in several ways by a seed.
 //! `VN100D_ODD=2000` runs so many (10 unless it is set), `VN100D_ODD_SEED=N` repeats a run, `VN100D_ODD_FROM=500` leaves out those
 //! before.
-//! The records are short: what is odd about a record does not need a long one, and a long one takes minutes.
+//! The records are short, because a diagnosis of a long one takes minutes.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
